@@ -29,10 +29,10 @@ DIALECTS = {
 }
 """Up and front directions in a file, by the program that wrote the file.
 
-TRELLIS rotates its z-up world to y down when it saves; SAM 3D Objects saves z up.
+TRELLIS rotates its z-up world to y down when it saves a file; SAM 3D Objects saves files with z up.
 """
 FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
-"""Front direction that is assumed for each up direction if only the up direction is known."""
+"""Assumed front direction for each up direction, if only the up direction is known."""
 ACROSS = 0.02
 """Smallest allowed sine of the angle between the front and up directions."""
 
@@ -49,7 +49,7 @@ def orientation(
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".
         front: Direction that the object faces, of which only the horizontal component is used;
             default: the entry of `FRONTS` for `up`.
-        dialect: Key of `DIALECTS`, used if `up` is None; default: 3dgs.
+        dialect: Key of `DIALECTS` that determines the axes if `up` is None; default: 3dgs.
         rotate: Rotation that is applied to the file first: angles about the fixed axes x, y and z
             [degrees], applied in this order, or a quaternion w,x,y,z.
 
@@ -124,8 +124,8 @@ def upright(normal: NDArray) -> NDArray[np.float64]:
     x, y, z = np.asarray(normal, np.float64).tolist()
     if z < -1 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
-    # This is Rodrigues' formula about the axis normal x z: the axis's length is the sine of the
-    # angle, and z is the cosine.
+    # This is Rodrigues' formula. The axis is normal x z; its length is the sine of the angle, and z
+    # is the cosine.
     cross = np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + z)
 
@@ -167,14 +167,13 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
     count = sh.shape[1]
     if count == 1:
         return sh
-    # Rotate each unit harmonic once: the results are the rows of a matrix that applies to all
-    # Gaussians.
+    # Each unit harmonic is rotated once. The results are the rows of a matrix for all Gaussians.
     unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
     matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
     return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the front direction that is assumed if a coordinate axis is nearest to up."""
+    """Return the assumed front direction for the coordinate axis that is nearest to up."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

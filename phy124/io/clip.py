@@ -1,6 +1,6 @@
-"""Defines a clip, which is the Gaussians of every frame, and stores it as one safetensors file.
+"""Defines a clip (the Gaussians of every frame) and stores it as one safetensors file.
 
-All later steps, such as videos, players, ROS bags and measurements, need only a clip.
+Videos, players, ROS bags and measurements can be made from a clip alone.
 """
 
 from __future__ import annotations
@@ -28,14 +28,17 @@ from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
-"""Format versions. Version 1 stores the values of every frame; version 2 stores a motion from which
-the values are computed."""
+"""Format versions.
+
+Version 1 stores the Gaussians of every frame; version 2 stores a motion from which the Gaussians
+are computed.
+"""
 SPARE = " " * 8192
-"""Unused space in the header, so that a longer report can replace the first report."""
+"""Spare space in the header, so that a longer report can replace the first report."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
-"""Arrays that a clip's file may store as a motion, from which the arrays are then computed."""
+"""Arrays that are computed from the motion if a clip's file stores a motion."""
 WALLS = "wrenches"
 OBJECT = "object_id"
 MADE = "Give a clip.safetensors made by `phy124 generate`."
@@ -45,7 +48,7 @@ MADE = "Give a clip.safetensors made by `phy124 generate`."
 class Clip:
     """N Gaussians at T times.
 
-    Opacities are constant in time, and so are colours before rotation.
+    Opacities and the colours before rotation are constant in time.
     """
 
     means: Array
@@ -61,17 +64,21 @@ class Clip:
     times: NDArray[np.float64]
     """Times of the frames [T], s."""
     rotations: Array | None = None
-    """Rotations of the material relative to its state at rest [T,N,4], wxyz, from the polar
-    decomposition of F. They are present only if `sh` has a degree > 0."""
+    """Rotations of the material relative to its rest state [T,N,4], wxyz.
+
+    None if `sh` has degree 0. The rotations come from the polar decomposition of F.
+    """
     velocities: Array | None = None
-    """Velocities of the centres [T,N,3], m/s; present only if the scene requested them."""
+    """Velocities of the centres [T,N,3], m/s; None if the scene did not request velocities."""
     scene: dict[str, Any] = field(default_factory=dict)
     """The scene with all its values, as plain data."""
     report: dict[str, Any] = field(default_factory=dict)
     """The report of the run; its entry `complete` is False if the run stopped early."""
     contacts: Array | None = None
-    """Mean force [newton] that the walls exert on each Gaussian since the previous frame [T,N,3];
-    present only if the scene requested it."""
+    """Mean force [newton] of the walls on each Gaussian since the previous frame [T,N,3].
+
+    None if the scene did not request contacts.
+    """
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
     force [N], and the torque about the object's centre of mass [N m]. None unless the scene
@@ -79,13 +86,14 @@ class Clip:
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the object to which each Gaussian belongs [N]; None if there is only one object."""
+    """Index of the object of each Gaussian [N]; None if there is only one object."""
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
     motion: Motion | None = None
-    """A motion from which the Gaussians can be computed; the clip's file stores the motion in place
-    of their values. None if the file stores the values, or if an array that the motion describes
-    has been replaced."""
+    """A motion from which the Gaussians are computed, and which the clip's file stores.
+
+    None if the file stores the Gaussians of every frame, or if an array of the motion was replaced.
+    """
 
     def __post_init__(self) -> None:
         if self.motion is not None:
@@ -159,7 +167,7 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """The clip without its grains; the number of grains depends on the accuracy setting."""
+        """The clip without its grains, whose number depends on the accuracy."""
         grains = self.report.get("grains", 0)
         if not grains:
             return self
@@ -176,8 +184,8 @@ class Clip:
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
         """Return one frame, in which the colours are rotated with the material.
 
-        If `velocities` is set and the clip has no velocities, they are computed as described at
-        `velocity`.
+        If `velocities` is set and the clip has no velocities, the function `velocity` computes
+        them.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:
@@ -214,8 +222,8 @@ class Clip:
         """Return the velocities of the centres at a frame [N,3], m/s; None for a single frame.
 
         If the clip has simulated velocities (`velocities = true` in its scene), they are returned.
-        Otherwise, the result is the difference quotient of the adjacent frames, (x_after -
-        x_before) / (t_after - t_before). At the first and last frame, the quotient is one-sided.
+        If not, velocities are the difference quotients (x_after - x_before) / (t_after - t_before)
+        of the adjacent frames. The quotients are one-sided at the first and at the last frame.
         """
         if self.velocities is not None:
             return self.velocities[index]
@@ -240,9 +248,8 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy of the clip whose file stores a motion.
-
-        The file then has no arrays that the motion describes.
+        """Return a copy of the clip whose file stores a motion instead of the arrays in
+        `DESCRIBED`.
         """
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
@@ -262,7 +269,7 @@ class Clip:
         return {name: np.ascontiguousarray(getattr(self, name)) for name in kept}
 
     def metadata(self) -> dict[str, str]:
-        """Return the texts in the metadata of the file: scene, report, wall and object names."""
+        """Return the metadata of the file as texts: scene, report, names of walls and objects."""
         texts = {
             "format": FORMAT,
             "version": VERSION,
@@ -273,7 +280,7 @@ class Clip:
         return {**texts, "objects": json.dumps(self.objects)} if self.objects else texts
 
     def pack(self) -> Packed | None:
-        """Return the packed motion; None if the clip's file stores the values of every frame."""
+        """Return the packed motion, or None if the clip has no motion."""
         return None if self.motion is None else pack(self.motion)
 
     def save(self, path: str | os.PathLike[str], packed: Packed | None = None) -> None:
@@ -281,7 +288,7 @@ class Clip:
 
         Args:
             path: The file.
-            packed: The packed motion, if it is known.
+            packed: The packed motion, if it has been computed.
 
         Raises:
             InputError: If the folder is missing or the file cannot be created.
@@ -355,7 +362,7 @@ def stack_arrays(rows: Sequence[NDArray]) -> NDArray:
 
 
 def _owner(array: NDArray) -> Any:
-    """Return the object that holds the memory of an array, which may be a view of a view."""
+    """Return the array that owns the memory of a view; the view may be a view of a view."""
     owner: Any = array
     while isinstance(owner, np.ndarray) and owner.base is not None:
         owner = owner.base
@@ -363,7 +370,7 @@ def _owner(array: NDArray) -> Any:
 
 
 def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Return the numbers of frames and Gaussians of a saved clip, which are read from the header.
+    """Read the numbers of frames and Gaussians from the header of a saved clip.
 
     Raises:
         InputError: If the file is missing or cut short, or is not a clip of a known version.
@@ -381,7 +388,7 @@ def read_shape(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def read_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the scene of a saved clip as plain data, which is read from the file's header.
+    """Read the scene of a saved clip from the file's header; return plain data.
 
     Raises:
         InputError: If the file is missing or cut short, or is not a clip of a known version.
@@ -428,13 +435,13 @@ def restate(path: Path, clip: Clip) -> bool:
 
 
 def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
-    """Write the metadata of a safetensors file in a fixed order: equal clips get equal files."""
+    """Write the metadata of a safetensors file in a fixed order; equal clips have equal files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))
         header["__metadata__"] = dict(sorted(metadata.items()))
         text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-        # pad with spaces to the old length, because the tensors must not move
+        # spaces keep the old length, because the tensors must not move
         if len(text) <= length:
             file.seek(8)
             file.write(text.ljust(length))
@@ -466,8 +473,8 @@ def save_tensors(
     """Write arrays and metadata to one safetensors file.
 
     Raises:
-        OSError: If the file cannot be written, for example because the disk is full. (safetensors
-            reports this with an exception type of its own, which is converted.)
+        OSError: If the file cannot be written, for example because the disk is full. (The exception
+            type of safetensors is converted to OSError.)
     """
     try:
         whole = {name: np.ascontiguousarray(array) for name, array in tensors.items()}

@@ -1,4 +1,4 @@
-"""Defines what is read from a file of Gaussians, and the checks that all readers use."""
+"""Defines the content of a file of Gaussians, and the checks that all readers use."""
 
 from __future__ import annotations
 
@@ -23,24 +23,26 @@ MAX_GAUSSIANS = 50_000_000
 READING = 250
 """Memory that a Gaussian of degree 0 needs while a binary file is read [bytes]."""
 RUNNING = 600
-"""Memory that a Gaussian needs in a run, from reading the file to films [bytes]; measured in
-docs/results/scale.md."""
+"""Memory that a Gaussian needs in a whole run [bytes]; measured in docs/results/scale.md."""
 MOST_KEPT = 5_000_000
 """Largest value of --gaussians."""
 DENSEST = 100
-"""Largest allowed ratio of unpacked to compressed size. The ratio of files of real objects reaches
-10, that of zip bombs 1000."""
+"""Largest allowed ratio of unpacked to compressed size.
+
+Files of real objects reach a ratio of 10, zip bombs 1000.
+"""
 SMALL = 1 << 22
-"""A file may exceed the ratio `DENSEST` if its unpacked size is at most this [bytes], because small
-objects of one colour compress well."""
+"""The ratio `DENSEST` is checked only if the unpacked size exceeds this value [bytes].
+
+Small objects of one colour compress well, so they may exceed the ratio.
+"""
 OBJECT = "object_id"
-"""Name of the column that states to which object a Gaussian belongs."""
+"""Name of the column with the object index of each Gaussian."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
-"""Largest number of harmonics per colour that is kept; harmonics of degree 4 are dropped."""
+"""Largest number of harmonics per colour that is kept; harmonics of degree 4 are removed."""
 DEGREE_4 = "Harmonics of degree 4 are ignored."
 MOST_ID = 1e6
-"""Largest number of an object. Larger numbers are clipped to this value, because float32 cannot
-resolve them."""
+"""Largest object number; larger numbers are clipped, because float32 cannot resolve them."""
 Y_DOWN = ("-y", "-z")
 """Up and front directions in files of 3DGS and related programs."""
 Y_UP = ("y", "z")
@@ -59,25 +61,23 @@ class Content(NamedTuple):
     dropped: int = 0
     """Number of Gaussians that were dropped because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Up and front directions of the file; if the front is None, `axes.FRONTS` states it."""
+    """Up and front directions of the file; if the front is None, `axes.FRONTS` states the front."""
     antialiased: bool = False
-    """Whether the Gaussians were trained with Mip-Splatting's filter, and so must be rendered with
-    it."""
+    """Whether the Gaussians need Mip-Splatting's filter, with which they were trained."""
     notes: tuple[str, ...] = ()
     """Sentences about columns that are ignored or read in an unusual way."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin of the coordinates of `gaussians`, in the file's axes. The origin is nonzero only if
-    the positions in the file are so far from 0 that float32 could not resolve them."""
+    """Origin of the coordinates of `gaussians`, in the file's axes.
+
+    The origin is nonzero only if float32 could not resolve the positions in the file.
+    """
     step: float = 0.0
     """Smallest distance that the number format of the file can represent; 0 if this distance is
     negligible."""
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions if float32 can resolve them.
-
-        Otherwise the unchanged content.
-        """
+        """The content with absolute positions, or unchanged if float32 is too coarse for it."""
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self
@@ -88,7 +88,7 @@ class Content(NamedTuple):
         """Return the notes on the file, and a warning if the precision of its positions is too low.
 
         Args:
-            chosen: The Gaussians that are used; None stands for all Gaussians.
+            chosen: The Gaussians that are used; None means all Gaussians.
         """
         means = (self.gaussians if chosen is None else chosen).means
         coarse = describe_coarseness(means, self.step)
@@ -108,11 +108,11 @@ def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputErro
 
 
 class Malformed(ValueError):
-    """Raised if a file contradicts its format; the text is a clause that states how."""
+    """Raised if a file contradicts its format; the text is a clause that states the fault."""
 
 
 def name_fault(error: Exception) -> str:
-    """Return a clause that states what is wrong with a file, without using Python's wording.
+    """Return a clause that describes the fault of a file, without Python's wording.
 
     Args:
         error: The exception that the file caused in a reader.
@@ -180,7 +180,7 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
 def for_run(most: float = math.inf) -> Iterator[None]:
     """Within this context, read files for a run that keeps at most `most` Gaussians.
 
-    A file is then refused before it is read if the run would need more memory than is available.
+    A file is refused before it is read if such a run would need more memory than is available.
     Nested contexts can only reduce the number.
     """
     token = _kept.set(min(most, _kept.get() or math.inf))
@@ -191,7 +191,7 @@ def for_run(most: float = math.inf) -> Iterator[None]:
 
 
 def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
-    """Refuse more Gaussians than a file may contain, or than fit into the free memory.
+    """Refuse a file with too many Gaussians for the limit or for the free memory.
 
     Args:
         kind: Name of the format.
@@ -227,7 +227,7 @@ def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
-    """Return the Gaussians of all rows whose values are finite, and the number of dropped rows.
+    """Return the Gaussians of all rows whose values are finite, and the number of other rows.
 
     Quaternions are normalised; a quaternion of length 0 becomes the identity.
     """
@@ -296,7 +296,7 @@ def content_of(
 def assign_objects(
     ids: NDArray | None, means: NDArray[np.float32]
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
-    """Return the object index of each Gaussian if the file assigns objects, and notes about them.
+    """Return the object index of each Gaussian, or None if there are no objects, and notes.
 
     A Gaussian without an object is assigned to the object of the nearest Gaussian that has one.
 
@@ -324,30 +324,28 @@ def assign_objects(
 
 
 FAR = 4
-"""Ratio of the distance from the origin to the object's size. Beyond this ratio, float32 would be
-too coarse. The centres are then stored relative to a separate origin, which has double
-precision."""
+"""Largest ratio of an object's distance from 0 to its size for which float32 is precise enough.
+
+If the ratio is larger, centres are stored relative to an origin, which has double precision.
+"""
 FINE = 20_000
-"""If an object spans fewer float32 increments than this, its centres are stored relative to a
-separate origin."""
+"""Centres are also stored relative to an origin if the object spans fewer float32 increments."""
 COARSE = 4000
-"""If an object spans fewer increments of the file's positions than this, a note says that the
-positions are too coarse."""
+"""Smallest number of increments of the file's positions across an object without a warning."""
 ENOUGH = 100_000
 """Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38
 """Largest coordinate that is used, which is about the largest value of float32."""
 ENDS = (1, 99)
-"""Percentiles of the coordinates that count as the ends of an object, so that single outliers are
-ignored."""
+"""Percentiles of the coordinates that are used as the ends of an object; outliers are ignored."""
 
 
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return centres [N,3] relative to an origin [3], and this origin.
 
-    The origin is 0 unless the centres are so far away that float32 could not resolve the object.
-    For example, Earth-centred captures lie 4,600 km or more from 0. Since float32 has 24 bits, its
-    values are half a metre apart at that distance. The origin is subtracted in double precision.
+    The origin is 0 unless float32 could not resolve the object. For example, in Earth-centred
+    captures, objects are 4,600 km or more from 0. At this distance, float32 values are half a metre
+    apart. The origin is subtracted in double precision.
     """
     middle, extent = _middle(means)
     blurred = extent < FINE * spacing(middle)
@@ -355,7 +353,7 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
         blurred |= FAR * extent < np.abs(middle).max()
     origin = np.zeros(3)
     if blurred and extent > 0:
-        # Round to a multiple of a power of two, because centres that were float32 then stay exact.
+        # The origin is a multiple of a power of two, so that float32 centres stay exact.
         normalise_quats = 2.0 ** np.ceil(np.log2(extent))
         origin = np.rint(middle / normalise_quats) * normalise_quats
     with np.errstate(over="ignore", invalid="ignore"):
@@ -375,10 +373,7 @@ def move_back(
 
 
 def step_of(means: NDArray) -> float:
-    """Return the spacing of float32 numbers at centres [N,3].
-
-    0 if the centres have double precision.
-    """
+    """Return the spacing of float32 numbers at centres [N,3], or 0 for double precision."""
     some = _some(means)
     if not len(some) or not np.array_equal(some, some.astype(np.float32)):
         return 0.0
@@ -386,7 +381,7 @@ def step_of(means: NDArray) -> float:
 
 
 def describe_coarseness(means: NDArray, step: float) -> str | None:
-    """Return a sentence if the positions in a file are too coarse for its object; otherwise None.
+    """Return a warning if the positions in a file are too coarse for its object; otherwise None.
 
     Args:
         means: Centres [N,3], relative to any origin.
@@ -418,7 +413,7 @@ def _middle(means: NDArray) -> tuple[NDArray[np.float64], float]:
 
 
 def _some(means: NDArray) -> NDArray[np.float64]:
-    """Sample centres evenly from the whole file, except for centres that overflow float32."""
+    """Sample centres evenly from the whole file; skip centres that overflow float32."""
     with np.errstate(invalid="ignore"):  # signalling NaN raises a warning
         some = means[:: max(1, len(means) // ENOUGH)].astype(np.float64)
     return some[(np.abs(some) < LARGEST).all(axis=1)]

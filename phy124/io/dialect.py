@@ -1,10 +1,9 @@
 """Guesses from columns and positions which program wrote a PLY file.
 
-The program determines the axes.
+The axes of a file depend on this program, but few programs state their name in their files.
 
-Few programs state their name in their files. The guess therefore relies on the known output of each
-program (docs/guide/plugins.md). The guess is reported to the user, and is applied only if the user
-agrees.
+The guess relies on the known output of each program (docs/guide/plugins.md). It is reported to the
+user, and is applied only if the user agrees.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of rows in the sample, and number of blocks of adjacent rows from which it is taken; the
-blocks are spread over the file."""
+"""Number of sampled rows, and number of blocks of adjacent rows that form the sample."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
 """Columns of a file that LGM wrote, in the order of the file."""
 SIGNED = ("phy124", "SuperSplat")
@@ -33,15 +31,14 @@ UNIT = 1e-3
 
 
 class Axes(NamedTuple):
-    """Up and front directions of a file, and how they are known."""
+    """Up and front directions of a file, and their source."""
 
     up: str
     front: str
     said: bool
     """True if the file or its format states the directions; False if they are guessed."""
     program: str | None = None
-    """The program that probably wrote the file, and the reason for this guess; None if the file has
-    the usual layout."""
+    """The program that probably wrote the file, and the reason; None for the usual file layout."""
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
@@ -57,7 +54,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
     up, front = axes[0], axes[1] or FRONTS[axes[0]]
     form = recognise(path)
     if form.name != "ply":
-        # glTF and SPZ define their axes; the axes of other formats are only a convention.
+        # glTF and SPZ define the axes; for other formats, the axes are only a convention.
         return Axes(up, front, form.axes == Y_UP)
     likely = likely_dialect(path)
     if likely is not None and axes[0] == DIALECTS["3dgs"][0]:
@@ -66,7 +63,7 @@ def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
 
 
 def _names_its_axes(header: Header) -> bool:
-    """Whether a comment states the up axis; a "y" without a sign does not count as a statement."""
+    """Return whether a comment states the up axis; "y" without a sign is not sufficient."""
     matches = filter(None, map(VERTICAL.fullmatch, header.comments))
     return _is_signed(header) or any(match[1].lower() != "y" for match in matches)
 
@@ -76,7 +73,7 @@ def _is_signed(header: Header) -> bool:
 
 
 def likely_dialect(path: Path) -> tuple[str, str] | None:
-    """Return the likely dialect of a file, and the reason; None if the dialect is the usual one.
+    """Return the likely dialect of a file and the reason; None for the usual dialect.
 
     Raises:
         InputError: If the file is missing or its header is invalid.

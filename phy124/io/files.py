@@ -1,8 +1,8 @@
-"""Writes output files atomically: a complete file appears, and replaces an older file.
+"""Writes output files atomically: a file appears, or replaces an older file, only when complete.
 
-An output path may be a link, which is followed, or a device or pipe, into which the output is
-written. When a process ends for any reason, the operating system releases its locks. A temporary
-file without a lock was therefore left by a killed process.
+An output path may also be a link, a device or a pipe. Links are followed, and output is written
+into devices and pipes. When a process ends for any reason, the operating system releases the locks
+of the process. A temporary file without a lock was therefore left by a killed process.
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
 PARTS = ".*-????????.part*"
 """Pattern that matches the names of files that are still being written."""
 LONGEST = 40
-"""Number of characters of a file's name that are used in the name of its temporary file."""
+"""Number of characters of a file's name that are copied to the name of its temporary file."""
 
 
 def is_stream(path: Path) -> bool:
     """Return whether a path is a device, a pipe or an open file.
 
-    Output is written into a device, a pipe or an open file, while an ordinary file is replaced.
+    Output is written into such a path, while an ordinary file is replaced.
 
     Raises:
         OSError: If the path is a folder, a disk, a socket, or a link that refers to itself.
@@ -88,7 +88,7 @@ def is_stream(path: Path) -> bool:
 def create_temporary(path: Path) -> Path:
     """Create an empty temporary file, which `move_to` moves to `path` when it is complete.
 
-    The temporary file's name has the same extension as `path`, because some writers need the
+    The name of the temporary file has the same extension as `path`, because some writers need the
     extension. The temporary file is in the folder of the file to which `path` resolves. If `path`
     is a device or pipe, the temporary file is in the system's temporary folder.
 
@@ -98,14 +98,14 @@ def create_temporary(path: Path) -> Path:
     folder = Path(tempfile.gettempdir()) if is_stream(path) else resolve_links(path).parent
     ending = path.suffix if len(path.suffix) <= LONGEST else ""
     name = f".{path.stem[:LONGEST]}-{secrets.token_hex(4)}.part{ending}"
-    # The operating system applies the umask. A process can read the umask only by changing it for a
-    # moment.
+    # The operating system applies the umask, because a process can read the umask only by changing
+    # it.
     os.close(os.open(folder / name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     return folder / name
 
 
 def move_to(source: Path, path: Path) -> None:
-    """Move a finished file or folder to a path, where it replaces any file or folder.
+    """Move a finished file or folder to a path; replace any file or folder at this path.
 
     Links are followed; if the path is a device or a pipe, the content is written into it. If the
     path is on another file system, the content is copied.
@@ -156,8 +156,8 @@ MAKING = ".making-"
 def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved into `out` if the block succeeds.
 
-    If the block fails, the folders that were created for `out` are removed, unless another process
-    has put files into them. Files that killed processes left in `out` are also removed.
+    If the block fails, the folders that were created for `out` are removed, unless they contain
+    files of another process. Files that killed processes left in `out` are also removed.
 
     Args:
         out: The folder to fill.
@@ -205,7 +205,7 @@ def deliver(folder: Path) -> list[str]:
 
 
 def write_whole(path: PathLike, text: str) -> None:
-    """Write a text file, which appears only when it is complete.
+    """Write a text file atomically.
 
     Raises:
         InputError: If the folder is missing or the file cannot be created.
@@ -235,7 +235,7 @@ def sweep_parts(folder: Path) -> None:
 
 
 def writable(folder: Path) -> bool:
-    """Whether files can be written into a folder; the folder may have to be created first."""
+    """Return whether files can be written into a folder, which need not exist."""
     for path in (folder, *folder.parents):
         if os.path.lexists(path):
             return path.is_dir() and os.access(path, os.W_OK | os.X_OK)
@@ -275,10 +275,10 @@ def _create(path: Path) -> Path:
 def replacing(path: PathLike) -> Iterator[Path]:
     """Provide a temporary file for writing, which replaces `path` if the block succeeds.
 
-    If `path` is a link, the file to which it resolves is replaced. If it is a device or a pipe, the
-    content is written into it. The file gets the permissions that new files have. If the block ends
-    early for any reason, including an interrupt, the temporary file is removed. An older file at
-    `path` is then unchanged.
+    If `path` is a link, the file to which the link resolves is replaced. If `path` is a device or a
+    pipe, the content is written into it. The file gets the permissions of new files. If the block
+    ends early for any reason, including an interrupt, the temporary file is removed, and an older
+    file at `path` stays unchanged.
 
     Raises:
         InputError: If the folder is missing or the file cannot be written.

@@ -1,10 +1,10 @@
 """Writes the file of a clip during the run: each frame is written as soon as it is computed.
 
 If a run is killed, the file contains the finished frames. At the end of a run, `finish` writes the
-header. The file is then a valid clip and need not be copied. The returned frames are memory-mapped
-views of the file, so they take no further memory. The finished clip is a hard link to the file,
-which is created before the original name is removed. The frames of a paused run are therefore
-always on disk.
+header, which makes the file a valid clip without a copy. The returned frames are memory-mapped
+views of the file, so they take no further memory. The finished clip is a hard link to the file. The
+link is created before the original name is removed, so the frames of a paused run are always on
+disk.
 """
 
 from __future__ import annotations
@@ -61,11 +61,11 @@ class Tensor(NamedTuple):
 
 
 class Unlike(ValueError):
-    """Raised if arrays of a frame or clip differ in type or shape from the arrays of the file."""
+    """Raised if the arrays of a frame or clip differ in type or shape from those of the file."""
 
 
 class Growing:
-    """A clip file to which one frame after the other is written."""
+    """A clip file to which frames are written one by one."""
 
     def __init__(self, path: Path, tensors: Mapping[str, Tensor]) -> None:
         """Open or create the file, and lock it.
@@ -96,7 +96,7 @@ class Growing:
             for name, array in self.tensors.items()
             if array.size
         }
-        """Memory-mapped arrays by name; rows for frames that are not yet written are zero."""
+        """Memory-mapped arrays by name; rows of frames that are not yet written are zero."""
 
     @classmethod
     def like(
@@ -108,7 +108,8 @@ class Growing:
             path: The file.
             frame: The first frame.
             count: Number of frames that the clip will have.
-            rotation: Rotations of the material in the first frame, if the clip has them.
+            rotation: Rotations of the material in the first frame, or None if the clip has no
+                rotations.
             header: Upper bound on the header's size [bytes].
 
         Raises:
@@ -130,7 +131,7 @@ class Growing:
         return cls(path, tensors)
 
     def put(self, frame: Frame, rotation: NDArray | None = None) -> tuple[Frame, NDArray | None]:
-        """Write a frame; return it and its rotations as memory-mapped views of the file.
+        """Write a frame; return the frame and its rotations as memory-mapped views of the file.
 
         Raises:
             Unlike: If the arrays of the frame differ from those of the first frame.
@@ -155,7 +156,7 @@ class Growing:
         return kept, self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; return False if the clip has different arrays.
+        """Complete the file and link it as `path`; return False if the clip's arrays are different.
 
         Raises:
             OSError: If the disk is full or the file system has no hard links.
@@ -185,7 +186,7 @@ class Growing:
         return self.state(clip)
 
     def state(self, clip: Clip) -> bool:
-        """Write the header of the clip; return False if the header is larger than its space.
+        """Write the header of the clip; return False if there is not enough space for the header.
 
         Raises:
             OSError: If the file cannot be written.
@@ -199,7 +200,7 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return plain data that describes the file, with which `there` can reopen the file."""
+        """Return a description of the file as plain data; `there` reopens the file from it."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod

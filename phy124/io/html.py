@@ -1,10 +1,11 @@
 """Writes a clip as one HTML file, and packs clips for the player in the browser.
 
-The HTML file contains a P4D file (phy124/io/formats/lattice4d.py). If the motion of a lattice does
-not describe the shapes of the Gaussians, as in fluids, it contains a pack instead. A pack is the
-gzip of: header length (uint32, little-endian), header (JSON), then the arrays below. Arrays are
-planar (component after component). Arrays that change over time, marked with T, hold differences
-between frames modulo the range of their type, which gzip compresses much better:
+The HTML file contains a P4D file (phy124/io/formats/lattice4d.py). In fluids, for example, the
+motion of a lattice does not describe the shapes of the Gaussians. In this case, the HTML file
+contains a pack instead. A pack is the gzip of: header length (uint32, little-endian), header
+(JSON), then the arrays below. Arrays are planar (component after component). Arrays that change
+over time are marked with T. They store the differences between frames, modulo the range of the
+type, because gzip compresses differences much better:
 
     colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
     rest      [N,3]     float32  scales at rest, m
@@ -15,8 +16,8 @@ between frames modulo the range of their type, which gzip compresses much better
     shade     [T,C,C]   uint8    shadow on the floor, if the header's stage has one
     hue       [T,4,N]   uint8    colour and opacity of each frame, if the header has `hues`
 
-Before gzip, this takes 14 bytes per Gaussian and frame. Centres are exact to 1/65535 of the size of
-the bounding box.
+Before compression, the size is 14 bytes per Gaussian and frame. The error of the centres is at most
+1/65535 of the bounding box.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from phy124.io.formats import lattice4d
 from phy124.io.formats.lattice4d import measure, measure_speeds
 
 VIEWER = Path(__file__).with_name("viewer")
-"""Folder that contains the player's scripts; the web page serves the same scripts."""
+"""Folder that contains the player's scripts, which the web page also uses."""
 SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "player.js")
 READER = "p4d.mjs"
 STYLE = "player.css"
@@ -51,15 +52,16 @@ LICENCE = "vendor/LICENSE-playcanvas.txt"
 GZIP = 31
 """zlib's window parameter for the largest window with a gzip header."""
 BLOCK = 3 << 20
-"""Number of bytes that are read and written at a time; a multiple of 3, as base64 requires."""
+"""Number of bytes that are processed at a time; base64 requires a multiple of 3."""
 LOOSE = 0.5
-"""Largest error of the Gaussians' shapes with which a P4D file is used."""
+"""A P4D file is used if the error of the Gaussians' shapes is at most this value."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
-"""A stage as plain data, and its shadow maps [T,C,C]; made by phy124/rendering/stage/build.py."""
+"""A stage as plain data, and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
 Glossy = dict[str, Any]
-"""Plain data that lists the reflective Gaussians and how much they reflect. If there are liquids,
-the data also has `hues` [T,N,4] uint8, the colours and opacities of all frames
-(phy124/rendering/shine.py)."""
+"""Plain data about the reflective Gaussians and their reflectance (phy124/rendering/shine.py).
+
+For liquids, the data include `hues` [T,N,4] uint8: the colours and opacities in all frames.
+"""
 
 
 def pack(
@@ -101,8 +103,7 @@ def pack(
 def _write_arrays(file: IO[bytes], clip: Clip, head: dict[str, Any]) -> None:
     """Append the arrays of the Gaussians to a file, frame by frame.
 
-    A clip may be larger than the memory, so each frame is written separately, at known positions in
-    the file.
+    A clip may be larger than the memory, so the frames are written one by one.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     file.write(_colours(clip).tobytes() + rest.astype("<f4").tobytes())
@@ -149,7 +150,7 @@ def write_html(
 ) -> None:
     """Write one HTML file that plays the clip offline in any browser with WebGL 2.
 
-    If the page is opened with `?p4d=ADDRESS`, it plays that P4D file instead.
+    If the page is opened with `?p4d=ADDRESS`, it plays the P4D file at this address instead.
 
     Args:
         path: Path of the HTML file.
@@ -192,7 +193,7 @@ def _pack_smallest(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> bytes:
-    """Return all Gaussians as a P4D file, or as a pack if P4D would be larger or inexact."""
+    """Return all Gaussians as a P4D file, or as a pack if P4D is larger or not exact enough."""
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
     finite = all(np.isfinite(means).all() for means in clip.means)
     if not finite or (shine and "hues" in shine):

@@ -1,4 +1,4 @@
-"""Explains why a path cannot be opened, for example because the file is missing or not readable."""
+"""Explains why a file cannot be opened."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run, not a file.", "Give {}/clip.safetensors."),
 }
-"""Name of a file by which a type of folder is recognised -> description of this type, and the
-remedy."""
+"""Descriptions of folders, and remedies, by the name of a file that such a folder contains."""
 RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file, which is a recording of messages that the bridge writes."""
 PAGE = (
@@ -37,7 +36,7 @@ STAND_INS = {
     b"<!doctype html": PAGE,
     b"<html": PAGE,
 }
-"""First bytes, in lower case, of texts that are often saved by mistake in place of a file."""
+"""First bytes, in lower case, of texts that are often saved by mistake instead of a file."""
 HEAD = max(map(len, STAND_INS))
 """Number of bytes at the start of a file that are examined."""
 
@@ -68,13 +67,13 @@ def obstacle(path: PathLike) -> tuple[str, str] | None:
 
 
 def stand_in(head: bytes) -> tuple[str, str] | None:
-    """Recognise a text that was saved in place of a file; return its description and the remedy."""
+    """Return the description and the remedy for a text that was saved instead of a file."""
     head = head[:HEAD].lower()
     return next((words for sign, words in STAND_INS.items() if head.startswith(sign)), None)
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    """Describe a folder that was passed in place of a file, and return the file to use instead."""
+    """Return the description and the remedy for a folder that was given instead of a file."""
     for name, words in IN_FOLDERS.items():
         if (path / name).is_file():
             return _about(path, *words)

@@ -4,12 +4,12 @@ The layout is that of Kerbl et al. 2023, "3D Gaussian Splatting": one element `v
 properties are identified by their names. Colours are spherical harmonics; the coefficients `f_rest`
 are first all red, then all green, then all blue. In such PLY files, the axes are x right, y down, z
 into the image. In phy124, z is up and the object faces +x (docs/reference/conventions.md). The axes
-are converted when a file is read or written. The conversion only permutes the axes and changes
-signs, so it is exact. Writing and reading a file therefore preserves all values bit for bit, except
-for the rounding of log and logit.
+are converted when a file is read or written. The conversion only permutes axes and changes signs,
+so it is exact. Writing and then reading a file therefore changes values only by the rounding of log
+and logit.
 
-If a column that another training program writes changes the Gaussians, the change is applied. A
-note names unknown columns, because they might also change the Gaussians.
+Columns of other training programs that change the Gaussians are applied. Unknown columns are listed
+in a note, because they might also change the Gaussians.
 
     program                           columns                     treatment
     Mip-Splatting, GOF, RaDe-GS       filter_3D                   filter applied: wider and fainter
@@ -62,14 +62,15 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
-"""Columns for which there is no note, because they are read, repeat others (red, green, blue), or
-are not needed (normals)."""
+"""Columns that are known, so that there is no note about them.
+
+They are read, not needed (normals), or repeat other columns (red, green, blue).
+"""
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
 """Thickness of a Gaussian without scale_2, relative to its shorter side."""
 MOST_NAMED = 12
-"""Largest number of unknown columns that a note names; numbered columns with the same name count
-once."""
+"""Largest number of unknown columns that a note lists; numbered columns of a name count once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
 """Numbers of spherical-harmonic coefficients of degree 0 to 4."""
 STANDARD = "Export the file in the standard 3DGS layout."
@@ -171,10 +172,10 @@ def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 def _are_activated(scales: NDArray[np.float64], opacities: NDArray[np.float64]) -> bool:
-    """Whether a file stores lengths and opacities instead of the usual logarithms and logits.
+    """Return whether a file stores lengths and opacities instead of logarithms and logits.
 
-    The scales alone cannot show whether they are logarithms. For example, in a capture in
-    millimetres, all logarithms may be positive.
+    The scales alone do not show whether they are logarithms. For example, all logarithms may be
+    positive in a capture in millimetres.
     """
     sound = np.isfinite(scales).all(axis=1) & np.isfinite(opacities)
     scales, opacities = scales[sound], opacities[sound]
@@ -187,8 +188,8 @@ def _apply_filter(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Convolve each Gaussian with an isotropic Gaussian, as the renderer of Mip-Splatting does.
 
-    The variances are added. The opacities are multiplied by sqrt(det before / det after) of the
-    covariances.
+    The variance of the filter is added. Opacities are multiplied by sqrt(det before / det after),
+    where det is the determinant of the covariance.
     """
     with np.errstate(all="ignore"):
         before = np.square(scales)
@@ -223,14 +224,13 @@ def _first_of_rgb(table: NDArray[Any]) -> NDArray[np.float64]:
     """Convert plain colours (bytes, or fractions in float columns) to harmonics of degree 0."""
     rgb = _group(table, RGB, np.float64)
     kind = table.dtype["red"]
-    # All columns of an ascii file are read as float64, so values above 1 show that the colours are
-    # bytes.
+    # All columns of an ascii file are float64. Values above 1 show that the colours are bytes.
     most = np.iinfo(kind).max if kind.kind in "ui" else 255.0 if (rgb > 1).any() else 1.0
     return (rgb / most - 0.5) / SH_C0
 
 
 def describe_unread(names: Iterable[str]) -> list[str]:
-    """Return a note that names the columns that are ignored, if there are any."""
+    """Return a note that lists the ignored columns, or no note if there are none."""
     shown: list[str] = []
     for _, group in groupby(map(_printable, names), lambda name: name.rstrip("0123456789")):
         alike = list(group)
@@ -246,10 +246,9 @@ def _printable(name: str) -> str:
 
 
 SCALE_FLOOR = 1e-12
-"""Smallest scale that is written [m], because the scale 0 of a flat Gaussian has no logarithm."""
+"""Smallest scale that is written [m]; the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Smallest distance of written opacities from 0 and 1, because the logits of 0 and 1 are
-infinite."""
+"""Smallest distance of written opacities from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 """Pattern of the comment in which Nerfstudio and Brush state the vertical axis."""
@@ -262,14 +261,14 @@ NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
 
 
 class Ply(NamedTuple):
-    """Gaussians of a PLY file; `phy124.io.formats.read_gaussians` also returns notes about it."""
+    """Gaussians of a PLY file; `phy124.io.formats.read_gaussians` also returns notes."""
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    If they are so far from the origin that float32 could not resolve them, they are moved to the
-    origin."""
+    If float32 could not resolve the Gaussians, they are moved to the origin.
+    """
     dropped: int
-    """Number of rows that were dropped because a value was NaN or infinite."""
+    """Number of rows that were removed because a value was NaN or infinite."""
 
 
 def read_ply(
@@ -286,8 +285,8 @@ def read_ply(
         up: Direction in the file that points up, in the notation of `phy124.io.axes.orientation`.
         front: Direction in the file that the object faces.
         dialect: The program that wrote the file, used if `up` is None. If `up` and `dialect` are
-            None, the axes follow from the file's comment about its vertical axis if there is one;
-            otherwise the usual axes are assumed.
+            None, the axes are those stated in the file's comments or, if there are none, the usual
+            axes.
 
     Raises:
         InputError: If the file is missing or cut short, is not a PLY file, or contains no
@@ -315,7 +314,7 @@ def read(path: Path) -> Content:
 
 
 def read_comments(comments: tuple[str, ...]) -> tuple[tuple[str, str | None], bool]:
-    """Return the axes stated in a header's comments, and whether they mention Mip-Splatting."""
+    """Return the axes stated in the comments, and whether a comment mentions Mip-Splatting."""
     axes: tuple[str, str | None] = Y_DOWN
     antialiased = False
     for text in comments:
@@ -372,7 +371,7 @@ def _rows(path: Path, header: Header) -> NDArray[Any]:
         check_size("PLY", path, header.count, more=TEXT * len(header.row.names or ()))
         return _read_ascii(path, header)
     available = max(path.stat().st_size - header.start, 0) // header.row.itemsize
-    # checked before memory for missing rows is allocated
+    # checked before memory is allocated
     if available < header.count <= MAX_GAUSSIANS:
         raise _cut_short(path, available, header.count)
     check_size("PLY", path, header.count, more=WIDER * max(header.row.itemsize - PLAIN, 0))
@@ -425,7 +424,7 @@ def raw_table(gaussians: Gaussians) -> NDArray[Any]:
         "scale_0 scale_1 scale_2": np.log(np.maximum(gaussians.scales, SCALE_FLOOR)),
         "rot_0 rot_1 rot_2 rot_3": gaussians.quats,
     }
-    if gaussians.object_id is not None:  # exact in float32, since there are few objects
+    if gaussians.object_id is not None:  # float32 is exact, because there are few objects
         groups[OBJECT] = gaussians.object_id.astype(np.float32)[:, None]
     names = " ".join(groups).split()
     values = np.concatenate(list(groups.values()), axis=1, dtype="<f4", casting="same_kind")

@@ -26,7 +26,7 @@ ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
 """Largest number of digits that the number of rows may have."""
 LINE_ENDS = rb"\r\n|\n|\r"
-"""Byte sequences that end a line; `str.splitlines` is not used because it also splits elsewhere."""
+"""Byte sequences that end a line; `str.splitlines` would also split at other characters."""
 SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
@@ -59,7 +59,7 @@ class Header:
     elements: tuple[Element, ...]
     """The elements that come before the first element with list properties."""
     comments: tuple[str, ...] = ()
-    """The comments in the header, such as those of the program that wrote the file."""
+    """The comments in the header, such as the name of the program that wrote the file."""
 
 
 @dataclass
@@ -119,7 +119,7 @@ def refusal(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:
-    """Return the words of each line of the header, and the length of the header [bytes]."""
+    """Return the header's lines, split into words, and the header's length [bytes]."""
     content.check_opens("PLY", path)
     with open(path, "rb") as file:
         head = file.read(MAX_BYTES)
@@ -130,7 +130,7 @@ def _header_lines(path: Path) -> tuple[list[list[str]], int]:
     if head[:4] not in (b"ply\n", b"ply\r"):
         raise refusal(path, "it is not a PLY file: it does not begin with `ply`.", CONVERT)
     lines, start = [], 0
-    # If lines end in \r alone, a \n after the last line belongs to the data as its first byte.
+    # If lines end in \r alone, a \n after the last line is the first byte of the data.
     ends = LINE_ENDS if head[3:5] == b"\r\n" or head[3:4] == b"\n" else b"\r"
     for end in re.finditer(ends, head):
         words = head[start : end.start()].split()

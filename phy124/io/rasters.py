@@ -17,14 +17,13 @@ Raster = NDArray[np.float32]
 LARGEST = 65535
 """Largest 16-bit value."""
 MIDDLE = 32768
-"""Raw value that stands for zero if quantities are signed; the raw value 0 marks a pixel without a
-value."""
+"""Raw value of zero for signed quantities; the raw value 0 marks a pixel without a value."""
 PNG_EFFORT = 3
 """PNG compression level, 0 to 9."""
 
 
 def step_of(largest: float, *, signed: bool) -> float:
-    """Return the quantisation step with which 16-bit numbers represent values up to `largest`."""
+    """Return the quantisation step of 16-bit numbers for values up to `largest`."""
     return max(largest, 1e-30) / (LARGEST - MIDDLE if signed else LARGEST)
 
 

@@ -1,8 +1,8 @@
 """Writes a sequence of files, one per frame, into a folder or a zip archive.
 
-SuperSplat plays files whose names differ only by a running number (`name_0001.ply`, ...) if they
-are dropped into its window together. Brush plays a zip of PLY files. The function that writes a
-single file also converts the axes.
+SuperSplat plays files with numbered names (`name_0001.ply`, ...) that are dropped into its window
+together. Brush plays a zip of PLY files. The axes are converted by the function that writes a
+single file.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def write_sequence(
 
     Args:
         path: A new or empty folder, or a name that ends in .zip for an archive. The archive is not
-            compressed, because these files hardly become smaller.
+            compressed, because compression would hardly make it smaller.
         clip: The clip whose frames are written.
         write: Function that writes the Gaussians of one frame to a path.
         suffix: Extension of the file names, including the dot.

@@ -1,12 +1,12 @@
 """Writes videos in several formats.
 
-Players show H.264 in MP4, and film tools read PNG files. VP9 in WebM and ProRes 4444 in MOV may be
-transparent, for editing; GIF and animated WebP are for chats.
+H.264 in MP4 is for players, and PNG files are for video editors.
 
-Frames are streamed into the encoder while they are rendered. MP4 files have the pixel format
-yuv420p. Frames are converted to ITU-R BT.709 with limited range, and the file states this in its
-tags. Without tags, players assume BT.709 for HD video but not for smaller video. The index is at
-the front of the file, so that a browser can start playback before it has downloaded the whole file.
+VP9 in WebM and ProRes 4444 in MOV may be transparent, for editing. GIF and animated WebP are for
+chats. Frames are streamed into the encoder while they are rendered. MP4 files have the pixel format
+yuv420p. Frames are converted to ITU-R BT.709 with limited range, as stated in the tags of the file.
+Without tags, players assume BT.709 only for HD videos. The index is at the front of the file, so
+that playback can start before the whole file is downloaded.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ FPS_RANGE = (0.1, 240.0)
 STUCK = 120.0
 """Time after which an encoder is killed if it accepts no frame or does not finish [s]."""
 ENCODER = ("-preset", "veryfast", "-crf", "18", "-movflags", "+faststart", "-f", "mp4")
-"""With CRF 18, losses are not visible; slower presets would make the files only slightly
-smaller."""
+"""With CRF 18, losses are not visible; slower presets would hardly reduce the file size."""
 BT709 = (
     "scale=in_range=full:out_range=limited:out_color_matrix=bt709"
     ":flags=accurate_rnd+full_chroma_int,"
@@ -52,19 +51,17 @@ FILMS = {
     ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
     ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
 }
-"""File name extension of a film that may be transparent -> encoder, and pixel format for each
-number of channels."""
+"""Pixel formats by number of channels, and encoder, by the extension of transparent videos."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """Smallest alpha of the pixels of a GIF that are drawn; GIF cannot store half-transparent
 pixels."""
 SMALLEST = 16
-"""Smallest width or height to which an animation is reduced to limit the size of its file."""
+"""Smallest width or height to which an animation is reduced to limit the file size."""
 CLEAR = 255
 """Index of the transparent colour in a GIF."""
 PNG_EFFORT = 3
-"""Compression level of PNG files, 0 to 9; higher levels take twice as long and save a few per
-cent."""
+"""Compression level of PNG files, 0 to 9; higher levels take twice as long and save little."""
 
 
 def refuse_missing_encoder() -> None:
@@ -109,8 +106,7 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
     """Write frames [H,W,3] uint8 as an MP4 file, and return the number of frames.
 
     H.264 needs an even width and height. If the width or height is odd, the last column or row is
-    repeated. The file appears only when it is complete. If `frames` is a generator, it is always
-    closed.
+    repeated. The file is written atomically. If `frames` is a generator, it is always closed.
 
     Raises:
         InputError: If there are no frames, `fps` is out of range, the file cannot be written, or
@@ -122,7 +118,7 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
 
 
 def write_film(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
-    """Write frames as a film that may be transparent, and return the number of frames.
+    """Write frames as a video that may be transparent, and return the number of frames.
 
     Args:
         path: Name of the file, which ends in .webm (VP9) or .mov (ProRes 4444). The file appears
@@ -165,16 +161,16 @@ def write_animation(
     """Write frames (uint8, [H,W,3 or 4]) as a looping .gif or .webp; return the number of frames.
 
     Times are stored as multiples of 1 ms in WebP, and of 10 ms in GIF. The end of each frame is
-    rounded to the nearest multiple, so that rounding errors do not add up. WebP is better than GIF,
-    which has only 256 colours per frame and no half-transparent pixels. All frames are kept in
-    memory until the last frame has been received.
+    rounded to the nearest multiple, so that rounding errors do not add up. GIF has only 256 colours
+    per frame and no half-transparent pixels. All frames are kept in memory until the file is
+    written.
 
     Args:
-        path: The file, which appears only when it is complete.
+        path: The file, which is written atomically.
         frames: The frames; a generator is always closed.
         fps: Number of frames per second.
-        most: Largest allowed size of the file [bytes]; the frames are reduced in size until the
-            file is small enough.
+        most: Largest allowed size of the file [bytes]. Frames are reduced in size until the file is
+            small enough.
 
     Raises:
         InputError: If the name ends neither in .gif nor in .webp, there are no frames, `fps` is out
@@ -223,8 +219,8 @@ def write_pictures(
 ) -> int:
     """Write frames (uint8, [H,W,3 or 4]) as numbered PNG files, and return the number of frames.
 
-    The files are written into an existing folder as `name_0001.png` and so on. Film tools can read
-    this numbering.
+    The files are written into an existing folder as `name_0001.png` and so on, as video editors
+    expect.
 
     Raises:
         InputError: If there are no frames or a file cannot be written.
@@ -240,7 +236,7 @@ def write_pictures(
 
 
 def _gif_frame(picture: Picture) -> Image.Image:
-    """Convert a frame for a GIF; if it has alpha, it gets 255 colours and a transparent colour."""
+    """Convert a frame for a GIF; a frame with alpha has 255 colours and a transparent colour."""
     if picture.shape[2] == 3:
         return Image.fromarray(picture)
     image = Image.fromarray(picture[..., :3]).quantize(CLEAR)
@@ -251,7 +247,7 @@ def _gif_frame(picture: Picture) -> Image.Image:
 def _encode(
     temporary: Path, path: object, pictures: Iterator[Picture], fps: float, codec: list[str]
 ) -> int:
-    """Send the frames to ffmpeg, and wait until ffmpeg has ended, even if an error occurs.
+    """Send the frames to ffmpeg, and wait until ffmpeg ends, even after an error.
 
     imageio's writer is not used, because it returns neither the exit code nor the messages of
     ffmpeg.
@@ -282,7 +278,7 @@ def _encode(
 
 
 def list_source_options(width: int, height: int, rate: Fraction, channels: int = 3) -> list[str]:
-    """Return the options with which ffmpeg reads raw frames from standard input, without printing.
+    """Return the options that make ffmpeg read raw frames from standard input.
 
     Args:
         width: Width of the frames, pixels.
@@ -295,13 +291,13 @@ def list_source_options(width: int, height: int, rate: Fraction, channels: int =
 
 
 def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
-    """Send all frames to the encoder, wait until it ends, and return how many it accepted."""
+    """Send all frames to the encoder, wait until it ends, and return the number it accepted."""
     sent = 0
     for picture in pictures:
         try:
             with _ended_if_stuck(encoder):
                 _pipe(encoder).write(np.ascontiguousarray(picture).data)
-        except OSError:  # the encoder has stopped; its exit code and its messages show why
+        except OSError:  # the encoder stopped; its exit code and messages show the cause
             break
         sent += 1
     with _ended_if_stuck(encoder):
@@ -340,7 +336,7 @@ def _encoder_error(path: object, sent: int, message: str) -> Exception:
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames after the block, so that its threads also end."""
+    """Close a generator of frames after the block, so that the generator's threads also end."""
     try:
         yield
     finally:
@@ -351,7 +347,7 @@ def _closing(frames: Iterable[Picture]) -> Iterator[None]:
 def _peek(
     frames: Iterable[Picture], channels: tuple[int, ...] = (3,)
 ) -> tuple[Picture, Iterator[Picture]]:
-    """Return the first frame, and an iterator that yields and checks all frames."""
+    """Return the first frame, and an iterator that checks and yields all frames."""
     pictures = iter(frames)
     first = next(pictures, None)
     if first is None:
@@ -374,7 +370,7 @@ def _check_picture(picture: Picture, shape: tuple[int, ...], channels: tuple[int
 
 def _check_rate(fps: float) -> None:
     low, high = FPS_RANGE
-    if not low <= fps <= high:  # this also refuses NaN
+    if not low <= fps <= high:  # also refuses NaN
         limit = f"the frame rate of a video must be from {low:g} to {high:g} frames per second."
         raise InputError("fps", fps, limit, "Choose 24.")
 

@@ -1,10 +1,10 @@
 """Declares the formats in which files of Gaussians are read or written.
 
-`FORMATS` declares each format of phy124 once; the command line and the web page list the formats
-from it. To add a format for single frames, write a module with `read(path) -> Content` and
-`encode(gaussians, *, antialiased) -> bytes`, which both use the axes of the file, and describe the
-layout in a table in its docstring. Then add a `Format` to `FORMATS`. A package registers its own
-`Format` with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
+`FORMATS` declares each format of phy124 once, for the command line and the web page. To add a
+format for single frames, write a module with the functions `read(path) -> Content` and
+`encode(gaussians, *, antialiased) -> bytes`. Both functions use the axes of the file. Describe the
+layout in a table in the module's docstring, and add a `Format` to `FORMATS`. A package registers
+its own `Format` with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from phy124.schema.plugins import list_plugins, load_plugin
 
 
 class Encoder(Protocol):
-    """Encodes Gaussians, which are in the axes of the file, as the bytes of a file."""
+    """Encodes Gaussians as the bytes of a file; the Gaussians must be in the axes of the file."""
 
     def __call__(self, gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
         """Return the bytes of the encoded file."""
@@ -66,36 +66,33 @@ class Format:
     title: str
     suffix: str
     holds: str
-    """Properties of the Gaussians that a file stores, and the precision of these properties."""
+    """Properties of the Gaussians that a file stores, and their precision."""
     opens_in: str
     """Programs that read the format."""
     bytes_each: float
-    """Number of bytes per frame and Gaussian of degree 0, measured with the example picture of a
-    duck."""
+    """Number of bytes per frame and Gaussian of degree 0, measured with the example duck."""
     bytes_fixed: float = 0.0
-    """Number of further bytes per frame, which does not depend on the number of Gaussians."""
+    """Number of further bytes per frame, independent of the number of Gaussians."""
     degree: int = 3
     """Highest degree of the spherical harmonics."""
     objects: str = ""
-    """Name of the field that stores the object index of each Gaussian; empty if there is no such
-    field."""
+    """Name of the field with the object index of each Gaussian; empty if there is no such field."""
     axes: tuple[str, str] = Y_DOWN
     """Up and front directions that the format prescribes."""
     read: Callable[[Path], Content] | None = None
     encode: Encoder | None = None
     write_clip: ClipWriter | None = None
-    """Function that writes all frames into one file; None if a file can store only one frame."""
+    """Function that writes all frames into one file; None if a file stores only one frame."""
     package: str | None = None
-    """Package that must be installed to write the format; None if phy124 itself suffices."""
+    """Package that must be installed to write the format; None if no package is needed."""
     signs: tuple[bytes, ...] = ()
-    """First bytes that a file may have; empty if a file can be identified only by its name's
-    extension."""
+    """Possible first bytes of a file; empty if only its extension identifies the format."""
     other_suffixes: tuple[str, ...] = ()
     """Further file name extensions that are allowed for this format."""
 
     @property
     def installed(self) -> bool:
-        """Whether the package that is needed to write the format is installed."""
+        """Whether the package that writes the format is installed."""
         return self.package is None or find_spec(self.package) is not None
 
     @property
@@ -104,7 +101,7 @@ class Format:
         return self.encode is not None or self.write_clip is not None
 
     def write(self, path: Path, gaussians: Gaussians, *, antialiased: bool = False) -> None:
-        """Write one frame to a file, which appears only when it is complete."""
+        """Write one frame to a file atomically."""
         if self.encode is None:
             assert self.write_clip is not None, f"{self.name} is not written"
             return self.write_clip(path, Clip.from_frames([Frame(0, 0.0, gaussians)]))
@@ -218,8 +215,10 @@ FORMATS = {
         ),
     )
 }  # fmt: skip
-"""All formats of phy124 by name. If several formats have the same suffix, the first of them is used
-for writing."""
+"""All formats of phy124 by name.
+
+If several formats have the same suffix, files are written in the first of these formats.
+"""
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
 """Extensions of files that can only be meshes. Files with the extension .glb or .ply may contain
 meshes or Gaussians."""
@@ -232,8 +231,7 @@ HEAD = 4096
 def formats() -> dict[str, Format]:
     """Return all formats by name: first those of phy124, then those that other packages registered.
 
-    A registered format is skipped if it fails to load, or if phy124 has a format with the same
-    name.
+    A registered format is ignored if it fails to load or if phy124 has a format of the same name.
     """
     known = dict(FORMATS)
     for name in list_plugins("formats"):
@@ -245,7 +243,7 @@ def formats() -> dict[str, Format]:
 
 
 def object_endings() -> tuple[str, ...]:
-    """Return the file name extensions of all readable files of Gaussians and meshes."""
+    """Return the file name extensions of all formats of Gaussians and meshes that can be read."""
     return (*endings(), *MESH_ENDINGS)
 
 
@@ -267,12 +265,12 @@ def read_gaussians(
     dialect: str | None = None,
     rotate: str | None = None,
 ) -> Content:
-    """Read a file of Gaussians, recognise its format, and convert it to the axes of phy124.
+    """Read a file of Gaussians of any format, and convert it to the axes of phy124.
 
     Args:
         path: The file.
-        up: Direction in the file that points up; default: the direction that the file or its format
-            states.
+        up: Direction in the file that points up; default: the up direction of the file or its
+            format.
         front: Direction in the file that the object faces.
         dialect: The program that wrote a PLY file, used if `up` is None.
         rotate: Rotation that is applied first, in the notation of `phy124.io.axes.orientation`.
@@ -332,7 +330,7 @@ def write_gaussians(
     """Write Gaussians that are in the axes of phy124, and return the format of the file.
 
     Args:
-        path: The file, which appears only when it is complete.
+        path: The file, which is written atomically.
         gaussians: The Gaussians to write.
         format: Name of the format in `FORMATS`; default: the format with the path's extension.
         antialiased: Whether the Gaussians were trained with Mip-Splatting's filter.
@@ -354,7 +352,7 @@ def find_written_format(
     Args:
         path: The file that will be written.
         name: Name of the format; if None, the extension of the path determines the format.
-        others: Further names that the caller accepts, which an error message also lists.
+        others: Further names that the caller accepts; they are also listed in error messages.
 
     Raises:
         InputError: If the format does not exist, or can only be read.
@@ -400,7 +398,7 @@ def recognise(path: Path) -> Format:
         raise InputError(
             "file", path, limit, "Unpack the file with gunzip, and give the unpacked file."
         )
-    # The file is damaged or has no signature; the reader for its extension reports any damage.
+    # The file is damaged or has no signature. The reader for its extension reports any damage.
     for chosen in known.values():
         if chosen.read and chosen.suffix == path.suffix.lower():
             return chosen
@@ -412,13 +410,13 @@ def recognise(path: Path) -> Format:
 
 
 def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format whose first bytes match a file's; the extension decides among several."""
+    """Return the format that matches a file's first bytes or, if several do, the extension."""
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 
 
 def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
-    """Whether a file contains Gaussians or a mesh, judged by its extension, else by its content."""
+    """Return whether a file contains Gaussians or a mesh, judged by its extension or content."""
     path = Path(name)
     if path.suffix.lower() in object_endings():
         return True
@@ -444,7 +442,7 @@ def write_frames(
         clip: The clip whose frames are written.
         chosen: The format of the files.
         name: Text with which all file names begin.
-        frames: The frames as they are rendered; if None, the clip's own frames.
+        frames: Frames that replace those of the clip, such as frames changed for rendering.
         progress: Function that is called as progress("export", frames done, total frames).
     """
     return write_sequence(

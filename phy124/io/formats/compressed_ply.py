@@ -83,7 +83,7 @@ def _elements(path: Path, header: Header) -> list[Element]:
 def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
     there = element.start + element.count * element.row.itemsize <= size
     rows = np.fromfile(path, element.row, element.count if there else 0, offset=element.start)
-    if len(rows) < element.count:  # this also detects a file that becomes shorter while it is read
+    if len(rows) < element.count:  # also refuses a file that becomes shorter while it is read
         raise refusal(KIND, path, f"it is cut short: its element {element.name} is incomplete.")
     return rows
 
@@ -128,10 +128,7 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Map fractions 0..1 to the value range of each Gaussian's chunk.
-
-    The result has double precision.
-    """
+    """Map fractions 0..1 to the value range of each Gaussian's chunk, in double precision."""
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))
@@ -150,8 +147,7 @@ def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)
     values = np.stack([table[f"f_rest_{i}"] for i in range(count)], axis=1)
-    # A byte stands for the middle of its bin, except that 0 and 255 stand for the ends of the
-    # range.
+    # A byte represents the middle of its bin, but 0 and 255 represent the ends of the range.
     inside = (values.astype(np.float32) + 0.5) / 256
     inside[values == 0], inside[values == 255] = 0, 1
     rest = ((inside - 0.5) * 8).reshape(len(values), 3, count // 3).transpose(0, 2, 1)

@@ -1,12 +1,13 @@
 """Writes `.4dgs` files, which contain keyframes and the changes between frames.
 
-The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The official
-library encodes the records of the file (package fourdgs, Apache-2.0, needs only numpy). The
-library's function `write_sequence` would keep all frames in memory, so this module writes one frame
-at a time. The file declares an error bound for each value: 2 % of the first frame's median scale
-for positions, 0.5 % for scales, 0.0005 for rotations, 0.5 / 255 for colours and opacities. Every
-Gaussian has the same index in all frames, and readers can jump to any frame. Colours are constant
-and of degree 0. The axes are those of glTF: y up, z to the front, metres.
+The format is the open container of 4dgs.dev, version 1, model `keyframe-delta`. The records of the
+file are encoded by the official library (package fourdgs, Apache-2.0, needs only numpy). The
+library's function `write_sequence` would keep all frames in memory, so this module writes the
+frames one by one. The file declares an error bound for each value. The bound is 2 % of the first
+frame's median scale for positions, 0.5 % for scales, 0.0005 for rotations, and 0.5 / 255 for
+colours and opacities. Every Gaussian has the same index in all frames, and readers can jump to any
+frame. Colours are constant and of degree 0. The axes are those of glTF: y up, z to the front,
+metres.
 """
 
 from __future__ import annotations
@@ -31,18 +32,15 @@ from phy124.runtime.installation import install_command
 PROFILE = "fine"
 """Name of the library's profile with the smallest error bounds."""
 KEYFRAME = 8
-"""Number of frames per keyframe, which is also the largest number of frames that must be read to
-show any frame."""
+"""Number of frames per keyframe. A player reads at most this number of frames to show any frame."""
 STILL = 1 / 24
 """Duration of a clip that has only one frame [s]."""
 CUTOFF = 0.05
-"""Opacity below which a reader may ignore a Gaussian that fades; in these files, no Gaussian
-fades."""
+"""Opacity below which a reader may ignore a fading Gaussian; no Gaussian in these files fades."""
 CODEC, LEVEL = 0, 6
 """Compression of the records: deflate at zlib's default level."""
 Bins = dict[int, NDArray[np.int64]]
-"""Quantised values [N,C] of each attribute; the keys are the numbers that the library gives to
-attributes."""
+"""Quantised values [N,C] of each attribute; the keys are the library's attribute numbers."""
 FOREVER = 1e6
 """Standard deviation in time of a Gaussian that does not fade [s]; the format requires a finite
 number."""
@@ -105,7 +103,7 @@ def _turn(gaussians: Gaussians) -> Gaussians:
 
 
 class _Sequence:
-    """A file whose Gaussians exist in all frames; one frame after the other is appended."""
+    """A file to which frames are appended one by one; all frames have the same Gaussians."""
 
     def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
         """Write the header of the file.
@@ -113,7 +111,7 @@ class _Sequence:
         Args:
             library: The modules of fourdgs.
             file: The open file, which is empty.
-            clip: The clip, whose centres are read to determine their range of values.
+            clip: The clip; the range of its centres is measured.
             times: Start time of each frame, and end time of the last frame [s].
         """
         self._library, self._file, self._times = library, file, times
@@ -222,7 +220,7 @@ class _Sequence:
         """Write the changes since the previous frame, and return the frame's entry in the index."""
         op, writer, records = self._library.op, self._library.writer, self._library.records
         ids, last = np.arange(self._count), self._last
-        # If a Gaussian does not change, the time of its last change is kept.
+        # The stored time of a Gaussian is the time of its last change.
         compared = last | {op.A_MU_T: bins[op.A_MU_T]}
         changed, values, *_ = writer.delta_groups(ids, compared, ids, bins)
         if len(changed):

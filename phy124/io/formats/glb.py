@@ -56,25 +56,27 @@ EXTENSION = "KHR_gaussian_splatting"
 JSON_CHUNK, BIN_CHUNK = 0x4E4F534A, 0x004E4942
 HEADER, CHUNK = struct.Struct("<4sII"), struct.Struct("<II")
 LONGEST = 1 << 20
-"""Size of the largest JSON description that is read [bytes]; descriptions usually have 4,000
-bytes."""
+"""Largest JSON description that is read [bytes]; descriptions usually have 4,000 bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""The scales of a node along its axes count as uniform if their relative difference is at most
-this."""
+"""Largest relative difference between a node's scales along its axes if scaling is uniform."""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """glTF extensions that are supported."""
 MAX_NODES = 2000
 OBJECT = "_OBJECT_ID"
-"""Attribute specific to phy124 that stores the object index; other readers ignore it."""
+"""Attribute that only phy124 writes and reads: the object index."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that convert a PLY to y up by a rotation of 180 degrees about z, so that the front
-remains at -z."""
+"""Programs that convert a PLY to y up by a rotation of 180 degrees about z.
+
+The front direction of such files is -z, as in the PLY.
+"""
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes that are read. COLOR_0 is also listed, but it is ignored, because it is meant for
-readers without the extension."""
+"""Attributes for which there is no note.
+
+COLOR_0 is not read, because it is meant for readers without the extension.
+"""
 
 
 class Primitive(NamedTuple):
@@ -83,7 +85,7 @@ class Primitive(NamedTuple):
     attributes: dict[str, int]
     """Index of the accessor of each attribute, by name."""
     extension: dict[str, Any]
-    """The properties that the primitive states for the extension."""
+    """The properties of the extension in this primitive."""
     matrix: NDArray[np.float64]
     """World transform of the primitive's node [4,4]."""
     gaussians: int
@@ -162,7 +164,7 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
     }
     names = _names(gaussians.sh.shape[1])
     arrays |= {name: gaussians.sh[:, i] for i, name in enumerate(names)}
-    if gaussians.object_id is not None:  # this is exact in float32, because there are few objects
+    if gaussians.object_id is not None:  # float32 is exact, because there are few objects
         arrays[OBJECT] = gaussians.object_id.astype(np.float32)
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
@@ -223,8 +225,8 @@ def _chunks(path: Path, data: bytes) -> Scene:
 
 
 def _axes(scene: Scene) -> tuple[str, str]:
-    """Return the up and front directions: those of glTF, or front -z if a program in
-    `LEAVES_THE_FRONT` wrote the file.
+    """Return the up and front directions of a file. They are those of glTF, except that the front
+    is -z if the file was written by a program in `LEAVES_THE_FRONT`.
     """
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
@@ -233,7 +235,7 @@ def _axes(scene: Scene) -> tuple[str, str]:
 def _primitives(scene: Scene) -> list[Primitive]:
     """Return all primitives of the scene whose points are Gaussians."""
     total, primitives = 0, []
-    # cycles of nodes are detected before anything is read
+    # this also detects cycles of nodes
     for mesh, matrix in list(_list_meshes(scene)):
         for primitive in item(scene, "meshes", mesh)["primitives"]:
             extension = primitive.get("extensions", {}).get(EXTENSION)
@@ -241,7 +243,8 @@ def _primitives(scene: Scene) -> list[Primitive]:
                 _check_kind(scene, primitive, extension)
                 count = int(item(scene, "accessors", primitive["attributes"]["POSITION"])["count"])
                 total += count
-                # Several nodes may show the same mesh, so a small file can describe a large scene.
+                # A small file can describe a large scene, because several nodes may show the same
+                # mesh.
                 check_count(KIND, scene.path, total, 60, len(scene.body))
                 primitives.append(Primitive(primitive["attributes"], extension, matrix, count))
     if not total:
@@ -304,7 +307,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), np.float64)
-    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN, and is refused later
+    with np.errstate(all="ignore"):  # an invalid rotation becomes NaN and is refused later
         turn = rotation_matrices(np.array([[w, x, y, z]]))[0]
     matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), np.float64)
     matrix[:3, 3] = node.get("translation", (0, 0, 0))
@@ -359,10 +362,7 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to sRGB.
-
-    Degrees above 0 are converted by the derivative at degree 0.
-    """
+    """Convert linear colours [N,K,3] to sRGB; above degree 0, use the derivative at degree 0."""
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))

@@ -5,11 +5,10 @@ sparse accessor replaces some of the numbers in a view. If an accessor has no vi
 zero at first.
 
 Scales are lengths in the ratified KHR_gaussian_splatting, but logarithms in the draft of this
-extension. A file does not state which version it follows. Negative scales must be logarithms. Some
-programs are known to write logarithms; the field `generator` states the program's name. If all
-logarithms are positive, as in a file in millimetres, the Gaussians themselves are examined: the
-width of an object's Gaussians is about the distance between them. If logarithms were mistaken for
-lengths, the Gaussians would be much narrower than the distance between them.
+extension. A file does not state its version. Negative scales must be logarithms. Some programs,
+which are named in the field `generator`, are known to write logarithms. If all scales are positive,
+the spacing of the Gaussians is examined. The width of an object's Gaussians is about the distance
+between them. If logarithms were mistaken for lengths, the Gaussians would be much narrower.
 """
 
 from __future__ import annotations
@@ -135,19 +134,22 @@ PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
 """First version of splat-transform that wrote scales as lengths."""
 FEW = 0.01
-"""Largest fraction of negative scales that is ignored, because in a mirrored object lengths can
-also be negative."""
+"""Largest fraction of negative scales in a file of lengths.
+
+In mirrored objects, some lengths are negative.
+"""
 NEIGHBOURS = 4
 SOME = 2000
 """Approximate number of Gaussians in the sample that is examined."""
 BARE = 0.55
-"""If the ratio of a Gaussian's width to the spacing is below this, the object would be full of
-holes."""
+"""Below this ratio of a Gaussian's width to the spacing, the object is full of holes."""
 SHORT = 1.0
-"""Smallest median of scales that can be logarithms although all of them are positive."""
+"""Smallest median of positive scales that may be logarithms."""
 COVERING = (0.6, 6.0)
-"""Smallest and largest ratio of width to spacing with which Gaussians cover an object; measured
-ratios are 1.2 to 3.5."""
+"""Smallest and largest ratio of width to spacing of Gaussians that cover an object.
+
+Measured ratios are 1.2 to 3.5.
+"""
 NOTE = "Its scales are read as logarithms: {}."
 
 
@@ -174,7 +176,7 @@ def kind_of_scales(
 
 
 def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
-    """Whether the Gaussians would cover an object only if their scales are read as logarithms."""
+    """Return whether Gaussians cover an object only if their scales are logarithms."""
     sound = np.isfinite(means).all(axis=1) & np.isfinite(scales).all(axis=1)
     longest, places = scales[sound].max(axis=1, initial=0), means[sound].astype(np.float64)
     if len(places) <= NEIGHBOURS:
@@ -182,8 +184,7 @@ def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
     from scipy.spatial import KDTree
 
     some = slice(None, None, max(1, len(places) // SOME))
-    # On a surface, the k nearest neighbours cover a disc whose area is k times that of one
-    # Gaussian.
+    # On a surface, the k nearest neighbours cover a disc with k times the area of one Gaussian.
     apart = KDTree(places).query(places[some], NEIGHBOURS + 1)[0][:, -1] / np.sqrt(NEIGHBOURS)
     spacing, length = float(np.median(apart)), float(np.median(longest[some]))
     with np.errstate(over="ignore"):

@@ -1,11 +1,11 @@
-"""Writes a clip as one small file, with the first frame as SOG and the motion of a coarse lattice.
+"""Writes a clip as one small file: the first frame as SOG, and the motion of a coarse lattice.
 
-The lattice is built around the object as it is in the first frame. Each Gaussian moves by the
-trilinearly interpolated displacement of the eight nodes around it. In each frame, the nodes'
-displacements are fitted to those of the Gaussians by least squares. Gaussians whose error would
-exceed `TOLERANCE` times the object's size are exceptions, which have a separate shift in each
-frame. The file states the error that remains for each Gaussian. Layout, little endian, with offsets
-from the start of the file:
+The lattice surrounds the object in the first frame. The displacement of a Gaussian is interpolated
+trilinearly from the eight nodes around it. In each frame, the displacements of the nodes are fitted
+to the displacements of the Gaussians by least squares. If the error of a Gaussian would exceed
+`TOLERANCE` times the object's size, the file stores an extra shift of this Gaussian in each frame.
+The file states the remaining error of each Gaussian. Layout, little endian, with offsets from the
+start of the file:
 
     bytes          content
     0 to 7         "PHY4D" 0 1 0
@@ -22,9 +22,8 @@ from the start of the file:
     errors         largest error of each Gaussian, uint8 in steps of error.max / 255, rounded up;
                    compressed by zlib
 
-Frames can be decoded independently of each other, so a reader can request only a range of bytes.
-docs/guide/p4d.md describes readers in Python and JavaScript. The axes are those of SOG: -y up, -z
-to the front.
+Each frame can be decoded alone, so a reader can request only a range of bytes. docs/guide/p4d.md
+describes readers in Python and JavaScript. The axes are those of SOG: -y up, -z to the front.
 """
 
 from __future__ import annotations
@@ -55,27 +54,29 @@ MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
 """Largest error of a Gaussian's centre, relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Numbers of nodes along the longest side of the lattices that are tried; the smallest file is
-kept."""
+"""Numbers of nodes along the longest side that are tried; the smallest file is kept."""
 STIFF = 1e-4
-"""Weight of the differences between neighbouring nodes in the fit; they determine nodes that move
-only few Gaussians."""
+"""Weight of the differences between neighbouring nodes in the fit.
+
+Without it, nodes near only few Gaussians would be undetermined.
+"""
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest magnitude of the logarithm of a ratio of scales that is stored (a factor of exp(4) = 55);
-larger values are clipped."""
+"""Largest magnitude of the logarithm of a ratio of scales; larger magnitudes are clipped.
+
+The ratio itself is at most exp(4) = 55.
+"""
 STRETCHES = 1 << 22
-"""Largest number of values from which the range of stretches is determined."""
+"""Largest number of samples from which the range of stretches is determined."""
 PERCENTILES = (1, 99)
-"""Percentiles of the stretch that correspond to the ends of its colour ramp, so that single
-outliers are ignored."""
+"""Percentiles of the stretch at the ends of its colour ramp; outliers are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The nodes that each Gaussian follows, and the weights of these nodes."""
+    """The lattice nodes, and the weights with which they move each Gaussian."""
 
     origin: NDArray[np.float64]
     spacing: float
@@ -120,9 +121,7 @@ class Lattice:
         return slopes
 
     def solver(self) -> Any:
-        """Return a factorisation of the least-squares problem that determines the nodes'
-        displacements.
-        """
+        """Factorise the least-squares problem for the displacements of the nodes."""
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
@@ -148,7 +147,7 @@ class Lattice:
 def write_lattice4d(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
 ) -> None:
-    """Write the object of a clip as one file, which appears only when it is complete.
+    """Write the object of a clip as one file, atomically.
 
     Raises:
         InputError: The clip is empty, or the file cannot be written.
@@ -168,8 +167,8 @@ def encode(
 ) -> tuple[list[bytes], float]:
     """Return the bytes of a file in pieces, and the error of the Gaussians' shapes.
 
-    The error is the 99th percentile, over Gaussians, of the largest relative error of the
-    covariances that follow from the deformation gradient of the lattice.
+    The covariances of the Gaussians are computed from the deformation gradient of the lattice. The
+    error is the 99th percentile, over Gaussians, of the largest relative error of a covariance.
 
     Args:
         clip: The clip.
@@ -231,14 +230,14 @@ def measure_size(points: NDArray[np.float64]) -> float:
 def measure(clip: Clip) -> dict[str, Any]:
     """Measure the ranges of values over all frames that the player needs when it starts.
 
-    The ranges are the bounding box; the range of the log ratios of scales, clipped to +-`TALLEST`;
-    the largest speed; and the ends of the colour ramp for the stretch, which are symmetric about 1.
-    Stretch is the longest axis of a Gaussian divided by its longest axis at rest.
+    The ranges are the bounding box, the log ratios of scales (clipped to +-`TALLEST`), the largest
+    speed, and the ends of the colour ramp for the stretch. The colour ramp is symmetric about 1.
+    The stretch is the longest axis of a Gaussian divided by its longest axis at rest.
     """
     rest = np.maximum(clip.scales[0], 1e-9)
     some = slice(None, None, 1 + len(clip) * len(rest) // STRETCHES)
     stretch, ends = np.empty((len(clip), len(rest[some])), np.float32), []
-    # Read frame by frame, because a clip may be larger than the memory.
+    # Frames are read one by one, because a clip may be larger than the memory.
     for index in range(len(clip)):
         means, scales = clip.means[index], clip.scales[index]
         ratios = np.log(np.maximum(scales, 1e-9) / rest)
@@ -259,8 +258,7 @@ def measure(clip: Clip) -> dict[str, Any]:
 def measure_speeds(clip: Clip) -> Iterator[NDArray]:
     """Yield the speeds of each frame [N], m/s.
 
-    The speeds are computed from the clip's velocities or, if the clip has none, from the positions
-    in adjacent frames.
+    If the clip has no velocities, the speeds are computed from the positions in adjacent frames.
     """
     if clip.velocities is not None or len(clip) < 2:
         for index in range(len(clip)):
@@ -313,7 +311,7 @@ def _centres(still: bytes) -> NDArray[np.float64]:
 class _Motion:
     """The motion of a clip: displacements of a lattice, and extra shifts of some Gaussians.
 
-    A Gaussian has an extra shift if its error would otherwise be too large.
+    Only Gaussians whose error would be too large have extra shifts.
     """
 
     lattice: Lattice
@@ -334,7 +332,7 @@ class _Motion:
     def of(
         cls, lattice: Lattice, rest: NDArray[np.float64], places: NDArray[np.float32]
     ) -> _Motion:
-        """Fit a lattice to the positions of Gaussians in all frames [T,N,3], m."""
+        """Fit a lattice to the positions of Gaussians in all frames (shape [T,N,3], metres)."""
         solver, size = lattice.solver(), measure_size(rest)
         errors, fitted = np.zeros(len(rest)), []
         for place in places:
@@ -367,7 +365,7 @@ def _compared(count: int) -> set[int]:
 
 
 def _pack(about: dict[str, Any], parts: list[bytes]) -> list[bytes]:
-    """Return the pieces of a file; padding makes the JSON's length independent of the offsets."""
+    """Return the pieces of a file; the JSON is padded, so that its length is known in advance."""
     start = 12 + len(json.dumps(about)) + 200 + 32 * len(parts)
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]

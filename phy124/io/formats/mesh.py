@@ -2,11 +2,11 @@
 
 The surface consists of the points at which the density of the Gaussians is 1/2. The density is the
 sum of opacity * exp(-d^2 / 2), where d is the Mahalanobis distance. The density is sampled on a
-grid with `CELLS` cells along the longest side. Gaussians on a surface are much thinner than a cell,
-so Gaussians thinner than `BLUR` cells are widened to this thickness. The surface differs by at most
-one cell from the surface that the same density has on a grid four times as fine. Cavities that the
-surface encloses are filled. The triangles are computed by marching cubes (Lewiner et al. 2003, in
-scikit-image). A vertex has the mean colour of the Gaussians nearest to it.
+grid with `CELLS` cells along the longest side. Gaussians thinner than `BLUR` cells are widened to
+this thickness, because a grid cannot resolve thinner Gaussians. The surface differs by at most one
+cell from the surface on a grid that is four times as fine. Enclosed cavities are filled. The
+triangles are computed by marching cubes (Lewiner et al. 2003, in scikit-image). A vertex has the
+mean colour of the Gaussians nearest to it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ CELLS = 80
 LEVEL = 0.5
 """Density at the surface."""
 BLUR = 0.3
-"""Smallest standard deviation that a Gaussian is given, in units of cells."""
+"""Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are widened."""
 REACH = 2.5
 """Distance from a Gaussian beyond which its density is neglected, in units of its standard
 deviation."""
 WIDEST = 12
-"""Largest distance along an axis up to which a Gaussian contributes, in units of cells."""
+"""Largest distance, along each axis, up to which a Gaussian contributes, in units of cells."""
 NEAREST = 4
-"""Number of nearest Gaussians from which the mean colour of a vertex is computed."""
+"""Number of nearest Gaussians whose mean colour is the colour of a vertex."""
 BATCH = 4_000_000
 """Largest number of density values that are computed at once."""
 
@@ -81,7 +81,7 @@ def find_surface(gaussians: Gaussians, cells: int = CELLS, blur: float = BLUR) -
         raise InputError("clip", "faint", limit, "Give a clip of a visible object.")
     vertices, faces, _, _ = marching_cubes(density, LEVEL, allow_degenerate=False)
     points = corner + cell * vertices.astype(np.float64)
-    # If a density decreases outwards, scikit-image orders the vertices of triangles clockwise.
+    # scikit-image orders the vertices of triangles clockwise if the density decreases outwards.
     return Surface(points, faces[:, ::-1].astype(np.int64), _colours(gaussians, points), cell)
 
 
@@ -126,9 +126,9 @@ def sample_density(
 
 
 def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.float32]:
-    """Return exp(-d^2 / 2) of each Gaussian at nodes around the node that is nearest to it [N,K].
+    """Return exp(-d^2 / 2) of each Gaussian at the nodes around its nearest node [N,K].
 
-    The quadratic form is computed as a product of two matrices with ten columns.
+    The quadratic form d^2 is computed as a product of two matrices with ten columns.
 
     Args:
         inverse: Inverse covariances [N,3,3], 1 / cells^2.
@@ -149,7 +149,7 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """Raise the density at all nodes inside the surface above the value at the surface."""
+    """At all nodes inside the surface, raise the density above its value at the surface."""
     from scipy import ndimage
 
     labels: Any = ndimage.label(density <= LEVEL)
@@ -175,7 +175,7 @@ def to_trimesh(surface: Surface, *, linear: bool = False) -> Any:
 
     Args:
         surface: The surface.
-        linear: Whether colours are stored in proportion to the light, as required by glTF.
+        linear: Whether colours are linear, as required by glTF, instead of sRGB.
     """
     import trimesh
 

@@ -1,11 +1,11 @@
 """Writes a clip as one animated GLB: a mesh with one morph target per frame.
 
-The mesh is the surface of the first frame. Instead, a user can give a textured mesh, such as the
-file from which the object was made. Each vertex follows the Gaussians near it. It moves by the
-rigid motion that best fits the motion of these Gaussians (Kabsch 1976). The weights of the morph
-targets change linearly from frame to frame, so that at most two targets are active. The axes are
-those of glTF (y up, z to the front, metres). The topology is constant. If an object tears or flows,
-a mesh of each frame can be written instead (`phy124/io/formats/mesh.py`).
+The mesh is the surface of the first frame, or a textured mesh from the user, such as the file from
+which the object was made. Each vertex moves by the rigid motion that best fits the motion of the
+nearest Gaussians (Kabsch 1976). The weights of the morph targets change linearly from frame to
+frame, so that at most two targets are active. The axes are those of glTF (y up, z to the front,
+metres). The topology is constant. For objects that tear or flow, write a mesh of each frame instead
+(`phy124/io/formats/mesh.py`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from phy124.progress import Progress, silent
 CELLS = 56
 """Number of grid cells along the longest side for the surface of the first frame."""
 NEAREST = 12
-"""Number of Gaussians that a vertex follows."""
+"""Number of nearest Gaussians whose motion a vertex follows."""
 FLOAT, VERTICES = 5126, 34962
 """Constants of glTF: type of a float number, and target of a buffer view."""
 TYPES = {1: "SCALAR", 3: "VEC3"}
@@ -40,7 +40,7 @@ TYPES = {1: "SCALAR", 3: "VEC3"}
 def write_moving_mesh(
     path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent
 ) -> None:
-    """Write the surface of a clip as an animated GLB, which appears only when it is complete.
+    """Write the surface of a clip as an animated GLB, atomically.
 
     Raises:
         InputError: The clip is empty, a package is missing, or the file cannot be written.
@@ -58,7 +58,7 @@ def write_moved(
     """Write meshes that follow the motion of a clip as an animated GLB.
 
     Args:
-        path: The file, which appears only when it is complete.
+        path: The file, which is written atomically.
         clip: The clip whose motion the meshes follow.
         pieces: Meshes of the package trimesh, in the pose of the clip's first frame.
         progress: Function that is called as progress("export", frames done, total frames).
@@ -98,7 +98,7 @@ def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> 
 
     Args:
         pieces: Meshes of the package trimesh, in the axes and unit of their file.
-        clip: A clip of the object that was made from the file of the meshes.
+        clip: A clip of the object; the object was made from the meshes.
         axes: Up and front directions of the file.
     """
     turn = orientation(*axes)
@@ -114,7 +114,7 @@ def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> 
 
 
 def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the positions [V,3] of points in each frame; in the first frame, they are at `points`.
+    """Yield the positions [V,3] in each frame of points that move with the Gaussians.
 
     Args:
         clip: The clip whose Gaussians the points follow.
@@ -139,7 +139,7 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
 
 
 def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rotations R [V,3,3], b = R a, that best fit the sums of w a b^T [V,3,3]."""
+    """Return the rotations R [V,3,3] with b = R a that best fit the sums of w a b^T [V,3,3]."""
     u, _, vt = np.linalg.svd(correlation)
     sign = np.linalg.det(u) * np.linalg.det(vt)
     u[:, :, 2] *= sign[:, None]
@@ -228,7 +228,7 @@ def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float
 
 
 def _unlit(document: dict[str, Any]) -> None:
-    """Show vertex colours without lighting, because they contain the light of the picture."""
+    """Show vertex colours without lighting, because the colours contain the picture's light."""
     bare = [
         primitive
         for mesh in document["meshes"]

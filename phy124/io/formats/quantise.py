@@ -1,8 +1,8 @@
 """Quantises numbers to 256 codes, vectors to a palette, and quaternions to three components.
 
 The largest of the four components of a unit quaternion is not stored. Since q and -q are the same
-rotation, this component can be made positive. It then follows from the condition that the length is
-1. The magnitude of each of the other three components is at most 1 / sqrt 2.
+rotation, this component can be made positive. This component then follows from the unit length. The
+magnitude of each of the other three components is at most 1 / sqrt 2.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def make_codebook(values: NDArray) -> NDArray[np.float64]:
     """Return 256 ascending codes that minimise the mean square distance to `values [N]`.
 
     The method is Lloyd's algorithm in one dimension. Since the values are sorted, the sum over each
-    cell is a difference of two cumulative sums. Half of the initial codes are quantiles, which
-    represent dense regions. The other half are evenly spaced, which represents outliers.
+    cell is a difference of two cumulative sums. Half of the initial codes are quantiles, to
+    represent dense regions. The other half are evenly spaced, to represent outliers.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     sums = np.concatenate([[0], np.cumsum(ordered)])
@@ -89,7 +89,7 @@ def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArr
 
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Indices of the three stored components, for each index of the component that is not stored."""
+"""Indices of the three stored components, by the index of the component that is not stored."""
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -101,7 +101,7 @@ def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def restore_largest(others: NDArray, which: NDArray) -> NDArray[np.float32]:
-    """Return unit quaternions [N,4] from three components and the missing one's index [N]."""
+    """Return unit quaternions [N,4] from three components and the index of the fourth [N]."""
     which = np.asarray(which, np.int64)
     out = np.empty((len(others), 4), np.float32)
     np.put_along_axis(out, OTHERS[which], others.astype(np.float32), 1)

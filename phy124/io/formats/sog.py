@@ -127,7 +127,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a SOG file; the Gaussians keep their order."""
+    """Return the bytes of a SOG file; the order of the Gaussians is unchanged."""
     meta: dict[str, Any] = {
         "version": 2,
         "asset": {"generator": "phy124"},
@@ -250,7 +250,7 @@ def _harmonics(
 
 
 def _objects(meta: dict[str, Any], pixels: Any) -> dict[str, NDArray[np.int32]]:
-    """Return the object index of each Gaussian, if `extras` has the entry that phy124 writes."""
+    """Return the object index of each Gaussian, or None if `extras` has no entry of phy124."""
     extras = meta.get("extras")
     ours = extras.get("phy124") if isinstance(extras, dict) else None
     if ours is None:

@@ -73,7 +73,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def likely(path: Path) -> bool:
-    """Whether a file without a signature probably consists of rows of Gaussians."""
+    """Return whether a file without a signature is probably a `.splat` file."""
     size = path.stat().st_size
     if not size or size % ROW.itemsize:
         return False

@@ -18,10 +18,10 @@
     harmonics   9, 24, 45  of degree 1 to 3: coefficient by coefficient, (value - 128) / 128
 
 In versions 1 to 3, the file is compressed with gzip. In version 4, each section is a separate
-Zstandard stream. Extensions follow the sections, but in version 4 they are before the table. The
-axes are x right, y up, z towards the viewer, unless an extension states other axes. Scales are
-quantised with a relative increment of 6.5 %. As in Niantic's program, harmonics are written with 5
-bits for degree 1, and with 4 bits for higher degrees.
+Zstandard stream. Extensions follow the sections, or precede the table in version 4. The axes are x
+right, y up, z towards the viewer, unless an extension states other axes. Scales are quantised with
+a relative increment of 6.5 %. As in Niantic's program, harmonics are written with 5 bits for degree
+1, and with 4 bits for higher degrees.
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ class Extensions(NamedTuple):
 
     @property
     def axes(self) -> tuple[str, str]:
-        """Directions in the file that point up and to the object's front (towards the viewer)."""
+        """Up and front (towards the viewer) directions of the file."""
         return _axis(self.system, "UD"), _axis(self.system, "BF")
 
     @property
     def left_handed(self) -> bool:
-        """Whether the axes are left-handed, so that the file must be mirrored."""
+        """Whether the axes are left-handed and the file must be mirrored."""
         return bool(np.linalg.det([DIRECTIONS[letter] for letter in self.system]) < 0)
 
 
@@ -111,7 +111,7 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis that points in the first of two opposite directions (`U` of `UD`)."""
+    """Return the signed axis that points in the first of two opposite directions (such as `UD`)."""
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -129,13 +129,12 @@ MOST_RECORDS = 1 << 20
 """Largest number of bytes of the extensions that are read."""
 COLOUR = 0.15
 MOST_BITS = 16
-"""Number of fractional bits with which centres are written; fewer bits are used if a coordinate
-exceeds 128 units."""
+"""Number of fractional bits of written centres; smaller if a coordinate exceeds 128 units."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
-"""gzip level for writing; level 6 takes twice as long and saves 1 %."""
+"""gzip level for writing; level 6 would take twice as long and save 1 %."""
 LEVEL = 9
-"""Zstandard level for writing; higher levels take longer and hardly reduce the size."""
+"""Zstandard level for writing; higher levels would take longer and hardly save space."""
 WINDOW = 1 << 27
 """Largest window of a Zstandard stream that is read [bytes]."""
 HARMONIC_BITS = (5, 4, 4)
@@ -208,7 +207,7 @@ def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def begins(data: bytes) -> bool:
-    """Whether a file with these first bytes is an SPZ file."""
+    """Return whether a file with these first bytes is an SPZ file."""
     if data[:4] == MAGIC:
         return True
     try:
@@ -228,8 +227,7 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
     """Return the header, sections and extensions of a file of version 1, 2 or 3."""
     if data[:4] == MAGIC:
-        # A browser may have unpacked the file, because its server declared it as compressed by
-        # gzip.
+        # A browser unpacks files that a server declares as compressed by gzip.
         data = _gzip(data, level=0)
     packer = zlib.decompressobj(31)
     try:

@@ -1,8 +1,8 @@
 """Writes OpenUSD: a clip is one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
 Apart from `.4dgs`, this is the only open format that stores moving Gaussians in a single file. The
-units and axes are those of phy124 (metres, z up), and the USD header states this. Opacities and
-scales are linear.
+units and axes are those of phy124 (metres, z up), as stated in the USD header. Opacities and scales
+are linear.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ REACH = 3.0
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
     """Write a clip as .usdc (binary), .usda (text) or .usd; this needs the extra `usd`.
 
-    Positions, orientations and scales are stored for each frame, and so are spherical harmonics if
-    they rotate with the material. One time code stands for one frame. The file appears only when it
-    is complete.
+    Positions, orientations and scales are stored for each frame. Spherical harmonics are also
+    stored for each frame if they rotate with the material. One time code is one frame. The file is
+    written atomically.
 
     Raises:
         InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
@@ -102,7 +102,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def save_at_times(stage: Any, index: int) -> None:
-    """Save a stage after every `SAVED` frames, which frees the memory of their values.
+    """Save a stage after every `SAVED` frames; this frees the memory of these frames.
 
     A text file is saved only once, after all frames are set, because every save writes the whole
     file.
@@ -113,7 +113,7 @@ def save_at_times(stage: Any, index: int) -> None:
 
 
 def set_times(stage: Any, clip: Clip) -> None:
-    """State the duration of a clip in the stage; one time code stands for one frame."""
+    """State the duration of a clip in the stage; one time code is one frame."""
     stage.SetTimeCodesPerSecond(_rate(clip))
     stage.SetFramesPerSecond(_rate(clip))
     stage.SetStartTimeCode(0)

@@ -1,9 +1,9 @@
 """Writes a clip as USDZ: the coloured surface of the first frame, and the motion of this surface.
 
-The file is an archive that contains one .usdc. This file has a mesh whose points are stored for
-each frame, with one time code per frame. The material of the mesh shows the colours of the vertices
-without further light. The axes are y up and z to the front, in metres, as AR viewers on phones
-expect. The topology is constant, as in `phy124/io/formats/moving_mesh.py`.
+The USDZ is an archive that contains one .usdc file with a mesh. The points of the mesh are stored
+for each frame; one time code is one frame. The material of the mesh shows the colours of the
+vertices without further light. The axes are y up and z to the front, in metres, as AR viewers on
+phones expect. The topology is constant, as in `phy124/io/formats/moving_mesh.py`.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
 
 
 def _bind_colours(stage: Any, mesh: Any) -> None:
-    """Show vertex colours as emitted light, because they contain the picture's shading."""
+    """Show vertex colours as emitted light, because the colours contain the picture's shading."""
     Gf, Sdf, UsdShade = (import_module(f"pxr.{name}") for name in ("Gf", "Sdf", "UsdShade"))
 
     material = UsdShade.Material.Define(stage, "/Object/Colours")
