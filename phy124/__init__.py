@@ -5,8 +5,8 @@
     result = phy124.generate("duck.png", phy124.Scene.named("press"), "out")
     clip = phy124.Clip.load(result.folder / "clip.safetensors")
 
-The names in `__all__` are the public interface. CONTRIBUTING.md says how the interface is
-versioned. Each name is imported when it is first used, so that `import phy124` is fast.
+The names in `__all__` are the public interface, whose versioning is described in CONTRIBUTING.md.
+Each name is imported when it is first used, so that `import phy124` is fast.
 """
 
 from importlib import import_module
@@ -99,10 +99,10 @@ _MODULES = {
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 
-if not TYPE_CHECKING:  # otherwise type checkers would accept any name
+if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept any name
 
     def __getattr__(name: str) -> Any:
-        """Import a public name when the name is first used."""
+        """Import a public name when it is first used."""
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -42,9 +42,9 @@ GENERAL = ("--quiet", "--verbose")
 
 
 def program() -> NoReturn:
-    """Run the command of this process and end the process.
+    """Run the command of this process and end the process without Python's usual clean-up.
 
-    An ordinary exit of Python would free each object separately, which takes 0.1 s after a run.
+    Python would free each object separately, which takes 0.1 s after a run.
     """
     status = main()  # flushes the standard streams
     threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue] # waits for all threads
@@ -97,10 +97,10 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Turn the garbage collector off within this context: imports create many lasting objects.
+    """Disable the garbage collector within this context, in which modules are imported.
 
-    Later collections skip the objects that imports created, too. When the collector was on,
-    collections took 0.9 s of a command that took 6 s.
+    Later collections also skip the objects that exist at the end of the context. Otherwise,
+    collections would take 0.9 s of a command that takes 6 s.
     """
     was = gc.isenabled()
     gc.disable()
@@ -123,7 +123,7 @@ def _start(*, talkative: bool) -> None:
 
 
 def _parse(arguments: list[str]) -> Any:
-    """Parse the command and its options; if the list of commands is requested, print it and end."""
+    """Parse the command and its options; print the list of commands and exit if requested."""
     from phy124.commands import COMMANDS, outline
     from phy124.schema.arguments.parsing import asks_for_commands, parse
 
@@ -149,7 +149,7 @@ def _note(message: Warning | str, *_: object) -> None:
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """Explain an exception to the user (with --json on standard output, too); return the status."""
+    """Report an exception to the user (with --json also on standard output); return the status."""
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

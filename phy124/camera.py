@@ -26,7 +26,7 @@ class Camera:
     eye: tuple[float, float, float]
     """Position, m."""
     target: tuple[float, float, float]
-    """Point that is shown in the middle of the image, m."""
+    """Point in the middle of the image, m."""
     width: int
     """Image width, pixels."""
     height: int
@@ -70,7 +70,7 @@ class Camera:
 
     @property
     def halves(self) -> tuple[float, float]:
-        """Half the width and half the height of the area that is visible at a distance of 1."""
+        """Half the width and half the height of the visible area at a distance of 1."""
         return 0.5 * self.width / self.focal, 0.5 * self.height / self.focal
 
     @property
@@ -83,8 +83,7 @@ class Camera:
         """World-to-camera transform [4,4]."""
         eye, target = np.asarray(self.eye, float), np.asarray(self.target, float)
         forward = (target - eye) / np.linalg.norm(target - eye)
-        # If a camera looks straight up or down, its image has no horizon. In this case +x is at the
-        # top of the image.
+        # If a camera looks straight up or down, +x is at the top of the image.
         up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 1 - 1e-9 else np.array([1.0, 0.0, 0.0])
         right = np.cross(forward, up)
         right /= np.linalg.norm(right)

@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""Error codes that state that a resource of the machine ran out. For these, the name of the file is
-not the cause."""
+"""Error codes of a machine without enough disk space, memory or files.
+
+The file that an error names is then not the cause.
+"""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
@@ -18,7 +20,7 @@ class Remedy(NamedTuple):
     """A change of the scene that solves a problem."""
 
     words: str
-    """The change in words, such as "accuracy.cells = 24"."""
+    """Description of the change, such as "accuracy.cells = 24"."""
     changes: dict[str, Any]
     """New values by dotted path, in the form that `Scene.replaced` accepts."""
 
@@ -27,7 +29,7 @@ class InputError(ValueError):
     """The user's input cannot be used; the message says which input, why, and how to correct it.
 
     The command line and the web page print only the message, never a traceback. `remedies` are
-    changes of the scene, if any are known. Each remedy alone solves the problem.
+    changes of the scene, each of which solves the problem by itself.
     """
 
     def __init__(
@@ -38,11 +40,7 @@ class InputError(ValueError):
         super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Support pickle.
-
-        By default, pickle would pass the whole message to the constructor in place of the field's
-        name.
-        """
+        """Support pickle, which would otherwise pass the whole message to the constructor."""
         return type(self), (self.field, self.value, self.limit, self.remedy)
 
 
@@ -55,8 +53,8 @@ class Incomplete(Exception):
 
     The cause of the exception is the exception that ended the work.
 
-    `kept` is the end of a sentence. This part names the saved files and the command that continues
-    the run.
+    `kept` is the end of a sentence: it names the saved files and the command that continues the
+    run.
     """
 
     def __init__(self, kept: str) -> None:
@@ -71,8 +69,7 @@ def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) ->
 
 
 def suggest(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
-    """Return the sentence "Did you mean ...?" if a known word is similar.
-
-    Otherwise return a list of the known words.
+    """Return the sentence "Did you mean ...?" if a known word is similar, or a list of the known
+    words.
     """
     return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."

@@ -1,4 +1,4 @@
-"""Declares Gaussians, particles and frames: the data that the stages of the pipeline exchange.
+"""Declares the data of the pipeline: Gaussians, particles and frames.
 
 Conventions: the world is right-handed, in metres, z up, and the object faces +x
 (docs/reference/conventions.md); quaternions are wxyz; values are post-activation (opacity 0..1,
@@ -42,7 +42,7 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 
 
 BLOCK = 1 << 15
-"""Number of rows that are processed at a time. This number of rows stays in the cache."""
+"""Number of rows that are processed at a time, chosen so that they fit into the cache."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,8 @@ class Gaussians:
     Arrays are converted to C-contiguous float32.
 
     Raises:
-        ValueError: The shapes of the arrays disagree. This is a programming error, because readers
-            refuse bad files themselves.
+        ValueError: The shapes of the arrays disagree, which is a programming error; readers refuse
+            such files.
     """
 
     means: Array
@@ -67,8 +67,7 @@ class Gaussians:
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the scene's object to which each Gaussian belongs [N]. None if there is a single
-    object."""
+    """Index of the object of each Gaussian [N]; None if there is a single object."""
 
     def __post_init__(self) -> None:
         for name in ("means", "quats", "scales", "opacities", "sh"):
@@ -111,7 +110,7 @@ class Gaussians:
 
     @property
     def rgb(self) -> Array:
-        """Degree-0 part of the colours [N,3] in 0..1, which does not depend on the viewing
+        """Colours [N,3] in 0..1 from the harmonics of degree 0, independent of the viewing
         direction.
         """
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
@@ -135,7 +134,7 @@ class Gaussians:
         )
 
     def of_object(self, index: int) -> Gaussians:
-        """Return the Gaussians of the object with an index, perhaps none, without `object_id`."""
+        """Return the Gaussians of the object with a given index, without `object_id`."""
         if self.object_id is None:
             return self if index == 0 else self.select(np.zeros(0, int))
         return replace(self.select(self.object_id == index), object_id=None)
@@ -177,7 +176,7 @@ def finite_rows(array: NDArray) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         for start in range(0, len(flat), BLOCK):
             part = flat[start : start + BLOCK]
-            total = np.zeros(len(part))  # NaN or infinite if any value of the row is
+            total = np.zeros(len(part))  # NaN if any value of a row is NaN or infinite
             for column in part.T:
                 total += column
             finite[start : start + BLOCK] = np.isfinite(total)
@@ -187,7 +186,7 @@ def finite_rows(array: NDArray) -> NDArray[np.bool_]:
 def join(sets: Sequence[Gaussians]) -> Gaussians:
     """Join several sets of Gaussians in order.
 
-    If a set lacks coefficients of higher harmonics, they are filled with zeros.
+    Missing coefficients of higher harmonics are set to zero.
     """
     most = max(item.sh.shape[1] for item in sets)
 
@@ -229,12 +228,11 @@ class Frame:
     """Time since the start, s."""
     gaussians: Gaussians
     velocities: Array | None = None
-    """Velocities of the centres [N,3], m/s. None if they were not requested."""
+    """Velocities of the centres [N,3], m/s; None if velocities were not requested."""
     contacts: Array | None = None
     """Force of the walls on each Gaussian [N,3], N, averaged over the last frame interval."""
     wrenches: dict[str, Wrench] | None = None
-    """Force and torque of the object on each wall, by the wall's name. None if they were not
-    requested."""
+    """Force and torque of the object on each wall, by the wall's name; None if not requested."""
     carried: tuple[Array, Array] | None = None
     """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
     Gaussians. None unless the run keeps its frames."""
@@ -258,16 +256,14 @@ class Particles:
     gaussian: NDArray[np.int32]
     """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
     body: NDArray[np.int32] | None = None
-    """Index of the scene's object to which each particle belongs [P]. None if there is a single
-    object."""
+    """Index of the object of each particle [P]; None if there is a single object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m], their outward normals and the indices of their objects [S,7], for bodies
-    on their lattices at rest. None for other bodies.
+    """Surface points [m], outward normals and object indices [S,7] of bodies on lattices. None if
+    there are no bodies on lattices.
     """
     copies: NDArray[np.int8] | None = None
-    """Number of the copy of each of its 27 nodes that a cell uses [C,27], for all cells of bodies
-    on lattices, in the order of their points. None if no node has copies
-    (phy124/particles/pieces.py).
+    """Copy of each of its 27 nodes that a cell of a lattice uses [C,27]. Cells are sorted in the
+    same way as their points. None if no node has copies (phy124/particles/pieces.py).
     """
 
     def __len__(self) -> int:
@@ -307,7 +303,7 @@ def quaternions(rotations: NDArray) -> NDArray[np.float64]:
     r = np.asarray(rotations, dtype=np.float64)
     diagonal = np.einsum("nii->ni", r)
     trace = diagonal.sum(axis=1, keepdims=True)
-    # The rows below are the four columns of 4 q q^T. The column with the largest diagonal entry is
+    # The rows below are the columns of 4 q q^T, of which the one with the largest diagonal entry is
     # well conditioned.
     squares = np.concatenate([1 + trace, 1 + 2 * diagonal - trace], axis=1)
     best = squares.argmax(axis=1)
@@ -345,8 +341,8 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
     """Rotate the colours, which are functions of direction, with the Gaussians: c'(d) = c(R^T d).
 
-    A rotation mixes only harmonics of equal degree. The matrix of each degree is computed from the
-    values of the harmonics in fixed, well-spread directions. This is exact.
+    A rotation mixes only harmonics of equal degree. The matrix of each degree is computed, exactly,
+    from the values of the harmonics in fixed directions.
 
     Args:
         sh: Coefficients [N,K,3].
@@ -366,10 +362,7 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
 
 
 def mirror_signs(count: int) -> NDArray[np.float64]:
-    """Return the sign of each harmonic when x is mirrored [count].
-
-    Each harmonic is an odd or an even function of x.
-    """
+    """Return, for each harmonic, 1 if it is an even function of x and -1 if it is odd [count]."""
     direction = np.array([0.3, 0.5, np.sqrt(0.66)])
     return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
 

@@ -1,7 +1,6 @@
 """Reports the progress of work: calls a function with the stage, the steps done and the total.
 
-A progress function may raise `Cancelled`. Callers do not catch `Cancelled`. Every loop that reports
-progress can therefore also be stopped.
+To stop the work, a progress function raises `Cancelled`, which callers do not catch.
 """
 
 from collections.abc import Callable
@@ -10,5 +9,5 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Ignore the progress, which is the default."""
+    """Ignore the progress; this is the default function."""
     del stage, done, total

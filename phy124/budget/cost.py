@@ -25,7 +25,7 @@ from phy124.scene import Scene
 GAUSSIANS = 50_000
 """Number of Gaussians that the generator `relief` makes from a picture."""
 FILLED = 0.19
-"""Volume of a typical object, divided by the cube of its longest side."""
+"""Volume of a typical object, divided by the cube of the object's longest side."""
 DOUBLE = 1.7
 """Time of a substep in float64, divided by the time of a substep in float32
 (docs/lab/accuracy.md).
@@ -37,9 +37,10 @@ PASS = 0.7
 STEP = 6.0
 """Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
-"""Time per lattice point, relative to the time per particle: the first number is for kernels that
-use the CPU's vector units, the second for other kernels. The third number is the time to launch the
-kernels of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md).
+"""Times of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md). The
+first number is the time per lattice point with kernels for the CPU's vector units, and the second
+is the time per lattice point with other kernels. The third number is the time to launch the
+kernels.
 """
 UNDAMPED, DAMPED = 1.5, 0.235
 """The first number is the longest stable substep of an undamped lattice at rest, in units of
@@ -47,9 +48,7 @@ sqrt(cfl) dx / c. The second number is the damping ratio of the fastest vibratio
 c divided by the viscous limit.
 """
 WINDOW = 11
-"""Number of nodes per axis that the grid's window has in addition to the nodes across the
-object.
-"""
+"""Number of nodes per axis in the grid's window beyond the nodes across the object."""
 GRAVITY = 9.81
 """Acceleration that limits the time step of a liquid with projected pressure [m/s^2]."""
 BYTES_PER_PARTICLE = 400
@@ -64,8 +63,8 @@ AT_REST = 450
 docs/lab/sizes.md.
 """
 HELD = 256e6
-"""Maximum total size of frames that are kept in memory [bytes]. If the frames of a run are larger,
-they are computed again when they are read.
+"""Maximum total size of frames that are kept in memory [bytes]. Larger runs compute the frames
+again when they are read.
 """
 BYTES_PER_SHAPE = 250
 """Memory per Gaussian on the device that deforms the Gaussians [bytes]."""
@@ -78,7 +77,7 @@ class Rates:
     generate: float = 3.0
     """Seconds to make Gaussians from a picture."""
     substep: float = 3e-5
-    """Seconds per substep to launch the kernels, however many particles there are."""
+    """Seconds per substep to launch the kernels, independent of the number of particles."""
     particle: float = 1.1e-7
     """Seconds per particle and substep."""
     node: float = 1.1e-9
@@ -123,9 +122,9 @@ class Work:
 
     substeps: float
     particles: float
-    """Particles times substeps, times the relative cost of the chosen precision and transfer."""
+    """Particles times substeps, times the relative cost of the precision and the transfer."""
     nodes: float
-    """Grid nodes times substeps, times the relative cost of the chosen precision and transfer."""
+    """Grid nodes times substeps, times the relative cost of the precision and the transfer."""
     frames: int
     videos: int
     pixels: float
@@ -227,11 +226,11 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
     """
     materials = scene.materials
     if scene.mixes:
-        # These substeps are for the other materials; the liquid takes fewer steps.
+        # These are the substeps of the other materials; the liquid takes fewer steps.
         materials = [section for section in materials if section.law != "fluid"]
     elif scene.projects:
         ceiling = math.inf if scene.time.substep is None else scene.time.substep
-        # `viscous_limit` is the time in which an eighth of the velocity diffuses.
+        # `viscous_limit` is the time in which viscosity diffuses an eighth of the velocity.
         viscous = 8 * DIFFUSED * min(section.viscous_limit(scene.dx) for section in scene.materials)
         longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), viscous, ceiling)
         return np.full(scene.time.frames - 1, longest)
@@ -302,7 +301,7 @@ def estimate(
 def estimate_memory(
     scene: Scene, gaussians: int, particles: float, nodes: float, frames: int
 ) -> tuple[float, float]:
-    """Return the total memory of a run, and the memory that it needs on the device [bytes].
+    """Return the total memory of a run, and the memory on the device [bytes].
 
     Args:
         scene: The scene.

@@ -1,7 +1,7 @@
-"""Lists the physical and numerical effects that a scene turns on, and those that it leaves out.
+"""Lists the physical and numerical effects that a scene includes and those that it omits.
 
-The scene alone determines the lists. An effect that is left out is not compiled, has no arrays and
-launches no kernels.
+The lists depend only on the scene. An omitted effect is not compiled, has no arrays and launches no
+kernels.
 """
 
 from __future__ import annotations
@@ -22,18 +22,16 @@ from phy124.scene.liquids import reason_for_compressible
 NODE = 1.8
 """Time to clear and update one grid node [ns]."""
 SPLINE = 157
-"""Time per particle to compute the gradients of the interpolation weights [ns]. There is no
-vectorised kernel for these gradients.
-"""
+"""Time per particle to compute the gradients of the interpolation weights, not vectorised [ns]."""
 STATIC = "static Gaussians"
-"""Name of the effect that covers the static parts of the scene."""
+"""Name of the effect for the static parts of the scene."""
 DENSE = 100**3
 """Number of nodes of the dense grid in PhysGaussian's scenes."""
 
 
 @dataclass(frozen=True)
 class Omission:
-    """An effect that a run leaves out, with the reason and the cost that is saved."""
+    """An effect that a run omits, with the reason and the saved cost."""
 
     effect: str
     why: str
@@ -42,7 +40,7 @@ class Omission:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects that a run of a scene computes, and the effects that the run leaves out."""
+    """The effects that a run of a scene computes, and the effects that it omits."""
 
     ran: tuple[str, ...]
     left_out: tuple[Omission, ...]
@@ -59,15 +57,15 @@ class Effects:
         observers: Sequence[Observer] = (),
         no_lattice: str | None = None,
     ) -> Effects:
-        """Return the effects that a scene requires, and those that its run leaves out.
+        """Return the effects that a scene requires, and the effects that a run omits.
 
         Args:
             scene: The scene.
             sh_degree: Degree of the Gaussians' spherical harmonics.
             device: Warp device.
             static: Number of static Gaussians in a finished run; None before a run.
-            materials: The particles' materials, read from a file; if empty, the scene's materials
-                apply.
+            materials: Materials of the particles from a file; empty if the scene's materials are
+                used.
             observers: Observers of a finished run; empty before a run.
             no_lattice: Why no object of a finished run is on a lattice; None before a run.
         """
@@ -93,8 +91,8 @@ class Effects:
     ) -> dict[str, Any]:
         """Return the lists of effects as plain data for the report.
 
-        If the counts of a run are passed, the data also contain the time saved by each effect that
-        was left out [s]. The time is estimated from measured costs per particle and node.
+        If the counts of a run are passed, the data also contain the time [s] saved by each omitted
+        effect. The time is estimated from measured costs per particle and node.
 
         Args:
             particles: Number of particles.
@@ -187,8 +185,7 @@ def _of_materials(scene: Scene, materials: Sequence[AnyMaterial]) -> Iterator[Ef
 def _of_forces(scene: Scene) -> Iterator[Effect]:
     """Yield the effects of the forces.
 
-    The costs were measured with a force that acts on a region, and with a force that follows a
-    table over time.
+    The costs were measured with a force on a region and with a force that varies over time.
     """
     pushes = [force for force in scene.acting if not force.uniform]
     timed = any(force.varies for force in scene.acting)
@@ -205,7 +202,7 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
 def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
     """Yield the checks of the substep, and then the effect of each observer.
 
-    Both the observers of phy124 and the observers that a caller added are included.
+    Observers that a caller added are included.
     """
     every = subject.scene.checks.measure
     yield Effect(f"limits of the substep measured every {every} substeps or sooner")
@@ -229,7 +226,7 @@ def _of_frames(scene: Scene, sh_degree: int) -> Iterator[Effect]:
 
 
 def _of_pictures(scene: Scene) -> Iterator[Effect]:
-    """Yield the effects that change the films."""
+    """Yield the effects that change the videos."""
     stage = scene.view.stage
     why = f"view.stage is {stage}: pictures show the object alone"
     yield Effect("floor, its shadow, boundaries in pictures", stage == "studio", why)

@@ -44,8 +44,8 @@ def check_limits(
 
     Raises:
         InputError: The run would exceed its time budget or the free memory. The error is also
-            raised for an object so far from the origin that float32 cannot resolve positions within
-            a cell.
+            raised if an object is so far from the origin that float32 cannot resolve positions
+            within a cell.
     """
     _check_distance(scene)
     need = estimate(gaussians, particles, scene, device, keep=keep)
@@ -130,14 +130,12 @@ def _find_remedies(
 
 
 def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Yield changes of the scene that may suffice, beginning with the setting that limits the
-    substep.
-    """
+    """Yield changes of the scene that may suffice, beginning with the limit of the substep."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
         yield change_field("time.substep", _round(1.05 * scene.time.substep * excess))
-    # If a material comes from a file, the scene's fields do not change it.
+    # The scene's fields do not change materials that come from a file.
     from_file = scene.properties is not None
     if not scene.parts and not from_file:
         for name in ("damping", "viscosity"):
@@ -154,9 +152,7 @@ def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
 
 
 def _list_materials(scene: Scene) -> list[tuple[str, AnyMaterial]]:
-    """Return the scene's field and the material of each moving part, sorted by decreasing wave
-    speed.
-    """
+    """Return the field and the material of each moving part, sorted by decreasing wave speed."""
     materials = []
     prefixes = ["", *(f"objects.{i}." for i in range(len(scene.objects)))]
     for prefix, body in zip(prefixes, (scene, *scene.objects), strict=True):
@@ -175,10 +171,9 @@ def _round(value: float) -> float:
 
 
 def note_stiffest_part(scene: Scene) -> str | None:
-    """Return a note if one material needs many more substeps than the others; otherwise return
-    None.
+    """Return a note if one material needs many more substeps than the others, or None.
 
-    Liquids with a projected pressure are ignored, since their steps do not depend on a stiffness.
+    Projected liquids are ignored, since their steps do not depend on a stiffness.
     """
     listed = _list_materials(scene)
     fastest, *others = [m for m in listed if not scene.projects or m[1].law != "fluid"] or listed

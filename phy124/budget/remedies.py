@@ -14,8 +14,8 @@ from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
 DAMPING = 0.04
-"""Damping that keeps a compressed body from becoming inverted when it is suddenly released, in
-units of density times speed of sound times size.
+"""Damping with which a compressed body does not become inverted when it is suddenly released. The
+unit is density times speed of sound times size.
 """
 SOFTER = 16.0
 """Factor by which a remedy divides Young's modulus E, so that the longest stable substep becomes
@@ -34,7 +34,7 @@ def find_remedies(
         time: Time of the frame in which the run stopped [s].
     """
     if "push" in causes and (motion := _end_motion(scene, time)):
-        return (motion,)  # no other change helps while the object is moved into the obstacle
+        return (motion,)  # while the object is moved into the obstacle, no other change helps
     remedies = (REMEDIES[cause](scene) for cause in causes)
     return tuple(remedy for remedy in remedies if remedy and _changes(remedy, scene))
 
@@ -88,8 +88,7 @@ def _halve_push(scene: Scene) -> Remedy | None:
 
 
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
-    """Return the remedy that shortens the object's prescribed motions which were active when the
-    run stopped at `time`.
+    """Return the remedy that shortens the prescribed motions that were active at `time`.
 
     In a test with a ball that was moved into the ground, half of the time until the stop was short
     enough.
@@ -105,9 +104,7 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
 
 
 def _damp(scene: Scene) -> Remedy | None:
-    """Return the remedy that increases the damping of a body on its lattice, so that the body
-    recovers from any compression.
-    """
+    """Return the remedy that damps a body on a lattice until it recovers from compression."""
     material = scene.material
     damping = getattr(material, "damping", None)
     if not scene.on_lattice or damping is None or scene.properties is not None:
@@ -119,9 +116,7 @@ def _damp(scene: Scene) -> Remedy | None:
 
 
 def _leave_lattice(scene: Scene) -> Remedy | None:
-    """Return the remedy that simulates elastic objects by particles, which stay stable if they are
-    squeezed flat.
-    """
+    """Return the remedy that simulates elastic objects with particles."""
     return change_accuracy(scene, solver="mpm") if scene.on_lattice else None
 
 
@@ -135,9 +130,7 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy:
-    """Return the remedy that divides the substep by four; the failed frame was already repeated
-    with half the substep.
-    """
+    """Return the remedy that divides the substep by four; half the substep has already failed."""
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 
@@ -161,8 +154,8 @@ def find_speedups(scene: Scene, limiter: str, done: float) -> tuple[Remedy, ...]
     """Return remedies for a run that has taken twice its time budget.
 
     The remedies lengthen the substep, coarsen the grid, or raise the budget. The proposed budget
-    assumes that the run's time grows with the square of the clip's duration, as it does if the
-    motion accelerates.
+    assumes that the run's time is proportional to the square of the clip's duration, as in an
+    accelerated motion.
 
     Args:
         scene: The scene.
@@ -182,8 +175,7 @@ SLOW = {
     "user": ("ceiling",),
     "wave": (),
 }
-"""Name of the limit that determines the substep -> keys of the `REMEDIES` that lengthen the
-substep."""
+"""Keys of the `REMEDIES` that lengthen the substep, by the limit that determines the substep."""
 
 
 def _reduce_viscosity(scene: Scene) -> Remedy | None:
@@ -212,8 +204,7 @@ REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _reduce_viscosity,
     "ceiling": _raise_ceiling,
 }
-"""Cause of a stop -> function that returns the remedy for a scene, or None if the remedy is not
-possible.
+"""Functions that return the remedy for a scene, or None if it is not possible, by cause of a stop.
 """
 
 

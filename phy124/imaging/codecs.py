@@ -1,4 +1,4 @@
-"""Opens PNG, TIFF and HEIC files; skips metadata, since Pillow fails if metadata is damaged.
+"""Opens PNG, TIFF and HEIC files without most metadata, since Pillow fails if metadata is damaged.
 
 HEIC, the format of many phones, is decoded by libheif (package pi-heif).
 """
@@ -36,7 +36,7 @@ def strip_png(data: bytes) -> bytes:
     while place < len(data):
         end = place + CHUNK_FRAME + int.from_bytes(data[place : place + 4], "big")
         kind, chunk = data[place + 4 : place + 8], data[place:end]
-        # the capital letter marks a mandatory chunk
+        # a capital letter marks a mandatory chunk
         if kind == TRANSPARENCY or not kind[:1].islower():
             kept.append(chunk)
         elif kind in USEFUL:

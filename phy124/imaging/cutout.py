@@ -36,22 +36,29 @@ Alpha = NDArray[np.uint8]
 MINIMUM, MAXIMUM = 0.003, 0.97
 """Smallest and largest fraction of the image that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""Fractions of the image. If the object covers less than the first or more than the second, the
-segmentation probably missed it."""
+"""If the object covers less or more than these fractions of the image, a warning is shown."""
 SIDES = 3
-"""A cut-out is suspicious if it touches at least this number of image edges; a table in the
-foreground touches three."""
+"""A cut-out is suspicious if it touches at least this number of image edges.
+
+For example, a table in the foreground touches three edges.
+"""
 PIECES = 4
 """A cut-out is suspicious if it consists of at least this number of separate pieces."""
 UNSEEN = 0.12
-"""A cut-out is suspicious if more than this fraction of its outline lies where the image has no
-edge; correct cut-outs have 0.05."""
+"""Largest fraction of a cut-out's outline that may lie where the image has no edge.
+
+In correct cut-outs, this fraction is 0.05.
+"""
 ALIKE = 0.1
-"""A cut-out is suspicious if more than this fraction of its surroundings has the object's colours;
-correct cut-outs have 0.09."""
+"""A cut-out is suspicious if more than this fraction of its surroundings has the object's colours.
+
+In correct cut-outs, this fraction is 0.09.
+"""
 UNDECIDED = 0.02
-"""A network's cut-out is suspicious if the ratio of the half-transparent area away from the outline
-to the object's area is more than this."""
+"""Largest half-transparent area, relative to the object's area, away from the outline.
+
+A network's cut-out with a larger area is suspicious.
+"""
 FAINT = "No part of the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
     "Use a picture that shows one whole object on a plain background, give a mask (white where "
@@ -64,17 +71,16 @@ class Method(NamedTuple):
     """A method that segments the object of an image."""
 
     applies: Callable[[Image.Image], bool]
-    """Function that says whether "auto" may choose this method for an image."""
+    """Function that returns whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Function that computes the alpha [H,W]; third-party native code runs in
-    `phy124.runtime.isolated`."""
+    """Function that computes the alpha [H,W]. It runs native code in `phy124.runtime.isolated`."""
     title: str = ""
     """Name of the method in messages."""
 
 
 @dataclass(frozen=True)
 class Cutout:
-    """An image whose alpha channel segments the object, with measures of plausibility."""
+    """An image whose alpha channel is the mask of the object, with measures of plausibility."""
 
     picture: Image.Image
     """The image in mode RGBA, with straight (not premultiplied) alpha."""
@@ -84,14 +90,14 @@ class Cutout:
     coverage: float
     """Fraction of the image that the object covers."""
     pieces: int
-    """Number of connected pieces of which the object consists."""
+    """Number of connected pieces of the object."""
     touches: tuple[str, ...]
     """Names of the image edges that the object reaches or nearly reaches: left, top, right,
     bottom."""
     unseen: float
     """Fraction of the outline along which the image has no edge."""
     alike: float
-    """Fraction of the surrounding pixels whose colour is more common in the object."""
+    """Fraction of the surrounding pixels whose colours are more common in the object."""
     undecided: float = 0.0
     """Ratio of the half-transparent area away from the outline to the object's area."""
     frames: int = 1
@@ -103,7 +109,7 @@ class Cutout:
     file: Path | None = None
     """File of the image, if there is one."""
     notes: tuple[str, ...] = ()
-    """Sentences that state what was ignored or assumed in the file."""
+    """Sentences about parts of the file that were ignored or had to be interpreted."""
 
     @property
     def title(self) -> str:
@@ -200,7 +206,7 @@ def cut_out(
         picture: Path of the image.
         method: Name of a method in `METHODS`, or "auto" for the first method that is applicable.
         mask: Path of a mask that is used instead of the method; see `foreground`.
-        pick: A point on the object that the user wants, if there are several; see `foreground`.
+        pick: A point on the object to segment, if there are several objects; see `foreground`.
         field: Name of the image in error messages.
         deadline: Time limit of the segmentation, and the means to cancel it.
 
@@ -226,10 +232,10 @@ def foreground(
     Args:
         image: An image in any mode.
         method: Name of a method in `METHODS`, or "auto" for the first method that is applicable.
-        mask: A mask of the same size that is used instead of the method. It is white on the object
-            or, if the mask has transparency, opaque on the object.
-        pick: A point on the object that the user wants: right and down, as fractions of the image's
-            width and height. If None, the largest object is segmented.
+        mask: A mask of the same size that replaces the method. The object is white or, if the mask
+            has transparency, opaque.
+        pick: A point on the object to segment: right and down, as fractions of the image's width
+            and height. If None, the largest object is segmented.
         deadline: Time limit of the segmentation, and the means to cancel it.
 
     Raises:
@@ -269,7 +275,7 @@ def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
 
 
 def title_of(method: str) -> str:
-    """Return the name of a method in messages; the inputs "mask" and "brush" also have names."""
+    """Return the name, for messages, of a method or of the inputs "mask" and "brush"."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
@@ -312,7 +318,7 @@ def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alp
 def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
-    """Select the object at a point; if there is none, segment a region around the point."""
+    """Select the object at a point; if there is no object, segment a region around the point."""
     picked = select_object(alpha, pick)
     if picked is None and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))
@@ -419,6 +425,6 @@ METHODS: dict[str, Method] = {
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
 """Methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""Methods whose result is used with all its pieces, because a person made it."""
+"""Methods whose results are made by people, so that all pieces are kept."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
 """Names of the inputs that a person paints, for use in messages."""

@@ -33,7 +33,7 @@ class Cutting(Section):
 
     @property
     def point(self) -> Point | None:
-        """The point that was picked, as fractions of width and height; None if no point was picked.
+        """The selected point, as fractions of width and height; None if no point was selected.
 
         Raises:
             InputError: If `pick` is not two numbers.

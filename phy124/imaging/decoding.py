@@ -1,9 +1,8 @@
 """Decodes images from bytes; `image.py` runs this module in a separate process.
 
-Pillow and libheif are native code, which here reads data that is not trusted. If decoding crashes,
-never ends or allocates much memory, only the image that is being decoded must be affected. The only
-metadata that is read are the orientation and the colour profile, so damage in other metadata has no
-effect.
+Pillow and libheif are native code that reads untrusted data. A separate process protects the
+program if decoding crashes, never ends or allocates too much memory. The orientation and the colour
+profile are the only metadata that are read, so damage in other metadata has no effect.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from phy124.imaging.header import KINDS, SEGMENT, Size, read_kind, read_size
 from phy124.imaging.profile import convert_to_srgb
 
 MAX_PIXELS = 50_000_000
-"""Largest allowed number of pixels, which is checked in the header before decoding."""
+"""Largest allowed number of pixels, which is read from the header before decoding."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats in which the images after the first are frames of an animation, not thumbnails or
 pages."""
@@ -57,14 +56,14 @@ class Unusable(Exception):
 
 
 class Purpose(NamedTuple):
-    """Requirements on an image, which depend on how it will be used."""
+    """Requirements on an image for a particular use."""
 
     formats: tuple[str, ...]
     """Accepted formats, by Pillow's names; HEIC is always accepted."""
     minimum: int
     """Smallest allowed width and height [pixels]."""
     colours: bool = True
-    """Whether the values are colours, to which the colour profile is applied."""
+    """Whether the values are colours, so that the colour profile is applied."""
     deep: bool = False
     """Whether all grey levels are kept; the result then has mode F or L instead of RGBA."""
 
@@ -78,7 +77,7 @@ class Decoded(NamedTuple):
     frames: int = 1
     """Number of frames if the file is an animation, of which only the first frame was decoded."""
     notes: tuple[str, ...] = ()
-    """Sentences that state what was ignored in the file."""
+    """Sentences about parts of the file that were ignored."""
 
 
 def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
@@ -87,7 +86,7 @@ def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
     Args:
         data: The bytes of the file.
         purpose: Requirements on the image.
-        longest: Longest side of the result [pixels]; larger images are reduced to it.
+        longest: Longest side of the result [pixels]; larger images are reduced to this size.
 
     Raises:
         Unusable: If the image cannot be decoded, or is too large or too small.
@@ -144,7 +143,7 @@ def turn_upright(opened: Image.Image) -> Image.Image:
 
 
 def _prepare_pillow() -> None:
-    """In this process, replace the limits of Pillow by the stricter limits of this module."""
+    """Replace the limits of Pillow in this process by the stricter limits of this module."""
     from PIL import PngImagePlugin
 
     Image.MAX_IMAGE_PIXELS = None
@@ -155,7 +154,7 @@ def _prepare_pillow() -> None:
 def _orientation_alone(self: Image.Exif, offset: int = 8) -> bytes:
     """Return EXIF data that contains only the orientation.
 
-    Pillow's AVIF reader serialises EXIF, and fails if a tag has an unusual type.
+    Pillow's AVIF reader serialises EXIF data, and fails if a tag has an unusual type.
     """
     entry = struct.pack("<HHHII", 1, ORIENTATION, 3, 1, _orientation_of(self))
     return b"Exif\0\0II*\0" + struct.pack("<I", offset) + entry + bytes(4)
@@ -210,7 +209,7 @@ def _finish(opened: Image.Image, purpose: Purpose, longest: int) -> Decoded:
 
 
 def _read_orientation(opened: Image.Image) -> int:
-    """Return the EXIF orientation, 1 to 8; if it is damaged or absent, 1 (as stored)."""
+    """Return the EXIF orientation, 1 to 8; 1 (unchanged) if it is damaged or absent."""
     try:
         return _orientation_of(opened.getexif())
     except Exception:  # damaged EXIF raises exceptions of many types although the pixels are intact
@@ -240,10 +239,7 @@ def _to_8_bits(picture: Image.Image) -> Image.Image:
 
 
 def _scale_16_bits(picture: Image.Image) -> Image.Image:
-    """Convert a 16-bit grey image to 8 bits.
-
-    A grey level that is marked as transparent remains so.
-    """
+    """Convert a 16-bit grey image to 8 bits; keep the grey level that is marked as transparent."""
     import numpy as np
 
     deep, clear = np.asarray(picture), picture.info.get("transparency")
@@ -274,7 +270,7 @@ def _grey_levels(picture: Image.Image) -> Image.Image:
 
 
 def _read_profile(opened: Image.Image) -> bytes | None:
-    """Return the colour profile; it is empty if it is cut short, and None if the file has none."""
+    """Return the colour profile: empty if it is cut short, None if the file has no profile."""
     return (opened.info["icc_profile"] or b"") if "icc_profile" in opened.info else None
 
 

@@ -38,9 +38,10 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 DETAIL = 256
 """Longest side of the grid on which depth and normals are combined [pixels]."""
 TRUST = 0.02
-"""Weight of the network's depth, relative to the weight of the slopes that follow from the
-network's normals. Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features
-follow the normals."""
+"""Weight of the network's depth, relative to that of slopes computed from the network's normals.
+
+Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features follow the normals.
+"""
 STEEPEST = 4.0
 """Largest slope that is derived from a normal."""
 
@@ -50,7 +51,7 @@ def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path)
 
     Args:
         rgb: The image [H,W,3].
-        solid: Mask of the object [H,W]; it is not used, because the network has only one output.
+        solid: Mask of the object [H,W]; not used.
         path: The ONNX file.
     """
     del solid
@@ -84,7 +85,7 @@ def whole_patches(length: float) -> int:
 
 
 def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
-    """Estimate the depth [H,W] with MoGe-2 and detail from its normals; larger values are nearer.
+    """Estimate the depth [H,W] with the points and normals of MoGe-2; larger values are nearer.
 
     The points of MoGe-2 have an unknown offset along the view direction, which has no effect here.
 
@@ -172,7 +173,7 @@ class DepthNetwork:
     name: str
     """Name of the network in `NETWORKS`, which is also the name of its weights."""
     optional: bool = False
-    """Whether the network was chosen by "auto"; if so, another input may replace it."""
+    """Whether the network was chosen by "auto"; if so, it may be replaced by another input."""
 
     def __call__(self, image_rgba: NDArray[np.uint8]) -> Map:
         """Return the depth [H,W] of an image [H,W,4] whose alpha is a mask.
@@ -217,7 +218,7 @@ preference."""
 
 
 def choose_network() -> DepthNetwork | None:
-    """Return the first network whose weights and onnxruntime are present; None if there is none."""
+    """Return the first network whose weights and onnxruntime are installed, or None."""
     if find_spec("onnxruntime") is None:
         return None
     return next((DepthNetwork(n, optional=True) for n in NETWORKS if is_complete(n)), None)

@@ -69,7 +69,7 @@ def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _initial_labels(rgb: NDArray) -> list[NDArray[np.uint8]]:
-    """Return three initial label maps [H,W], each of which is a guess where the object is."""
+    """Return three initial label maps [H,W], which are guesses of the object's position."""
     height, width = rgb.shape[:2]
     ring = max(1, round(RING * min(height, width)))
     border = np.ones((height, width), bool)
@@ -108,7 +108,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Return how far colours are from the border's colours in CIE Lab [H,W], scaled to 0..1."""
+    """Return the distances [H,W] in CIE Lab to the border's colours, scaled to 0..1."""
     lab = to_lab(rgb)
     # Lightness has less weight, because shadows change the lightness of the background.
     lab[..., 0] *= 0.6
@@ -154,8 +154,7 @@ def _soften_edge(mask: Field, rgb: NDArray) -> Field:
     m, g = mean(mask), mean(guide)
     slope = (mean(mask * guide) - m * g) / (mean(guide * guide) - g * g + 1e-3)
     soft = mean(slope) * guide + mean(m - slope * g)
-    # Away from the edge, the mask is not filtered, because the filter would leave faint traces
-    # there.
+    # The mask is filtered only near the edge, because the filter leaves faint traces elsewhere.
     core = cv2.erode(mask, np.ones((5, 5), np.uint8))
     near = cv2.dilate(mask, np.ones((5, 5), np.uint8))
     sharp = np.clip((soft - 0.5) * 2 + 0.5, 0, 1)

@@ -15,18 +15,19 @@ HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 AV1 = (b"avif", b"avis")
 """File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands that both HEIC and AVIF files may have; the compatible brands that follow in the file show
-which of the two it is."""
+"""Brands of both HEIC and AVIF files. The compatible brands in the file identify its format."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
-"""Number of bytes at the start of a file from which its format can be recognised."""
+"""Number of bytes at the start of a file that identify its format."""
 MOST_SEGMENTS = 100_000
 """Largest number of JPEG segments that are searched for the size; photographs have up to a few
 hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data. Further FF
-bytes may precede a segment. The pattern must not include them, because FF+ would be matched again
-from each FF."""
+"""Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data.
+
+Further FF bytes may precede a segment. The pattern does not include these bytes, because a search
+for FF+ could take quadratic time.
+"""
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """Markers of the JPEG segments that contain the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
@@ -36,7 +37,7 @@ Size = tuple[int, int]
 
 
 def read_kind(data: bytes) -> str | None:
-    """Return the format of an image, which is one of `KINDS`; None if it is not recognised."""
+    """Return the format of an image, which is one of `KINDS`, or None if it is unknown."""
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return "PNG"
     if data[:3] == b"\xff\xd8\xff":
@@ -56,7 +57,7 @@ def _read_brand(data: bytes) -> str | None:
 
 
 def read_size(data: bytes) -> Size:
-    """Return width and height from the header; if there are several images, the largest counts.
+    """Return the width and height stated in the header for the largest image of a file.
 
     Raises:
         ValueError: If the format is unknown, or the header contains no size.

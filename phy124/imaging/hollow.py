@@ -2,8 +2,8 @@
 
 If a cup, bowl or pot is seen slightly from above, its rim appears as an ellipse. The back half of
 the ellipse is the top of the outline, and the front half is an edge inside the outline. In a test
-with 8 images of solid objects, no image showed either sign. Of 150 renderings of 15 objects, 4
-showed a sign. The signs were 3 false detections on a hammer's head, and one on a teapot's handle.
+with 8 images of solid objects, there was no false detection. In 150 renderings of 15 objects, there
+were 3 false detections (on a hammer's head) and a detection of a teapot's handle.
 """
 
 from __future__ import annotations
@@ -19,17 +19,19 @@ from phy124.imaging.lab import to_lab
 
 Solid = NDArray[np.bool_]
 GAP = 0.03
-"""Smallest area of a gap in the outline that counts, as a fraction of the object's area."""
+"""Smallest area of a gap in the outline, as a fraction of the object's area."""
 SIDE, MARGIN = 200, 3
 """Longest side to which the object is reduced before a rim is searched, and width of the margin
 around it [pixels]."""
 UPPER = 0.5
-"""Upper fraction of the object's height in which the centre of the rim may lie."""
+"""Fraction of the object's height, from the top, in which the centre of the rim may lie."""
 WIDE = 0.2
 """Smallest width of a rim, relative to the object's longest side."""
 ASPECTS = (0.08, 0.6)
-"""Smallest and largest ratio of a rim's height to its width; the ratio is 0 seen from the side and
-1 seen from above."""
+"""Allowed range of the ratio of a rim's height to its width.
+
+The ratio is 0 if the rim is seen from the side, and 1 if it is seen from above.
+"""
 FIT = 0.025
 """Largest mean distance between the outline and the back half of the rim, relative to half the
 rim's width."""
@@ -41,8 +43,10 @@ ACROSS = np.linspace(-0.85, 0.85, 41)
 """Positions across a rim at which the rim is sampled, relative to half its width; its left and
 right ends are not sampled."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Ratios of the front half's height to the back half's height that are tried; perspective enlarges
-the front half."""
+"""Ratios of the heights of front half and back half that are tried.
+
+Perspective enlarges the front half.
+"""
 
 
 def find_hollow(rgb: NDArray[np.uint8], solid: Solid) -> Iterator[str]:

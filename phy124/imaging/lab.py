@@ -1,8 +1,7 @@
 """Converts colours to CIE Lab 1976, in which distances approximate perceived differences.
 
-OpenCV's own conversion would first spend 0.07 s on filling tables. This is longer than all other
-work on an image that is already segmented. OpenCV is therefore used only to compute the matrix
-product.
+OpenCV's conversion function would first need 0.07 s to fill tables, which is longer than all other
+work on an image that is already segmented. Only the matrix product is therefore computed by OpenCV.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _linear_light() -> NDArray[np.float32]:
-    """Return the linear light 0..1 that each byte value stands for [256]."""
+    """Return the linear light 0..1 of each byte value [256]."""
     value = np.arange(256) / 255
     curved = ((value + 0.055) / 1.055) ** 2.4
     return np.where(value <= 0.04045, value / 12.92, curved).astype(np.float32)
 
 
 LIGHT = _linear_light()
-"""Linear light 0..1 that each byte value stands for [256]."""
+"""Linear light 0..1 of each byte value [256]."""

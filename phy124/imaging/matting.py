@@ -12,15 +12,16 @@ SIDE = 640
 REACH = 5
 """Radius of the window in which alpha is fitted to the colours, in pixels at `SIDE`."""
 SMOOTH = 1e-4
-"""Regularisation: an edge is ignored if the variance of its colours (0..1) is below this."""
+"""Regularisation: edges are ignored if the variance of their colours (0..1) is below this value."""
 DECIDED, SHARP = 2.0, 1.5
-"""Factors by which the contrast around 1/2 is increased, first in the coarse mask and then in the
-fitted alpha."""
+"""Factors by which contrast around 1/2 is increased in the coarse mask and in the fitted alpha."""
 OPAQUE = 243
 """Smallest alpha, 0..255, of pixels that are assumed to contain no background colour."""
 INSET = 1.0
-"""An opaque pixel's colour is trusted if no pixel within this distance has an alpha below `OPAQUE`
-[pixels at `SIDE`]."""
+"""The colour of an opaque pixel is reliable if all pixels within this distance are opaque.
+
+The unit is pixels at `SIDE`.
+"""
 
 
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
@@ -77,8 +78,7 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
     """Remove the contribution of the background from the colours of a soft edge; return [H,W,3].
 
     Half-transparent pixels get the colour of the nearest opaque pixel that is slightly inside the
-    object. Where the object is too thin to have such pixels, the colours on its centre line are
-    used.
+    object. Where the object is too thin, the colours on its centre line are used.
 
     Args:
         rgb: The image [H,W,3].

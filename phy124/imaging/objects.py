@@ -14,21 +14,19 @@ from phy124.imaging.silhouette import find_touched_edges
 
 Alpha = NDArray[np.uint8]
 Point = tuple[float, float]
-"""A point in an image: coordinates to the right and down, as fractions of the image's width and
-height."""
+"""A point in an image: right and down, as fractions of the image's width and height."""
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom edge of a box [pixels]."""
 GAP = 0.01
 """Largest gap between pieces that belong to the same object, relative to the longest side of the
 image."""
 COUNTED = 0.05
-"""Smallest area of an object that counts, relative to the area of the largest object."""
+"""Smallest area of an object, relative to the area of the largest object; others are ignored."""
 NEAR = 0.02
 """Largest distance between a point and the object that it selects, relative to the object's longest
 side."""
 WINDOWS = (0.7, 0.45, 0.3)
-"""Sides of the windows around a point in which an object is searched, relative to the image's
-longest side."""
+"""Sides of the windows in which an object is searched, relative to the image's longest side."""
 MINIMUM = 0.02
 """Smallest fraction of a window that an object must cover."""
 
@@ -43,7 +41,7 @@ class Objects(NamedTuple):
 
     @classmethod
     def of(cls, alpha: Alpha) -> Objects:
-        """Separate the objects of an alpha [H,W], which must be opaque somewhere."""
+        """Separate the objects of an alpha [H,W] that is opaque somewhere."""
         solid = alpha > 127
         reach = 2 * max(1, round(GAP * max(alpha.shape) / 2)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
@@ -82,7 +80,7 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Search for an object that was missed in the whole image; return its alpha, or None.
+    """Search around a point for an object that was missed; return its alpha, or None.
 
     Windows of several sizes around the point are segmented. The result is the object that touches
     the fewest edges of its window; its alpha [H,W] covers the whole image.

@@ -1,4 +1,4 @@
-"""Samples a grey image, which was painted over the object's image, at points of the object."""
+"""Samples a grey image, painted over the image of an object, at points of the object."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Colour space of a profile -> modes of the images to which the profile applies."""
+"""Modes of the images to which a profile applies, by the profile's colour space."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Colour space of a profile -> mode in which an image is converted, without its alpha."""
+"""Mode in which an image is converted, without its alpha, by the profile's colour space."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

@@ -2,7 +2,7 @@
 
 Zheng et al. 2024, "Bilateral Reference for High-Resolution Dichotomous Image Segmentation"; Qin et
 al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks of these networks already have
-the network's full resolution and soft edges, so they are not fitted to the image again.
+soft edges, so they are not refined.
 """
 
 from __future__ import annotations
@@ -44,8 +44,7 @@ class Salient:
     std: tuple[float, float, float]
     """Mean and standard deviation with which colours in 0..1 are normalised."""
     finish: Callable[[Mask, tuple[int, int]], Mask]
-    """Function that maps the network's output [size,size], and (W, H), to the probability of the
-    object [H,W], 0..1."""
+    """Function that maps the network's output and (W, H) to the object's mask [H,W], 0..1."""
     title: str
     """Name of the network in messages."""
 
@@ -124,7 +123,7 @@ def find_alpha(
 
 def _find_alpha(name: str, rgb: Pixels, path: Path) -> Pixels:
     if is_blank(rgb):
-        # a network reports an object in every image, even in a blank one
+        # networks report an object even in a blank image
         return np.zeros(rgb.shape[:2], np.uint8)
     return find_mask(rgb, NETWORKS[name], OnnxNetwork(path))
 

@@ -1,4 +1,4 @@
-"""Measures how plausible a mask is, by its pieces, touched image edges, outline and colours."""
+"""Measures the plausibility of a mask by its pieces, position, outline and colours."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
 """Smallest area of a piece that is counted, as a fraction of the object's area."""
 NEAR = 0.035
-"""Largest distance at which an image edge counts as touched, relative to the image's shorter side;
-GrabCut leaves 0.03 free."""
+"""Largest distance of an object that touches an image edge, relative to the image's shorter side.
+
+The masks of GrabCut are at least 0.03 away from the edges.
+"""
 REACH = 0.02
 """An image edge counts as touched if at least this fraction of the edge is near the object."""
 SIDE = 320
@@ -26,7 +28,7 @@ WIDE, FITTED = 2.0, 640
 """Half the width of a soft edge [pixels] in an image whose longest side is `FITTED`. In larger
 images, the width increases in proportion."""
 HALF = 25
-"""A pixel counts as half transparent if its alpha differs from both 0 and 255 by at least this."""
+"""The alpha of a half-transparent pixel differs from 0 and from 255 by at least this value."""
 AROUND = 0.125
 """Width of the surroundings of an object, relative to the object's longest side."""
 BINS = (12, 24, 24)
@@ -82,8 +84,8 @@ def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
 def measure_undecided(alpha: NDArray[np.uint8]) -> float:
     """Return the ratio of the half-transparent area away from the outline to the object's area.
 
-    Within a few pixels of the outline of an alpha [H,W], half transparency is usual. Half
-    transparency farther away from the outline shows that the network was undecided.
+    Within a few pixels of the outline, half transparency is usual. Farther away from the outline,
+    half transparency shows that the network was uncertain.
     """
     inside = (alpha > 127).astype(np.uint8)
     reach = WIDE * max(1.0, max(alpha.shape) / FITTED)
@@ -96,7 +98,7 @@ def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
     """Return the smoothed histogram of the pixels' colour bins, normalised to a sum of 1."""
     common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
     for bins in BINS:
-        # Smooth along the first axis, and make it the last axis.
+        # Smooth along the first axis, then make it the last axis.
         rows = np.ascontiguousarray(common.reshape(bins, -1).T)
         smooth = cv2.sepFilter2D(rows, -1, SIMILAR, ONE, borderType=cv2.BORDER_CONSTANT)
         common = np.asarray(smooth, np.float64).ravel()

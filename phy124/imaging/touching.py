@@ -1,9 +1,10 @@
 """Splits two objects that touch, where the silhouette has a neck and the colours change.
 
-A narrow neck alone does not show that there are two objects, since a head also sits on a neck. A
-change of colour alone does not show it either, since trousers and a shirt also differ. A split
-therefore requires both a neck and a change of colour, and each part must be large. For example, the
-sail of a boat is wrongly split off; docs/lab/cutouts.md lists how often splits are wrong.
+A narrow neck alone is not sufficient, because a person's head also sits on a neck. A change of
+colour alone is not sufficient either, because trousers and a shirt also have different colours. A
+split therefore requires both a neck and a change of colour, and each part must be large. Some
+splits are wrong: for example, a boat and its sail are separated. docs/lab/cutouts.md lists how
+often this happens.
 """
 
 from __future__ import annotations
@@ -23,8 +24,7 @@ SIDE = 200
 NECK = 0.4
 """Largest width of a neck, relative to the width of the thinner part."""
 UNLIKE = 0.8
-"""Two parts count as separate objects if at least this fraction of their colour histograms
-differs."""
+"""Two parts are separate objects if at least this fraction of their colour histograms differs."""
 MOST = 4
 """Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25

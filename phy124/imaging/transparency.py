@@ -1,4 +1,4 @@
-"""Examines whether an image's alpha separates an object, and whether it is faint everywhere."""
+"""Examines whether an image's alpha separates an object, and whether alpha is low everywhere."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ REAL = 0.005
 """Smallest fraction of opaque pixels, and of transparent pixels, in an alpha that separates an
 object."""
 FAINTEST = 8
-"""An image can count as half transparent everywhere only if its largest alpha (0 to 255) is at
-least this."""
+"""Smallest maximum of alpha (0 to 255) in an image that is half transparent everywhere."""
 
 
 def has_alpha(image: Image.Image) -> bool:
@@ -20,7 +19,7 @@ def has_alpha(image: Image.Image) -> bool:
 
 
 def is_faint(image: Image.Image) -> bool:
-    """Whether the image shows something although no pixel is opaque."""
+    """Return whether the image shows something although no pixel is opaque."""
     return FAINTEST <= _most_opaque(image) < 128
 
 

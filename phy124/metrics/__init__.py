@@ -35,10 +35,9 @@ class ViewFigures:
 
     view: str
     cosine: float | None
-    """CLIP-T, computed as the mean cosine of consecutive frames; None if there is no CLIP model."""
+    """CLIP-T as the mean cosine of consecutive frames; None if there is no CLIP model."""
     distance: float | None
-    """CLIP-T, computed as the mean distance of consecutive frames (4DGen); None if there is no CLIP
-    model."""
+    """CLIP-T as the mean distance of consecutive frames (4DGen); None if there is no CLIP model."""
     motion: float
     """Mean change of a colour value between consecutive frames [%]; see `pictures.motion`."""
     flicker: float
@@ -53,7 +52,7 @@ class Evaluation:
     physics: Physics
     frames: int
     clip_model: str | None
-    """Name of the CLIP model with which CLIP-T was computed; None if there is no model."""
+    """Name of the CLIP model that computed CLIP-T; None if there is no model."""
     order: str | None
     """Order of the colour channels in the CLIP model's input; None if there is no model."""
     missing: str | None = None
@@ -99,9 +98,9 @@ def evaluate(
 
     Args:
         clip: The clip.
-        videos: Name of a view -> its frames [T,H,W,3].
+        videos: Frames of each view [T,H,W,3], by the name of the view.
         model: CLIP model for CLIP-T; if None, CLIP-T is not computed.
-        missing: Reason why there is no model, which the table shows.
+        missing: Reason why there is no model; it is shown in the table.
     """
     views = []
     for name, video in videos.items():

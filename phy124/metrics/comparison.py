@@ -14,10 +14,9 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""Two objects count as different if their RMS distance at rest, relative to the object's size, is
-above this."""
+"""Largest RMS distance between equal objects at rest, relative to the object's size."""
 SAME_TIME = 1e-6
-"""Two frames count as simultaneous if their times differ by at most this [s]."""
+"""Largest difference between the times of simultaneous frames [s]."""
 
 
 @dataclass(frozen=True)

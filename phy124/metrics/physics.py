@@ -12,10 +12,7 @@ from phy124.io.clip import Clip
 
 @dataclass(frozen=True)
 class Physics:
-    """Physical measures of a clip.
-
-    A measure is None if the clip does not contain the data that it needs.
-    """
+    """Physical measures of a clip; None if the clip does not contain the necessary data."""
 
     mass: float | None
     """Mass of the particles [kg]. The mass is constant, because MPM conserves mass by
@@ -27,8 +24,7 @@ class Physics:
     """Largest total volume of the Gaussians over time, relative to their volume in the first
     frame."""
     momentum_residual: float | None
-    """Mean difference between the velocity of the object's centre and the rate at which the
-    centre's position changes.
+    """Mean difference between the velocity and the rate of change of the position of the centre.
 
     The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
     speed. x and v are means over all Gaussians. If all velocities are zero, the mean is not divided
@@ -45,7 +41,7 @@ class Physics:
 
 def measure_physics(clip: Clip) -> Physics:
     """Measure the physics of a clip; all Gaussians have equal weights."""
-    # Read frame by frame, because a clip may be larger than the memory.
+    # Frames are read one by one, because a clip may be larger than the memory.
     volumes, centres, finite = [], [], True
     for index in range(len(clip)):
         arrays = clip.means[index], clip.quats[index], clip.scales[index]
@@ -79,9 +75,9 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 def centre_paths_differ(a: Clip, b: Clip) -> float:
     """Return the relative difference between the paths of the centres of two clips.
 
-    This is the largest distance between the displacements of the two centres at equal times,
-    divided by the largest displacement of either centre. If the difference is small, the objects
-    from two generators move in the same way.
+    The difference is the largest distance between the displacements of the two centres at the same
+    time, divided by the largest displacement of either centre. If the difference is small, the
+    objects from two generators move in the same way.
 
     Raises:
         ValueError: The clips have different numbers of frames.

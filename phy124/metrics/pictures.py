@@ -56,8 +56,8 @@ def ssim(a: NDArray, b: NDArray) -> float:
 def motion(video: Video) -> float:
     """Return the mean change of a colour value between consecutive frames, in % of its range.
 
-    A frozen video has a perfect CLIP-T, so CLIP-T is meaningless without this value, which is then
-    zero.
+    A frozen video has a perfect CLIP-T and a motion of zero, so CLIP-T is meaningless without this
+    value.
     """
     video = to_unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0
@@ -66,10 +66,10 @@ def motion(video: Video) -> float:
 def flicker(video: Video) -> float:
     """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
-    Flicker is half the mean absolute second difference in time of each channel's mean over the
-    frame. Flicker is 0 if the mean changes at a constant rate, and 100 if the frames alternate
-    between black and white. If an object only moves, the mean hardly changes, so flicker does not
-    measure motion.
+    Flicker is half the mean absolute second difference, in time, of the mean of each channel.
+    Flicker is 0 if the mean changes at a constant rate, and 100 if the frames alternate between
+    black and white. If an object only moves, the mean hardly changes, so flicker does not measure
+    motion.
     """
     colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

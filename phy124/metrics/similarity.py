@@ -24,8 +24,7 @@ from phy124.runtime.installation import install_command
 from phy124.weights.store import require
 
 MODEL = "laion/CLIP-ViT-B-32-laion2B-s34B-b79K"
-"""Name of the CLIP model that 4DGen uses; the paper that phy124 follows does not state its
-model."""
+"""Name of the CLIP model that 4DGen uses; PhysGaussian's paper does not state the model."""
 FORMULAS = {
     "cosine": "mean cosine of consecutive frames, higher is better",
     "distance": "4DGen: mean of 2 arcsin(|a - b| / 2)^2 of consecutive frames, lower is better",

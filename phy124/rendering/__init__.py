@@ -1,1 +1,1 @@
-"""The cameras, the renderer, and the functions that frame and film clips."""
+"""Cameras, the renderer, and the functions that make videos of clips."""

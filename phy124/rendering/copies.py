@@ -1,4 +1,4 @@
-"""Copies a device's arrays to the host's memory while the device continues to work."""
+"""Copies a device's arrays to the host while the device continues to work."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 class HostCopies:
     """Copies the results of one picture to the host; `wait` returns the copies.
 
-    On a GPU the host's memory is page-locked, so that `start` returns without waiting until the
-    device has computed the arrays. The memory is reused for the next picture.
+    On a GPU, the host's memory is page-locked, so `start` does not wait for the device. The memory
+    is reused for the next picture.
     """
 
     def __init__(self, device: Any) -> None:
-        """Start without memory; the first arrays determine its size and device."""
+        """Start without memory; it is allocated for the first arrays."""
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}

@@ -1,4 +1,4 @@
-"""Films a clip from a view: writes videos, pictures, and files for other programs."""
+"""Renders the videos and pictures of a clip, and writes files for other programs."""
 
 from __future__ import annotations
 
@@ -53,8 +53,10 @@ pixels of four full HD pictures."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
 NEAR = 0.05
-"""Limit on the RMS distance between the last and the first pose, in units of the object's size. Up
-to this limit, the end of a film fades into its start."""
+"""Largest RMS distance between the first and the last pose of a video that fades into its start.
+
+The unit is the object's size.
+"""
 
 
 def film(
@@ -66,8 +68,8 @@ def film(
 ) -> list[Path]:
     """Write the files of a view in every format, with every output, from each side.
 
-    Each frame is drawn from all sides before the next frame. Each film has an encoder that receives
-    the film's pictures as they are drawn. Large pictures are drawn from fewer sides at a time
+    Each frame is drawn from all sides before the next frame. Every video has an encoder, which
+    receives each picture when it is drawn. Large pictures are drawn from fewer sides at a time
     (`MOST_PIXELS`), because every encoder stores several pictures.
 
     Args:
@@ -129,14 +131,13 @@ def _encode_sides(
 
     The pictures are ordered by frame and then by side.
 
-    If an encoder fails, the other films are completed first. Then the encoder's exception is
-    raised.
+    If an encoder fails, its exception is raised after the other videos are complete.
 
     Args:
         clip: The clip.
         view: The view.
-        loop: Order of the pictures, and fading between them.
-        first: Index of the first of these sides among all sides of the view.
+        loop: Order of the pictures, and fading at the end.
+        first: Index of `sides[0]` among all sides of the view.
         sides: Sides that are drawn together.
         formats: Formats that are made from pictures.
         folder: The folder to write.
@@ -171,17 +172,17 @@ def _encode_sides(
 
 @dataclass(frozen=True)
 class Loop:
-    """The order of a film's frames, and the number of last pictures that fade into the first."""
+    """The order of a video's frames, and the number of last pictures that fade into the start."""
 
     order: Sequence[int]
     fading: int = 0
 
     @classmethod
     def of(cls, clip: Clip, view: View) -> Loop:
-        """Choose how the film of a view repeats.
+        """Choose how the video of a view repeats.
 
         If the cameras stand still and the object nearly returns to its first pose, the end of the
-        film fades into its start. Otherwise the film also runs backwards.
+        video fades into its start. If not, the video also runs backwards.
         """
         count = len(clip)
         if not view.seamless or count < 3:
@@ -195,11 +196,11 @@ class Loop:
 
     @property
     def pictures(self) -> int:
-        """Number of pictures of a film."""
+        """Number of pictures of a video."""
         return len(self.order) - self.fading
 
     def note(self, view: View) -> list[str]:
-        """Return a note that states how a seamless film repeats."""
+        """Return a note that states how a seamless video repeats."""
         if not view.seamless:
             return []
         if self.fading:
@@ -209,7 +210,7 @@ class Loop:
         return [f"Seamless videos of {self.pictures} pictures: {how}."]
 
     def fade_ends(self, images: Iterator[Picture]) -> Iterator[Picture]:
-        """Yield pictures; the last ones fade into the first ones, which are yielded only once."""
+        """Yield the pictures; the last pictures are blended with the first pictures."""
         first = list(islice(images, self.fading))
         for index, image in enumerate(islice(images, len(self.order) - self.fading)):
             done = index - (len(self.order) - 2 * self.fading)
@@ -221,7 +222,7 @@ class Loop:
 
 
 class Feed(Iterator[Picture]):
-    """The pictures of one film, which are passed to the thread that encodes them."""
+    """A queue of the pictures of one video, which a thread encodes."""
 
     task: Future[Path]
     """The thread of the encoder."""
@@ -231,16 +232,14 @@ class Feed(Iterator[Picture]):
         self._room = Semaphore(WAITING)
 
     def put(self, picture: Picture) -> None:
-        """Pass on a picture as soon as fewer than `WAITING` pictures wait, unless the encoder has
-        ended.
-        """
+        """Pass a picture to the encoder; wait while `WAITING` pictures are queued."""
         while not self._room.acquire(timeout=0.2):
             if self.task.done():
                 return
         self._queue.put(picture)
 
     def close(self, error: BaseException | None = None) -> None:
-        """End the film; if `error` is set, the encoder removes the unfinished film."""
+        """End the video; if `error` is set, the encoder removes the unfinished video."""
         self._queue.put(error or StopIteration())
 
     def __next__(self) -> Picture:
@@ -339,8 +338,7 @@ ENCODERS: dict[str, Encoder] = {
     "gif": _encode("gif", write_animation),
     "png": _png,
 }
-"""Formats that are made from the pictures of a side, each with a function that returns the file or
-folder."""
+"""Functions that write the pictures of a side in a format, and return the file or folder."""
 PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
 """Formats that have a playback rate."""
 SMOOTH = 12.0
@@ -350,9 +348,7 @@ EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
     "ply": _ply,
     "html": _html,
 }
-"""Formats that are made from the whole clip, each with a function that returns the file or
-folder.
-"""
+"""Functions that write the whole clip in a format, and return the file or folder."""
 
 
 def playback(fps: float, view: View) -> float:
@@ -379,7 +375,7 @@ def film_notes(clip: Clip, view: View) -> list[str]:
 
 
 def refuse_unfilmable(scene: Scene) -> None:
-    """Refuse a scene whose films or outputs cannot be made on this machine.
+    """Refuse a scene whose videos or outputs cannot be made on this machine.
 
     Raises:
         InputError: No video format has this playback rate, an output is impossible, or a program is

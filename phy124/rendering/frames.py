@@ -22,13 +22,14 @@ from phy124.rendering.stage.frame import StageFrame
 from phy124.runtime.cores import cores
 
 SHADOWS = 4
-"""Number of threads that compute shadows for a GPU, which draws the frames one after the other."""
+"""Number of threads that compute shadows if a GPU draws the frames."""
 MOST_SPLATS = 1 << 24
-"""Largest number of splats that all threads together store. A splat takes about a hundred bytes.
-Two threads may store more."""
+"""Largest number of splats that all threads together store, unless there are only two threads.
+
+A splat takes about a hundred bytes.
+"""
 LOOK_AHEAD = 4
-"""Largest number of frames that each thread of `render_frames` renders before the reader needs
-them."""
+"""Largest number of frames that each thread of `render_frames` renders in advance."""
 
 
 def render_frames(
@@ -43,15 +44,15 @@ def render_frames(
     threads: int | None = None,
     progress: Progress = silent,
 ) -> Generator[NDArray[np.uint8], None, None]:
-    """Yield images [H,W,3] uint8 of the frames, in order, until frames or cameras run out.
+    """Yield images [H,W,3] uint8 of the frames, in order, until there is no frame or camera left.
 
     Without a background, the images are [H,W,4]: colours before blending, with the coverage as the
-    last channel. Closing the iterator stops the threads, which render only a few frames ahead of
-    the reader.
+    last channel. The threads render a few frames in advance. Closing the iterator stops the
+    threads.
 
     Args:
         frames: The frames to draw: a clip's `frames()`, or `itertools.repeat` of a still frame.
-        cameras: One camera for all frames, or an iterable with a camera per frame.
+        cameras: One camera for all frames, or an iterable with one camera for each frame.
         size: Width and height in pixels, or one number for both. By default, each camera's size is
             used.
         background: Colour behind the Gaussians, 0..1. None means no background.
@@ -103,8 +104,8 @@ def render_frames(
     pool = ThreadPoolExecutor(threads, thread_name_prefix="render")
     try:
         tasks = (pool.submit(draw, *task) for task in zip(frames, every, strict=False))
-        # On a GPU a task only starts the drawing of its picture. Several pictures are therefore
-        # drawn without a wait.
+        # On a GPU, a task only starts to draw its picture, so several pictures are drawn without
+        # waiting.
         for done, finish in enumerate(_in_order(tasks, LOOK_AHEAD * threads), 1):
             image = finish()
             progress("render", done, total)

@@ -22,20 +22,19 @@ from phy124.scene import View
 from phy124.scene.cameras import Poses
 
 STEP = 0.1
-"""Step to which recommended camera distances are rounded, in units of the object's size."""
+"""Recommended camera distances are multiples of this value, in units of the object's size."""
 LARGEST = 5.0
 """Largest extent of a motion that a fixed camera shows, in units of the object's size. If the
 motion is larger, the camera follows the object."""
 WINDOW = 0.3
-"""Time interval that a moving camera shows around each frame: from this time before the frame to
-this time after it [s]."""
+"""A moving camera shows the object's positions up to this time before and after each frame [s]."""
 NEARER = 1.1
-"""If there are several objects, the camera moves in and out if this enlarges the objects in most
-frames by at least this factor."""
-MORE = 1.5
-"""A container is shown as a whole if this increases the camera's distance by at most this
-factor.
+"""With several objects, the camera moves in and out if this enlarges the objects by this factor.
+
+The enlargement must be reached in most frames.
 """
+MORE = 1.5
+"""Largest factor by which the camera's distance may grow in order to show a whole container."""
 FARTHEST = 100.0
 """Largest allowed camera distance of a view, in units of the object's size."""
 
@@ -55,8 +54,7 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""Cameras of each clip in use. The cameras are stored because a clip's films and its run's report
-need the same cameras."""
+"""Cameras of each clip in use. The videos and the report of a run need the same cameras."""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:
@@ -69,7 +67,8 @@ def _place(clip: Clip, view: View, side: str) -> list[Camera]:
     path = Sample.of(clip).path if view.follow else 0.0
     targets = (low + high) / 2 + size * poses.target + path
     width, height = view.size
-    # A portrait camera stands farther away, so that it shows the same width as a square picture.
+    # For a portrait picture, the camera is farther away, so that it shows as much width as a
+    # square.
     portrait = max(1.0, height / width)
     return _make_cameras(view, poses, poses.distance * size * portrait, targets)
 
@@ -135,7 +134,7 @@ def _make_cameras(view: View, poses: Poses, radii: Values, targets: Values) -> l
 
 
 def _poses(clip: Clip, view: View, side: str) -> Poses:
-    """Return the camera's pose around the object in each frame."""
+    """Return the pose of the camera around the object in each frame."""
     count, camera, azimuth = len(clip), view.camera(side), 0.0
     if not camera and side != "orbit":
         azimuth = VIEWS[side] if side in VIEWS else float(side.removeprefix("azimuth-"))
@@ -235,7 +234,7 @@ def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
 
 
 def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
-    """Return the smallest distances from the target at which each point is visible [T,S], m."""
+    """Return the smallest camera distances [T,S], m, at which each point is visible."""
 
     def radius(points: NDArray[np.floating], camera: Camera) -> Values:
         across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T

@@ -1,4 +1,4 @@
-"""Shapes the Gaussians of a liquid: discs on its surface, drops where it tears, nothing inside.
+"""Shapes the Gaussians of a liquid into discs on the surface, and drops where the liquid tears.
 
 Each Gaussian represents a volume of liquid. These volumes, smoothed over `BLUR` cells, give the
 fraction of space phi that the liquid fills. The liquid's surface is where phi = `LEVEL`. Gaussians
@@ -6,8 +6,8 @@ near the surface move onto it and become discs. Gaussians deeper inside are not 
 in thin spray become balls. Near flat walls, phi is the filled fraction of the space in front of the
 walls. Gaussians that are closer to a wall than to the free surface move onto the wall. The opacity
 of a disc follows from the thickness of the liquid behind the disc (Beer-Lambert). Each of the two
-faces of a layer takes half of the layer's optical depth, divided by the number of discs that
-overlap. A thin film on a wall has only one face.
+faces of a layer has half of the layer's optical depth, which is divided by the number of
+overlapping discs. A thin film on a wall has only one face.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0, Gaussians
 
 BLUR, WHOLE = 0.85, 0.945
-"""Two standard deviations, in cells of the simulation's grid: that of the smoothing filter alone,
-and that of the filter together with the spread of each point to the eight cells around it."""
+"""Two standard deviations, in cells of the simulation's grid.
+
+The first belongs to the smoothing filter. The second also includes the distribution of each point
+to the eight cells around it.
+"""
 LEVEL = 0.45
 """Fraction of space that is filled with liquid at the liquid's surface."""
 MOST = 4_000_000
@@ -30,11 +33,15 @@ MOST = 4_000_000
 SAMPLE = 8192
 """Number of points that determine the extent of the grid."""
 AHEAD, FILLED = 1.2, (0.22, 0.42)
-"""Distance outwards from a disc, in cells, and two values of phi at this distance. At the first
-value the disc begins to fade. At the second value the disc has vanished."""
+"""Distance outwards from a disc, in cells, and two values of phi at this distance.
+
+The disc begins to fade at the first value, and has vanished at the second value.
+"""
 STEEP = (0.2, 0.35)
-"""Two values of the gradient of phi relative to phi, per cell. Below the first value discs are
-invisible. Above the second value they do not fade."""
+"""Two values of the gradient of phi relative to phi, per cell.
+
+Discs are invisible below the first value, and do not fade above the second value.
+"""
 MOVES = (-0.35, 0.9)
 """Largest displacements of a Gaussian onto the surface: inwards and outwards, in cells."""
 OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
@@ -51,10 +58,12 @@ LONG = 3.0
 """Largest length of liquid along a line of sight, relative to the liquid's smallest thickness at
 that point."""
 RIM = 0.3
-"""Length of the normals of discs at the rim of a liquid on a wall. Short normals give a weak gloss,
-which is needed because these normals differ from disc to disc."""
+"""Length of the normals of discs at the rim of a liquid on a wall.
+
+Short normals reduce the gloss, because these normals differ from disc to disc.
+"""
 LITTLE = 0.02
-"""Lower bound of the fraction of space in front of walls. Averages are divided by this fraction."""
+"""Lower bound of the fraction of space in front of walls, by which averages are divided."""
 THICKER = 4.0
 """Largest factor by which the volumes of Gaussians are enlarged if they are in thin parts of the
 liquid at rest."""
@@ -86,7 +95,7 @@ NOWHERE = Planes(np.zeros((0, 3)), np.zeros(0))
 
 
 class Surface(NamedTuple):
-    """The Gaussians of a liquid in the form in which they are drawn."""
+    """The Gaussians of a liquid, shaped for rendering."""
 
     means: NDArray
     """Centres [N,3], m."""
@@ -106,9 +115,8 @@ class Field:
     """A grid on which values of points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with spacing `cell` m.
-
-        If this grid would have too many cells, the spacing is larger.
+        """Place points [N,3] m on a grid with spacing `cell` m, or more if there are too many
+        cells.
         """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
@@ -123,9 +131,7 @@ class Field:
         self.open, self._room = self._before(planes, low - spare)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell that lies in front of all walls.
-
-        Return the same fraction after smoothing, too.
+        """Return the fraction of each cell in front of all walls, before and after smoothing.
 
         Args:
             planes: The walls.
@@ -229,13 +235,13 @@ class Liquid:
         if volumes is None:
             density = np.median(field.sample(field.smooth(field.sum(None))))
             volumes = np.full(len(x), field.cell**3 / max(float(density), 2.0))
-        # Thin parts have few particles. Without additional volume, these parts would not be drawn.
+        # Thin parts have few particles and would not be drawn without additional volume.
         here = np.maximum(field.sample(field.fill(volumes)), 1e-6)
         self._volumes = volumes = volumes * np.clip(LEVEL / here, 1, THICKER)
         self._spread = _measure_spread(field, field.fill(volumes))
 
     def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
-        """Return the liquid's Gaussians in the form in which they are drawn next to flat walls."""
+        """Return the liquid's Gaussians, shaped for rendering next to flat walls."""
         field = Field(part.means.astype(np.float64), self._cell, planes)
         phi = field.fill(self._volumes)
         spread = _measure_spread(field, phi)
@@ -259,7 +265,7 @@ def _shape(
     torn: NDArray,
     visibility: float | None,
 ) -> Surface:
-    """Return a liquid's Gaussians in the form in which they are drawn.
+    """Return a liquid's Gaussians, shaped for rendering.
 
     Args:
         part: The liquid's Gaussians.
@@ -285,7 +291,7 @@ def _shape(
     ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
     depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
     upright = np.sum(normals * field.facing, axis=1)
-    # This is the drawn fraction of the face on the wall. Sheets in the air have two faces.
+    # The fraction of the face on the wall that is drawn. Sheets in the air have two faces.
     lower = np.where(upright > 0.5, smoothstep(field.gap + depth, *FILM), 1)
     thin = close & (lower == 0)
     rim = (field.gap + depth < FILM[0]) & (upright < 0.9)
@@ -301,8 +307,8 @@ def _shape(
     means, scales, opacities = x.copy(), np.full((n, 3), 0.1 * cell), np.zeros(n)
     depth = np.where(wet, field.gap, np.maximum(depth.clip(*MOVES), -field.gap))[on]
     means[on] += normals[on] * (depth * cell)[:, None]
-    # This is the number of discs per cell of the surface. Smoothing lowers the value of a layer to
-    # the peak of the filter's Gaussian.
+    # The number of discs per cell of the surface. Smoothing lowers the value of a layer to the peak
+    # of the filter's Gaussian.
     around = field.sample(field.blur(field.sum(fade[on], on)), on)
     layer = around * np.sqrt(2 * np.pi) * BLUR
     narrow = BROAD + lower[on] * (NARROW - BROAD)
@@ -311,8 +317,8 @@ def _shape(
     per_cell = cell / visibility if visibility else np.inf
     faces = 1 + lower[on]
     tau = np.minimum(_thickness(inside, field, on, normals[on]) * per_cell / faces, OPAQUE)
-    # The mean over neighbouring discs is used. Otherwise particles in stretched rows would appear
-    # as stripes.
+    # Without averaging over neighbouring discs, stretched rows of particles would appear as
+    # stripes.
     tau = field.sample(field.blur(field.sum(fade[on] * tau, on)), on) / np.maximum(around, 1e-6)
     overlapping = np.maximum(2 * np.pi * radius**2 * layer, 0.5)
     opacities[on] = fade[on] * -np.expm1(-np.maximum(tau, -np.log1p(-LEAST)) / overlapping)
@@ -336,8 +342,8 @@ def _balls(
 ) -> tuple[NDArray, NDArray]:
     """Return standard deviations [n], in cells, and opacities [n] of drops and of balls in spray.
 
-    In spray that is too dense for separate drops, balls overlap. Together they absorb as much light
-    as their volume would.
+    In dense spray, balls overlap. The overlapping balls absorb as much light as their volume of
+    liquid.
     """
     apart = np.cbrt(volumes / np.maximum(phi, 1e-3))
     uneven = 0.6 + 0.8 * chance**3
@@ -347,7 +353,7 @@ def _balls(
 
 
 def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
-    """Return the mask of the points `close` to a wall at which the liquid touches this wall."""
+    """Return a mask over `close` (points near a wall): where the liquid touches the wall."""
     mask, which = close.copy(), np.flatnonzero(close)
     onto = -field.gap[which] * field.facing[which].T
     mask[which] = field.sample(phi, which, onto) > WETTED
@@ -357,8 +363,8 @@ def _touches(field: Field, phi: NDArray, close: NDArray) -> NDArray[np.bool_]:
 def _thickness(phi: NDArray, field: Field, on: NDArray, normals: NDArray) -> NDArray:
     """Return the thickness of the liquid along the normals [n,3] of points `on`, in cells.
 
-    The thickness is interpolated between the lengths of the liquid along the three axes. The
-    thickness is limited so that the edge of a film is as pale as the rest of the film.
+    The thickness is interpolated between the lengths of the liquid along the three axes. It is
+    limited, so that the edge of a film is as pale as the rest of the film.
     """
     sums, least = np.zeros(len(on)), np.full(len(on), np.inf)
     for axis in range(3):

@@ -1,11 +1,12 @@
-"""Finds the nearest camera position that shows the whole motion, and the camera's target.
+"""Finds the nearest camera position that shows the whole motion, and the target of this camera.
 
-A point is in the picture if it lies between four planes through the camera. Consider the planes
-that touch the outermost Gaussians. The two vertical planes intersect in one line, and the two
-horizontal planes in another line. The more distant line gives the camera's distance. Both lines
-together give the target. An object that is much longer along the view than across, such as a sword
-viewed end-on, would look distorted and blurred from this distance. The camera then stands farther
-away with a narrower field of view, so that the object has the same size in the picture.
+A point is in the picture if it lies between four planes through the camera. The planes are moved
+until they touch the outermost Gaussians. The two vertical planes then intersect in one line, and
+the two horizontal planes in another line. The more distant line determines the distance of the
+camera, and both lines determine the target. An object that is much longer along the view than
+across, such as a sword viewed end-on, would look distorted and blurred from this distance. For such
+objects, the camera is farther away and has a narrower field of view, so that the object has the
+same size in the picture.
 """
 
 from __future__ import annotations
@@ -26,21 +27,24 @@ from phy124.rendering.liquid import MOVES, WIDEST
 Values = NDArray[np.float64]
 
 SAMPLE = 8192
-"""Largest number of Gaussians that represent the object (the sample). The Gaussians are picked at
-even intervals."""
+"""Largest number of Gaussians in the sample that represents the object.
+
+The sampled Gaussians have evenly spaced indices.
+"""
 MOST_VALUES, FEWEST = 1 << 20, 128
 """Largest product of the number of Gaussians in the sample and the number of frames. For longer
 clips the sample is reduced, but to no fewer Gaussians than the second number."""
 BLOCK = 64
-"""Number of frames that are processed at a time when distances from the picture's edges are
-computed."""
+"""Number of frames that are processed at a time."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that counts as part of the object."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 1.5e-4
-"""Fraction of the sample that may lie outside each edge of the picture, so that single drops have
-no effect."""
+"""Fraction of the sample that may lie outside each edge of the picture.
+
+Single drops therefore have no effect.
+"""
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE, TRIES = 0.98, 8
@@ -55,8 +59,7 @@ MOST = 0.8
 moments.
 """
 RARE = 1.5
-"""Smallest factor by which rare moments must enlarge a motion's extent so that the camera follows
-the motion."""
+"""The camera follows the object if rare moments enlarge a motion's extent by this factor."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,10 @@ class Sample:
     covariances: Array
     """Covariance matrices [T,S,3,3], m^2."""
     corners: tuple[NDArray, NDArray] | None = None
-    """Lowest and highest corner of the box around all of the object's centres in the first frame
-    [3], [3], m. None if no centre is finite."""
+    """Lowest and highest corner of the object's bounding box in the first frame [3], [3], m.
+
+    None if no centre is finite.
+    """
 
     @classmethod
     def of(cls, clip: Clip) -> Sample:
@@ -82,8 +87,7 @@ class Sample:
     def _of(cls, clip: Clip) -> Sample:
         visible = np.flatnonzero(clip.object_mask & (clip.opacities >= VISIBLE))
         chosen = visible if len(visible) else np.flatnonzero(clip.object_mask)
-        # One row per axis, because minimum and maximum of long contiguous rows are faster to
-        # compute.
+        # Each axis is a long contiguous row, for which minimum and maximum are faster.
         rest = np.ascontiguousarray(clip.means[0].T)
         rest = np.compress(clip.object_mask & np.isfinite(rest).all(axis=0), rest, axis=1)
         corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
@@ -120,8 +124,7 @@ class Sample:
 
     def with_fixed(self, points: NDArray) -> Sample:
         """Add fixed points [K,3] m to the sample; they count as part of the object."""
-        # The points are repeated, so that they are not among the few that may lie outside the
-        # picture.
+        # The points are repeated, because a few points of a sample may lie outside the picture.
         times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
         means = np.broadcast_to(still.astype(np.float32), (times, *still.shape))
         shapes = np.zeros((*means.shape, 3), np.float32)
@@ -135,7 +138,7 @@ class Sample:
     def has_rare_moment(self, largest: float) -> bool:
         """Return whether a few frames make the motion too large for a fixed camera.
 
-        If the extent of a motion is at most `largest` [m], a fixed camera always suffices.
+        A fixed camera suffices if the extent of the motion is at most `largest` [m].
         """
         low, high = self._boxes(self.means)
         whole = _extent(low, high)
@@ -155,8 +158,7 @@ class Sample:
 
 
 _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
-"""Samples of the clips in use. The samples are stored because the cameras of all sides of a view
-need them."""
+"""Samples of the clips in use; the cameras of all sides of a view use the same sample."""
 
 
 def _reach_of_discs(clip: Clip) -> Values:
@@ -199,8 +201,7 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
     for _ in range(TRIES):
         if stand.distance >= CLOSE * least:
             break
-        # The distance is almost linear in the zoom, except at zooms where another Gaussian becomes
-        # the outermost.
+        # The distance is almost linear in the zoom, until another Gaussian becomes the outermost.
         slope = slope or stand.distance / stand.zoom
         more = seen.standing(halves, min(stand.zoom + (least - stand.distance) / slope, ZOOM))
         if more.zoom == stand.zoom:
@@ -215,15 +216,15 @@ def place_along(
 ) -> tuple[Values, Values]:
     """Place cameras that move in and out smoothly and show the object in every frame.
 
-    The camera positions from which a point is in the picture form a convex set. If several camera
-    positions show a frame, the mean of these positions therefore shows the frame as well.
+    The camera positions from which a point is in the picture form a convex set. If the whole frame
+    is in view from several camera positions, it is therefore also in view from their mean position.
 
     Args:
         sample: The object in motion.
         cameras: A camera for each frame. The camera defines the orientation and the field of view.
             If the cameras turn during the clip, it also defines the target.
-        still: The nearest positions that show the whole motion. Their zoom is kept. If the cameras
-            turn, their target is kept, too.
+        still: The nearest positions that show the whole motion. Their zoom is used and, if the
+            cameras turn, also their target.
         window: Number of frames before and after a frame that the frame's camera also shows.
 
     Returns:
@@ -293,7 +294,7 @@ class _Seen:
         if not self.turning:
             distance, shift = self._between(edges, halves)
             return Standing(float(distance), shift, zoom)
-        # All cameras look at the same point. This point may only move up or down.
+        # All cameras look at the same point, which may only be moved up or down.
         along = halves[1] * (edges[1, 0] - edges[1, 1]) / 2
         shift = np.array([0.0, 0.0, along * self.axes[:, 1, 2].mean()])
         moved = replace(self, points=self.points - (self.axes @ shift)[..., None])
@@ -305,7 +306,7 @@ class _Seen:
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
         """Return the distances [...] m and shifts [...,3] m of cameras that do not turn.
 
-        The cameras see what is between the edges [...,2,2] m.
+        The cameras show the space between the edges [...,2,2] m.
         """
         shift = halves * (edges[..., 0] - edges[..., 1]) / 2
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]

@@ -24,8 +24,7 @@ UNTURNED = Reading(up="z", front="x")
 def candidates(up: str | None) -> list[Reading]:
     """Return the orientations to draw.
 
-    There is one per up axis, with the usual front of this axis. If the up axis is known, there is
-    one per front axis.
+    There is one orientation for each up axis or, if the up axis is known, for each front axis.
     """
     if up is None:
         return [Reading(up=axis, front=FRONTS[axis]) for axis in UPS]

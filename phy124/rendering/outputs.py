@@ -5,7 +5,8 @@ the values of the Gaussians that it shows, weighted by their contributions to th
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 
-Forces add up. Forces are therefore distributed over the pixels, not averaged.
+Forces are distributed over the pixels instead of averaged, so that the sum of the pixels is the
+total force.
 """
 
 from __future__ import annotations
@@ -42,11 +43,13 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest optical flow, in units of the picture's size. Only Gaussians that pass through the camera
-would exceed it."""
+"""Largest optical flow, in units of the picture's size.
+
+Only Gaussians that pass through the camera would exceed this value.
+"""
 
 SHARP = 0.3
-"""Largest standard deviation of a blur that is negligible and therefore omitted, px."""
+"""A blur with at most this standard deviation is negligible and therefore omitted [px]."""
 
 
 class Quantity(NamedTuple):
@@ -95,7 +98,7 @@ QUANTITIES: dict[Output, Quantity] = {
 
 
 def refuse_outputs(view: View, frames: int) -> None:
-    """Refuse a view's outputs if they cannot be made from this number of frames.
+    """Refuse the outputs of a view if they cannot be made from this number of frames.
 
     Raises:
         InputError: An output that describes motion is requested for a single frame, or a package is
@@ -110,7 +113,7 @@ def refuse_outputs(view: View, frames: int) -> None:
 
 
 def refuse_unkept(clip: Clip, view: View) -> None:
-    """Refuse a view's outputs if they need data that the clip does not contain.
+    """Refuse the outputs of a view if they need data that the clip does not contain.
 
     Raises:
         InputError: The clip does not contain the data, or `refuse_outputs` refuses the outputs.
@@ -289,7 +292,7 @@ def normals(gaussians: Gaussians, camera: Camera) -> Values:
 
 
 def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Values:
-    """Return how far points move in the picture until the next frame [N,2], right and down, px.
+    """Return the displacements [N,2] of points in the picture until the next frame, px.
 
     Args:
         before: The points in this frame, m.

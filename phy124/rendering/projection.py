@@ -15,9 +15,13 @@ from phy124.kernels.splat import screen
 Filter = tuple[float, bool]
 
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
-"""Anti-aliasing filters. Each has the addition to the screen covariance [px^2], and whether opacity
-is reduced to compensate for the addition. 3D Gaussian Splatting does not reduce the opacity, which
-thickens thin objects seen from far away. Mip-Splatting does (Yu et al. 2024, section 4.2)."""
+"""Anti-aliasing filters.
+
+The first value is added to the screen covariance [px^2]. The second value states whether opacity is
+reduced to compensate for the larger covariance. 3D Gaussian Splatting does not reduce the opacity,
+which thickens thin objects seen from far away. Mip-Splatting reduces it (Yu et al. 2024, section
+4.2).
+"""
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian at which the Gaussian is drawn,
 m."""

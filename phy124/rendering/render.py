@@ -3,8 +3,8 @@
 The method is EWA splatting (Zwicker et al. 2001) with the conventions of 3D Gaussian Splatting
 (Kerbl et al. 2023). The screen covariance is enlarged by 0.3 px^2 (or by the filter of
 Mip-Splatting). Splats are blended from front to back in the order of the centres' depths. Alpha is
-at most 0.99, and contributions below 1/255 are skipped. Every splat extends to where its
-contribution falls to 1/255, so that no cut-off is visible.
+at most 0.99, and contributions below 1/255 are skipped. Every splat extends to the distance where
+its contribution is 1/255, so that no cut-off is visible.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ MAX_PAIRS = 1 << 24
 """Largest number of splats in the lists of all tiles at once. Larger scenes are blended in several
 groups of tiles."""
 TILES_PER_SPLAT = 4
-"""Expected number of tiles that a splat touches. The number determines the memory for a renderer's
-first picture."""
+"""Expected number of tiles that a splat touches; used to allocate memory for the first picture."""
 BLENDS = {
     "simd": blend.blend_tiles_simd,
     "plain": blend.blend_tiles,
@@ -46,7 +45,7 @@ BLENDS = {
 """Variants of the blending stage. `simd`: one tile per thread in vectorised C++ (CPU only).
 `plain`: the same in Warp. `pixel`: one pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd
-"""The kernel of the variant `simd` for pictures with a stage behind the Gaussians."""
+"""The kernel of the variant `simd` for pictures with a stage."""
 
 
 class Renderer:
@@ -80,7 +79,8 @@ class Renderer:
                 "Choose auto, plain or pixel; on a CPU also simd.",
             )
         self._blend = BLENDS[blend]
-        # The binning method depends on the blending variant, so a CPU can test the GPU's variant.
+        # The binning method depends on the blending variant, so that the GPU's variant can be
+        # tested on a CPU.
         self._per_pixel = blend == "pixel"
         binned = project.bin_parallel if self._per_pixel else project.bin_serial
         # Number of Gaussians per thread, and the kernel that projects them.
@@ -89,8 +89,7 @@ class Renderer:
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._room = 0
-        """Number of entries that fit into the memory for the lists of all tiles, if the device
-        counts the entries.
+        """Number of list entries for which memory is allocated, if the device counts the entries.
         """
         self._free: list[HostCopies] = []
         """Host memory of pictures for which no caller is waiting."""
@@ -163,7 +162,7 @@ class Renderer:
     ) -> Callable[[], NDArray[np.uint8]]:
         """Start to render one image as bytes; return a function that waits for the image.
 
-        The function returns the same image as `picture`.
+        The image is the same as that of `picture`.
 
         A GPU draws while the caller prepares the next picture. The returned function must be called
         exactly once.
@@ -182,8 +181,8 @@ class Renderer:
             finish = self._start(gaussians, camera, background, stage, ("bytes",))
             return lambda: finish()["bytes"].reshape(shape).copy()
         image = self._start(gaussians, camera, background, stage, ("image",))()["image"]
-        # The image is changed in place, because clearing new memory for each picture takes up to
-        # half as long as drawing.
+        # The image is changed in place, because allocating memory for each picture takes up to half
+        # as long as drawing.
         image *= 255
         image += 0.5
         picture = image.astype(np.uint8).reshape(shape)
@@ -232,10 +231,7 @@ class Renderer:
     def _finish(
         self, copies: HostCopies, draw: Callable[[], int], room: int
     ) -> dict[str, NDArray[Any]]:
-        """Wait for a picture.
-
-        If the lists of the tiles were too long for the memory `room`, draw the picture again.
-        """
+        """Wait for a picture; draw it again if the tiles' lists had more than `room` entries."""
         drawn = copies.wait()
         while (total := int(drawn["total"][0])) > room:
             enough = total if total > MAX_PAIRS else min(total + total // 5, MAX_PAIRS)
@@ -274,7 +270,7 @@ class Renderer:
             around.draw(image, coverage)
 
     def _lists(self, n: int, view: Any) -> Iterator[tuple[int, int, tuple[Any, Any, Any]]]:
-        """Yield runs of tiles (first and last tile), with the splats of each tile; see `_bin`."""
+        """Yield ranges of tiles (first and last tile), with the splats of each tile; see `_bin`."""
         if self._per_pixel:
             self._room = self._room or min(TILES_PER_SPLAT * n, MAX_PAIRS)
             if self._room <= MAX_PAIRS:
@@ -297,9 +293,8 @@ class Renderer:
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """Compute the `splats` and their `order` by depth.
-
-        Also compute the marks from which `_counts` counts the splats of each tile.
+        """Compute the `splats`, their `order` by depth, and the marks from which `_counts` counts
+        splats.
         """
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
@@ -390,7 +385,7 @@ class Renderer:
     def _sort_lists(
         self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
     ) -> wp.array:
-        """Return the lists of a run of tiles, sorted by depth (`room`, `total`: see
+        """Return the depth-sorted splats of consecutive tiles (`room`, `total`: see
         `bin_parallel`).
         """
         first, last = run
@@ -408,8 +403,8 @@ class Renderer:
         """Return a named buffer, enlarged to at least `size` items; its content may be lost."""
         buffer = self._buffers.get(name)
         if buffer is None or buffer.size < size:
-            # The buffer is a fifth larger than requested, because a moving scene needs slightly
-            # more space in later frames.
+            # The buffer is a fifth larger than requested, because later frames may need slightly
+            # more space.
             buffer = wp.empty(max(1, size + size // 5), dtype=dtype, device=self.device)
             self._buffers[name] = buffer
         return buffer
@@ -439,7 +434,7 @@ class Renderer:
         where = (array.ctypes.data, array.shape)
         known = self._constants.get(name)
         if known is None or known[0] != where:
-            # A reference to the array prevents its memory address from being reused.
+            # The reference to the array prevents another array from getting the same address.
             known = self._constants[name] = (where, array, self._upload(array, dtype))
         return known[2]
 
@@ -494,10 +489,7 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into runs [first, last) of at most `limit` entries.
-
-    A tile with more entries is a run of its own.
-    """
+    """Split tiles into ranges [first, last) of at most `limit` entries, or of a single tile."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0

@@ -4,7 +4,7 @@ The colours of Gaussians contain no gloss. For each frame and camera, the Gaussi
 get new colours with the highlight of a lamp above (Blinn 1977), and with reflections of a bright
 sky and a dark floor. Water reflects little light, but more at grazing angles (Schlick 1994). Water
 is bright where it refracts the lamp's light towards the camera. Metal reflects almost all light,
-tinted with the colour of the metal. Of a liquid, only the surface is drawn
+tinted with the colour of the metal. Only the surface of a liquid is drawn
 (`phy124.rendering.liquid`). The normals of metal are the shortest axes of its Gaussians.
 """
 
@@ -62,7 +62,7 @@ GLOSSES = {
 
 
 class Shine:
-    """The gloss of a clip, and the surfaces of the clip's liquids; further views reuse both."""
+    """The gloss and the liquid surfaces of a clip, which are computed once for all views."""
 
     def __init__(self, clip: Clip) -> None:
         """Determine from the clip's report which Gaussians are glossy."""
@@ -81,8 +81,8 @@ class Shine:
         """Time spent on the computation of gloss since the start [s]."""
 
     def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
-        """Measure one of the report's liquids in the first frame; `which` selects its Gaussians."""
-        volumes = liquid.get("volumes")  # missing in clips of earlier versions
+        """Measure a liquid in the first frame; `which` selects the liquid's Gaussians."""
+        volumes = liquid.get("volumes")  # clips of earlier versions lack this entry
         if volumes is not None:
             volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
         before = self._planes[0] if self._planes else NOWHERE
@@ -95,7 +95,7 @@ class Shine:
         return bool(self._parts) and self._cell > 0
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
-        """Return the frame, with the colours of glossy Gaussians as a camera sees them."""
+        """Return the frame with reflections, as seen by a camera, added to the colours."""
         start = time.perf_counter()
         gaussians, normals = self._surface(frame)
         sh = gaussians.sh.copy()
@@ -116,18 +116,14 @@ class Shine:
         return replace(frame, gaussians=replace(gaussians, sh=sh))
 
     def shape(self, frame: Frame) -> Frame:
-        """Return the frame with its liquids in the form in which they are drawn, without
-        reflections.
-        """
+        """Return the frame with liquids shaped for rendering, without reflections."""
         return replace(frame, gaussians=self._surface(frame)[0])
 
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
-        """Return the clip for the player, and its gloss.
+        """Return the clip with liquids shaped for rendering, and its gloss, for the player.
 
-        The liquids of the clip are in the form in which they are drawn.
-
-        The gloss consists of plain data, except the colours and opacities of all frames, `hues`
-        [T,N,4].
+        The gloss consists of plain data, except for `hues` [T,N,4], the colours and opacities in
+        all frames.
         """
         laws = [
             {"gloss": list(GLOSSES[law]), "outwards": law != "metal", "runs": runs_of(which)}
@@ -143,14 +139,13 @@ class Shine:
             means[k], quats[k], scales[k] = shown.means, shown.quats, shown.scales
             rgb = np.clip(0.5 + SH_C0 * shown.sh[:, 0], 0, 1)
             hues[k] = np.rint(np.column_stack([rgb, shown.opacities]) * 255)
-        # The player interpolates quaternions between frames, so the signs of these quaternions must
-        # agree.
+        # The player interpolates quaternions between frames, so their signs must agree.
         for before, after in pairwise(quats):
             after[(before * after).sum(axis=1) < 0] *= -1
         return replace(clip, means=means, quats=quats, scales=scales), {**gloss, "hues": hues}
 
     def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
-        """Return the Gaussians to draw, and the normals [n,3] of those of each glossy law."""
+        """Return the Gaussians to draw, and the normals [n,3] of each glossy law's Gaussians."""
         if frame.index in self._surfaces:
             return self._surfaces[frame.index]
         gaussians, normals = frame.gaussians, {}
@@ -179,7 +174,7 @@ class Shine:
 
 
 def make_shine(clip: Clip, view: View) -> Shine | None:
-    """Return the gloss of a clip; None if no material is glossy, or the view turns gloss off."""
+    """Return the gloss of a clip, or None if no material is glossy or the view disables gloss."""
     shine = Shine(clip) if view.shine else None
     return shine if shine is not None and shine.any else None
 
@@ -191,10 +186,7 @@ def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
 
 
 def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
-    """Yield the frames of a clip, with liquids in the form in which they are drawn.
-
-    Reflections are not added.
-    """
+    """Yield the frames of a clip, with liquids shaped for rendering, without reflections."""
     shine = make_shine(clip, view)
     return clip.frames() if shine is None else map(shine.shape, clip.frames())
 

@@ -11,8 +11,10 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Settings of MPM's transfers between particles and grid, with their defaults. The other solvers do
-not use these settings."""
+"""Default settings of MPM's transfers between particles and grid.
+
+The other solvers do not use these settings.
+"""
 
 
 class Accuracy(Section):
@@ -109,7 +111,7 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Fraction of the fluctuation (velocities that the grid cannot represent) that is kept."""
+        """Fraction of the velocities that the grid cannot represent which particles keep."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 

@@ -1,8 +1,8 @@
 """Cameras of a view: on a turntable, on a dolly, or along a path of keyframes.
 
 Angles are defined as in the view: azimuth 0 is the front, 90 the right. If the elevation is
-positive, the camera looks down. Distances and targets are relative to the object's size, so that a
-camera suits any object. If a camera does not set a value, the value of the view applies.
+positive, the camera looks down. Distances and targets are in units of the object's size, so that a
+camera suits any object. Values that a camera does not set are those of the view.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class _Circling(Section):
 
     @property
     def end(self) -> float:
-        """End time of the camera's path [s]: always 0, since the path lasts as long as the clip."""
+        """End time of the camera's path [s]; 0 because the path is as long as the clip."""
         return 0.0
 
 
@@ -112,7 +112,7 @@ class TurntableCamera(_Circling):
 
     @property
     def chosen(self) -> bool:
-        """Whether the distance, the field of view or the target differs from that of the view."""
+        """Whether the camera sets its distance, field of view or target."""
         return self.distance is not None or self.fov is not None or any(self.target)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
@@ -120,8 +120,8 @@ class TurntableCamera(_Circling):
 
         Args:
             times: Times since the first frame [T], s.
-            length: Length of the clip [s]. A full turn takes this time and ends where it began.
-            usual: Poses of the view. These poses supply the values that this camera does not set.
+            length: Length of the clip [s], in which the camera makes a full turn.
+            usual: Poses of the view, for values that this camera does not set.
         """
         return usual.replace(
             azimuth=self.start + 360 * self.turns * times / length,
@@ -133,7 +133,7 @@ class TurntableCamera(_Circling):
 
 
 class DollyCamera(_Circling):
-    """Moves straight towards the object or away from it; the speed is zero at start and end."""
+    """Moves straight towards or away from the object; the speed is zero at start and end."""
 
     kind: Literal["dolly"] = "dolly"
     name: Name = Field(default="dolly", description="Name of the camera's files.")
@@ -143,7 +143,7 @@ class DollyCamera(_Circling):
 
     @property
     def chosen(self) -> bool:
-        """Whether the distance of the camera is set, which is always true for this camera."""
+        """Whether the camera sets its distance, which is always true for this kind of camera."""
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
@@ -152,7 +152,7 @@ class DollyCamera(_Circling):
         Args:
             times: Times since the first frame [T], s. The path ends at the last of these times.
             length: Length of the clip [s]. It is not used.
-            usual: Poses of the view. These poses supply the values that this camera does not set.
+            usual: Poses of the view, for values that this camera does not set.
         """
         del length
         end = float(times[-1]) or 1.0
@@ -191,7 +191,7 @@ class CameraKey(Section):
 
 
 class PathCamera(Section):
-    """Moves smoothly through keys without overshoot; at rest before and after the path."""
+    """Moves smoothly through keys without overshoot, and is at rest before and after the path."""
 
     kind: Literal["path"] = "path"
     name: Name = Field(default="path", description="Name of the camera's files.")
@@ -216,7 +216,7 @@ class PathCamera(Section):
 
     @property
     def chosen(self) -> bool:
-        """Whether the distance, the field of view or the target differs from that of the view."""
+        """Whether the camera sets its distance, field of view or target."""
         return any((key.distance, key.fov, key.target) != (None,) * 3 for key in self.keys)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
@@ -225,7 +225,7 @@ class PathCamera(Section):
         Args:
             times: Times since the first frame [T], s.
             length: Length of the clip [s]. It is not used.
-            usual: Poses of the view. These poses supply the values that this camera does not set.
+            usual: Poses of the view, for values that this camera does not set.
         """
         del length
         values = {}

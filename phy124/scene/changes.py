@@ -17,7 +17,7 @@ else:
     import tomli as tomllib
 
 TAGS = ("law", "kind")
-"""Keys whose values are the name of a section's kind."""
+"""Keys whose values are the name of the kind of a section."""
 LENGTH = ("time.frames", "time.seconds")
 """Two fields that set the length of a scene. If one of them is set, it replaces the other."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
@@ -27,8 +27,7 @@ def apply(data: dict[str, Any], changes: dict[str, Any]) -> None:
     """Set values at dotted paths; outer paths are set first.
 
     If the kind of a section changes, for instance to a material of another law, the old values of
-    the section would have another meaning. The old values are therefore replaced by the defaults of
-    the new kind. Values set in the same call are kept.
+    the section are replaced by the defaults of the new kind. Values set in the same call are kept.
 
     Raises:
         InputError: A path does not exist in the data.

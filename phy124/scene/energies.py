@@ -1,9 +1,8 @@
-"""Estimates the energy that a scene may convert to strain: by impacts, forces, walls and hands.
+"""Estimates the energy that impacts, forces, walls and hands may convert to strain in a scene.
 
-An argument `scene` is a `Scene`, whose module imports this one. The estimate does not know the
-shapes of the objects. A wall that moves during the scene therefore counts even if the wall never
-touches an object. A force counts in full even if nothing stops the object that the force
-accelerates.
+The argument `scene` is always a `Scene`. The estimate does not depend on the shapes of the objects.
+A moving wall therefore counts even if it never touches an object, and a force counts in full even
+if nothing stops the accelerated object.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ def energy(scene: Any, thickness: float | None = None) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
     The result is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)). Here v is the initial speed (with
-    spin) plus the speed that impacts give, and p is the speed of walls and hands. The acceleration
-    by forces is a, and the time for which a force acts is t. The object's lift is h, and its size
-    is L. Wind accelerates an object at most to the speed of the wind.
+    spin) plus the speed gained in impacts, and p is the speed of walls and hands. A force causes
+    the acceleration a during the time t. The object has the lift h and the size L. Wind accelerates
+    an object at most to the speed of the wind.
     """
     bodies, size, end = (scene.object, *scene.objects), scene.object.size, duration(scene)
     mass = _mass(scene, thickness)

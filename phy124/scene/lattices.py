@@ -1,6 +1,6 @@
 """Decides in which scenes the elastic objects are simulated on lattices at rest.
 
-An argument `scene` is a `Scene`, whose module imports this one.
+The argument `scene` is always a `Scene`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as
 
 FARTHEST_DRIVEN = 0.5
 """Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
-chooses lattices if the object is held. The limit follows from a ball whose upper third is driven
-into its held foot, with half its size between them. On a lattice the run stops; with MPM it does
-not.
+chooses lattices if the object is held. The limit comes from a test in which the upper third of a
+ball is driven into its held foot, half the ball's size away. The run on a lattice stops early; the
+run with MPM does not.
 """
 
 
@@ -40,11 +40,11 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     """Return why a scene does not use lattices on a device; an empty text if the scene uses them.
 
     If `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
-    gave better results in measurements (docs/lab/solvers.md). In scenes that contain objects of
-    other materials, lattices are not faster and support fewer features. On a GPU a lattice that
-    touches walls takes many times as long as particles (docs/lab/cuda.md). If a scene requests the
-    lost energy and only lattices can divide the loss among its causes, the scene uses lattices even
-    where they are slower.
+    were better in measurements (docs/lab/solvers.md). In scenes that contain objects of other
+    materials, lattices are not faster and support fewer features. On a GPU a lattice that touches
+    walls takes many times as long as particles (docs/lab/cuda.md). If a scene requests the causes
+    of the energy loss, and only lattices can determine the causes, lattices are used even if they
+    are slower.
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":
@@ -70,10 +70,7 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
 
 
 def choose_solver(scene: Any, device: str) -> Any:
-    """Return the scene for a device.
-
-    If `auto` selects another solver on this device, the returned scene names this solver.
-    """
+    """Return the scene for a device, with the solver that `auto` selects on this device."""
     if device == "cpu" or scene.resolution.solver != "auto":
         return scene
     return scene if _needs_lattice(scene) and scene.on_lattice else _with_solver(scene, "mpm")
@@ -85,7 +82,7 @@ def reason_for_others(scene: Any) -> str:
 
 
 def _needs_lattice(scene: Any) -> bool:
-    """Return whether a scene requests its energy loss, but MPM cannot divide it by cause."""
+    """Return whether a scene requests the causes of its energy loss, and MPM cannot tell them."""
     moves = any(wall.moves for wall in scene.boundaries)
     harder = bool(scene.objects) or moves or scene.stiffness_profile is not None
     return bool(scene.checks.energy and harder)

@@ -1,6 +1,6 @@
 """Decides in which scenes the liquid is computed by pressure projection.
 
-An argument `scene` is a `Scene`, whose module imports this one.
+The argument `scene` is always a `Scene`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from phy124.errors import InputError, Remedy
 from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
-"""Remedy that is always possible, because the compressible solver supports all scenes."""
+"""Remedy that always helps, because the compressible solver supports all scenes."""
 
 
 def reason_for_compressible(scene: Any) -> str:
@@ -49,7 +49,7 @@ def refuse_unprojectable(scene: Any) -> None:
     """Check that the solver of a scene's liquids supports everything in the scene.
 
     Args:
-        scene: The scene. Solids that follow a path are among its walls.
+        scene: The scene, whose walls include solids that follow a path.
 
     Raises:
         InputError: The scene contains something that only the compressible solver supports.
@@ -65,11 +65,11 @@ def refuse_unprojectable(scene: Any) -> None:
 
 
 def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
-    """Yield the field, the value and a description of everything that is not supported.
+    """Yield the field, the value and a description of each feature that is not supported.
 
     Args:
         scene: The scene.
-        mixes: Whether some materials are not liquid.
+        mixes: Whether some materials are not liquids.
     """
     yield from _of_objects(scene)
     for wall in () if mixes else scene.boundaries:

@@ -22,7 +22,7 @@ _Side = Annotated[float, Field(ge=0.01, le=1)]
 _Fraction = Annotated[float, Field(ge=0, le=1)]
 CREAM = (0.93, 0.87, 0.73)
 ANY = "any"
-"""Name that stands for every object in the declaration of a pair."""
+"""Name that means every object in the declaration of a pair."""
 FLAT = Ground | HalfSpace | Press | Container
 """Boundaries that a solid can touch if it moves freely."""
 
@@ -30,8 +30,8 @@ FLAT = Ground | HalfSpace | Press | Container
 class SceneObject(Object):
     """A further object, made from a picture, a file of Gaussians, a mesh, or a plain shape.
 
-    If none of these sources is set, the object is made from the next picture on the command line.
-    If there is no such picture, the object is a copy of the first object.
+    If no source is set, the object is made from the next picture on the command line or, if there
+    is none, copied from the first object.
     """
 
     name: Name = Field(description="Name of the object.")
@@ -151,7 +151,7 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the boundary that other objects touch; it moves along this object's path.
+        """Return the boundary, moving along this object's path, with which other objects collide.
 
         Args:
             pairs: The scene's pairs, which define friction and contact.
@@ -271,7 +271,7 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
 
 
 def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
-    """Return the entry for a pair of objects; an entry that names both objects takes precedence."""
+    """Return the entry for two objects; an entry that names both objects takes precedence."""
     fitting = [pair for pair in pairs if set(pair.between) <= {first, second, ANY}]
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 

@@ -16,7 +16,7 @@ STAGES = {True: "transparent", False: "plain"}
 
 
 def rename_keys(data: Any) -> Any:
-    """Replace old names in the plain data of a scene; each old name causes a FutureWarning.
+    """Replace old names in the plain data of a scene; warn of each old name (FutureWarning).
 
     Raises:
         InputError: The scene has the old section `stiffness` of kind array, and also `properties`,
@@ -26,9 +26,7 @@ def rename_keys(data: Any) -> Any:
         if _is_array(data.get("stiffness")) and data.get("properties") is not None:
             limit, remedy = "the scene has properties as well.", "Give them a column `fraction`."
             raise InputError("stiffness.kind", "array", limit, remedy)
-        if (
-            data.get("transparent") is False
-        ):  # the old default, which any value of `stage` may replace
+        if data.get("transparent") is False:  # the old default, which a value of `stage` replaces
             data = {key: value for key, value in data.items() if key != "transparent"}
         return dict(rename_item(key, value) for key, value in data.items())
     return [rename_keys(item) for item in data] if isinstance(data, list) else data

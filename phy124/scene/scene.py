@@ -1,7 +1,7 @@
 """Scene: all options of a user, as an immutable tree, read from and written to TOML.
 
-Each option is declared only here. Validation, the command line's help and the web page use the
-bounds and the description of the option.
+Each option is declared once, with its bounds and its description. Validation, the command line's
+help and the web page use this declaration.
 """
 
 from __future__ import annotations
@@ -51,8 +51,7 @@ from phy124.schema.refusals import explain
 from phy124.schema.section import Section
 
 MOST_OBJECTS = 16
-"""Maximum number of objects in a scene. The number is limited because each object in contact needs
-a velocity field."""
+"""Maximum number of objects in a scene; each object in contact needs a velocity field."""
 
 
 class Scene(Section):
@@ -156,7 +155,7 @@ class Scene(Section):
         return self
 
     def _check_energy(self) -> None:
-        """Refuse `checks.energy` if the lost energy cannot be divided among its causes."""
+        """Refuse `checks.energy` if the causes of the energy loss cannot be determined."""
         if not self.checks.energy:
             return
         why, solid = reason_for_others(self), not self._is_liquid
@@ -206,7 +205,7 @@ class Scene(Section):
 
     @property
     def particles_per_axis(self) -> float:
-        """Particles per cell and axis: as set, or else the largest number that a material needs."""
+        """Particles per cell and axis, as set or as the most demanding material needs."""
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 
@@ -246,12 +245,12 @@ class Scene(Section):
 
     @property
     def on_lattices(self) -> list[bool]:
-        """For each object, whether it moves on a lattice. Only elastic objects do."""
+        """Whether each object is simulated on a lattice; only elastic objects can be."""
         return find_elastic(self) if self.on_lattice else [False] * len(self.names)
 
     @property
     def couples(self) -> bool:
-        """Whether the scene has both objects on lattices and objects of particles that move."""
+        """Whether the scene has objects on lattices and also moving objects made of particles."""
         made = [
             not (isinstance(item, SceneObject) and item.scenery) for item in (self, *self.objects)
         ]
@@ -300,7 +299,7 @@ class Scene(Section):
         return self.model_copy(update={"boundaries": (*self.boundaries, *solids)})
 
     def alone(self, index: int) -> Scene:
-        """Return the scene with a single object, whose size then defines the grid spacing."""
+        """Return the scene with a single object, whose size defines the grid spacing."""
         accuracy = self.accuracy
         if self.resolution.solver == "auto":
             accuracy = self.resolution.model_copy(update={"solver": self.solver})
@@ -346,10 +345,10 @@ class Scene(Section):
 
     @classmethod
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:
-        """Read a clip's scene for filming, and remove sections of classes that are unknown here.
+        """Read a clip's scene for rendering; ignore classes that only another program defines.
 
-        Another program may have defined classes that are not known here. Forces and boundaries of
-        unknown classes are removed, and unknown materials are replaced by the default.
+        Forces and boundaries of unknown classes are removed, and unknown materials are replaced by
+        the default.
 
         Raises:
             InputError: The data is not a scene.
@@ -401,7 +400,7 @@ class Scene(Section):
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Classes that scene files cannot name, each with its entry-point group."""
+        """Classes without a name in scene files, each with its entry-point group."""
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group
@@ -432,8 +431,7 @@ class Scene(Section):
             InputError: A path does not exist or a value is out of bounds.
         """
         data = self.data()
-        # Instances of users' classes are kept, because plain data may be unable to name their
-        # class.
+        # Instances of users' classes are kept, because the class may have no name in plain data.
         if LAWS.is_foreign(self.material):
             data["material"] = self.material
         of_objects = zip(self.objects, data.get("objects", []), strict=True)

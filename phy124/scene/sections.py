@@ -1,4 +1,4 @@
-"""Sections of a scene except its view: the object, its parts, the timing, the checks."""
+"""Sections of a scene except the view: the object, its parts, the timing and the checks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
 def _is(default: Any) -> Callable[[Any], bool]:
-    """Return a test for a field's default value, which is not written into scene files."""
+    """Return a function that tests for a default value, which is not written into scene files."""
     return lambda value: value == default
 
 
@@ -106,7 +106,7 @@ class Timing(Section):
     @model_validator(mode="before")
     @classmethod
     def _replace_seconds(cls, data: Any) -> Any:
-        """Replace `seconds` by `frames`, so that a scene states its length only once."""
+        """Replace `seconds` by `frames`, so that a scene states its length once."""
         if not isinstance(data, dict) or data.get("seconds") is None:
             return data
         if "frames" in data:
@@ -155,8 +155,8 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
 
     Args:
         checks: The checks of the scene.
-        unsupported: Features for which energy losses cannot be divided, each with whether the scene
-            has the feature.
+        unsupported: Features for which the causes of energy losses cannot be determined, and
+            whether the scene has each feature.
 
     Raises:
         InputError: `checks.energy` is on and the scene has such a feature.

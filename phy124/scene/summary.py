@@ -21,8 +21,8 @@ def summarise(scene: Scene, cells: str = "") -> str:
 
     Args:
         scene: The scene.
-        cells: Description of the number of cells, if the number is chosen later. If empty, the
-            number in the scene is used.
+        cells: Description of the number of cells, if the number is chosen later; by default, the
+            number in the scene.
     """
     items = [_describe_material(scene.material)]
     if scene.parts:

@@ -1,4 +1,4 @@
-"""View: the cameras, the picture size, the formats and the stage with which a clip is filmed."""
+"""View: the cameras, the picture size, the formats and the stage for rendering a clip."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ Size = Annotated[
 
 
 class View(Section):
-    """Options with which a clip is filmed."""
+    """Options for rendering a clip."""
 
     views: tuple[ViewName, ...] = Field(
         default=("front", "right", "back", "left", "orbit"),
@@ -204,7 +204,7 @@ class View(Section):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Names of all views to film: named views, azimuths such as "azimuth-45", and cameras."""
+        """Names of all views: named views, azimuths such as "azimuth-45", and cameras."""
         angles = (f"azimuth-{azimuth % 360:g}" for azimuth in self.azimuths)
         return (*self.views, *angles, *(camera.name for camera in self.cameras))
 

@@ -1,1 +1,1 @@
-"""Declaration of options: bounds, descriptions, and parsing of command lines."""
+"""Declares options with bounds and descriptions, and parses command lines."""

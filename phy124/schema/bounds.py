@@ -1,6 +1,6 @@
 """Limits of the numbers in a scene, chosen for the ranges of float32 and of the grid.
 
-The bounds are wider than any scene needs, but so narrow that no product of two numbers overflows.
+The limits are wider than any scene needs, but the product of two numbers never overflows.
 """
 
 import difflib
@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 LONGEST = 1e5
 """Maximum time in a scene [s]; the duration of a clip is limited to 1e4 s."""
 SHORTEST = 1e-6
-"""Smallest duration [s]. This duration is shorter than any substep of a visible object."""
+"""Smallest duration [s]; it is shorter than any substep of a visible object."""
 FARTHEST = 1e5
 """Largest coordinate [m]."""
 
@@ -70,9 +70,7 @@ def _check_text(text: str) -> str:
 Text = Annotated[str, AfterValidator(_check_text)]
 """Text that UTF-8 can encode."""
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-"""Name of an object, which files and topics also contain: a letter, then letters, digits, - and
-_.
-"""
+"""Name of an object, also used in files and topics: a letter, then letters, digits, - and _."""
 NAME_LENGTH = 4096
 """Largest length of a file name [characters]."""
 
@@ -87,4 +85,4 @@ def _check_file_name(path: Path) -> Path:
 FileName = Annotated[
     Path, AfterValidator(_check_file_name), Field(json_schema_extra={"maxLength": NAME_LENGTH})
 ]
-"""Path of a file to read. The web page does not accept such paths from browsers."""
+"""Path of a file to read; the web page does not accept file paths from browsers."""

@@ -77,10 +77,10 @@ def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
 
 @dataclass(frozen=True)
 class Kinds:
-    """The kinds of section that a field of a scene accepts: phy124's own and registered kinds.
+    """The kinds of section that a field of a scene accepts, including registered plugins.
 
-    If an instance is the annotation of a field, pydantic validates registered kinds and includes
-    them in the JSON schema.
+    If a field is annotated with an instance, pydantic validates registered kinds and includes them
+    in the JSON schema.
     """
 
     base: type[Section]
@@ -90,15 +90,15 @@ class Kinds:
     group: str
     """Entry-point group that registers kinds, one of the `GROUPS`."""
     union: Any
-    """Union of phy124's own kinds. A plugin cannot replace them."""
+    """Union of the kinds that phy124 defines, which plugins cannot replace."""
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:
-        """The classes of phy124's own kinds by name, in the order of the union."""
+        """The classes that phy124 defines, by name, in the order of the union."""
         return {kind.model_fields[self.tag].default: kind for kind in get_args(self.union)}
 
     def is_foreign(self, section: Section) -> bool:
-        """Return whether the class of a section is not one of phy124's own."""
+        """Return whether the class of a section is not defined by phy124."""
         return type(section) not in get_args(self.union)
 
     def knows(self, data: dict[str, Any]) -> bool:

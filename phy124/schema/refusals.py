@@ -12,7 +12,7 @@ from phy124.schema.declaration import Declaration, Node, format_number, read_dec
 from phy124.schema.section import Section
 
 LONGEST = 60
-"""Largest number of characters of a value that are repeated in a message."""
+"""Largest number of characters of a value in a message."""
 
 
 def explain(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
@@ -22,7 +22,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
     Args:
         error: The error that pydantic raised.
-        source: Name of the data, which is used if the error is not about a single field.
+        source: Name of the data, used if the error does not concern a single field.
         root: The class of the section that was validated.
     """
     details: dict[str, Any] = {**max(error.errors(), key=lambda detail: len(detail["loc"]))}
@@ -30,7 +30,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
     if isinstance(cause, InputError):
         return cause
     if details["type"] == "missing" and isinstance(details["loc"][-1], int):
-        # A list is too short. The message should name the list, not the missing item.
+        # If a list is too short, the message names the list, not the missing item.
         details |= {"type": "too_short", "loc": details["loc"][:-1]}
     declared = read_declaration(root)
     place = _find_place(declared, details["loc"])
@@ -47,10 +47,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of an options section.
-
-    The class of the section is looked up by the error's title.
-    """
+    """Return the error of an options section, whose class is found by the error's title."""
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -62,7 +59,7 @@ def explain_options(error: ValidationError) -> InputError:
 def shorten(value: Any) -> str:
     """Return a value as text for a message, shortened to `LONGEST` characters.
 
-    If the value is a section, the text consists of the names of its values.
+    For a section, the text lists the names of its values.
     """
     try:
         section = isinstance(value, dict) and value
@@ -76,9 +73,9 @@ class _Place(NamedTuple):
     """The field of the scene that an error concerns."""
 
     keys: list[int | str]
-    """Path of the field in the form in which a user writes it, without the names of kinds."""
+    """Path of the field as a user writes it, without the names of kinds."""
     node: Node
-    """Schema of the field. If the field does not exist, schema of its section."""
+    """Schema of the field or, if the field does not exist, of the section."""
     around: Node
     """Schema of the section that contains the field."""
     description: str
@@ -105,7 +102,7 @@ def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Plac
 
 
 def _find_inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
-    """Return the schema under a key: {} if there is none, None if the key names a type."""
+    """Return the schema under a key, {} if there is no schema, or None if the key names a type."""
     choices = declared.choices(node)
     if isinstance(part, int):
         for choice in choices:

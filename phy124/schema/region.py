@@ -13,8 +13,7 @@ from phy124.schema.section import Section
 
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
-"""Coordinate outside any scene [m]. The coordinate is finite, so that scenes can be written as
-JSON."""
+"""Coordinate outside any scene [m]. It is finite, because JSON has no infinity."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
 _Fraction = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]
@@ -22,7 +21,7 @@ AxisName = Literal["x", "y", "z"]
 
 
 class Region(Section):
-    """An axis-aligned box [m] or its inscribed cylinder; a side without a value is open."""
+    """An axis-aligned box [m] or the cylinder inscribed in it; a side without a value is open."""
 
     lower: _Corner = Field(
         default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."
@@ -66,7 +65,7 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
     """Return the axis, the centre [m] and the radius [m] of the cylinder inscribed in a box.
 
     The diameter is the shorter of the two sides perpendicular to the axis. If the box is open along
-    the axis, the centre's coordinate along the axis has no meaning.
+    the axis, the coordinate of the centre along the axis is meaningless.
     """
     axis = "xyz".index(along)
     x, y, z = ((low + high) / 2 for low, high in zip(lower, upper, strict=True))
@@ -77,7 +76,7 @@ def cylinder(lower: Vector, upper: Vector, along: AxisName) -> tuple[int, Vector
 class PartRegion(Region):
     """A region that selects a part of the object.
 
-    The region may be rotated, and its coordinates may be those of a file.
+    The region may be rotated, and may have the coordinates of a file.
     """
 
     units: Literal["metres", "file"] = Field(

@@ -16,9 +16,9 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
     AS_TEXT: ClassVar[bool] = False
-    """Whether all values come as text. If so, "yes" is accepted as a boolean."""
+    """Whether all values are texts, so that "yes" is accepted as a boolean."""
 
-    # This is not a validator per field, because pydantic allows none for discriminators.
+    # A validator for each field is impossible, because pydantic allows none for discriminators.
     @model_validator(mode="before")
     @classmethod
     def _check_types(cls, data: Any) -> Any:
@@ -49,7 +49,7 @@ def _list_types(section: type[Section], field: str) -> frozenset[Any]:
 
 
 def _is_other(value: Any, types: frozenset[Any]) -> bool:
-    """Return whether a plain value has none of the listed types."""
+    """Return whether the type of a plain value is not listed."""
     if not types:
         return False
     if bool not in types:

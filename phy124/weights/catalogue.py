@@ -22,7 +22,7 @@ class WeightFile:
     size: int | None = None
     """Size of the file in bytes; None if the size is unknown."""
     sha256: str | None = None
-    """Published checksum of the file; if None, `fetch` uses the checksum that the server states."""
+    """Published checksum of the file; if None, `fetch` uses the checksum from the server."""
     shipped: bool = False
     """Whether the file is a part of the package phy124."""
 
@@ -46,8 +46,7 @@ _IMAGEDREAM = "ashawkey/imagedream-ipmv-diffusers"
 _TRIPOSR_Q8 = "cgb/triposr-onnx-webgpu"
 _ZERO123_REPO = "bennyguo/zero123-xl-diffusers"
 KNOWN: dict[str, tuple[WeightFile, ...]] = {
-    # This mirror has the same files, byte for byte, as
-    # github.com/danielgatis/rembg/releases/tag/v0.0.0.
+    # The files of this mirror are identical to github.com/danielgatis/rembg/releases/tag/v0.0.0.
     "u2net": (
         WeightFile(
             _MIRROR,
@@ -160,8 +159,10 @@ class About:
     memory: float = 0.0
     """Measured memory of a process that runs the network [bytes]; 0 if it was not measured."""
     work: float = 0.0
-    """Measured work for one picture, stated as the number of operations of float32 matrix products
-    that take the same time on the same cores; 0 if it was not measured."""
+    """Measured work for one picture; 0 if it was not measured.
+
+    The unit is an operation of a float32 matrix product that takes the same time on the same cores.
+    """
 
 
 ABOUT: dict[str, About] = {

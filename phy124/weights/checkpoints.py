@@ -1,7 +1,7 @@
-"""Reads network weights safely, and checks that no tensor is missing or superfluous.
+"""Reads network weights safely, and checks that no tensor is missing or unknown.
 
-The weights are read only with safetensors and `torch.load(weights_only=True)`, which do not execute
-code from the file.
+Files are read only with safetensors and `torch.load(weights_only=True)`, which do not execute code
+from the file.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ def _refusal(path: Path, error: Exception) -> InputError:
 
 
 def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """Remove `prefix` from the names, and drop tensors whose names do not start with it.
+    """Remove `prefix` from the names, and remove tensors whose names do not start with `prefix`.
 
-    If no name starts with it, return all tensors.
+    If no name starts with `prefix`, return all tensors.
     """
     found = {k[len(prefix) :]: v for k, v in tensors.items() if k.startswith(prefix)}
     return found or dict(tensors)

@@ -1,8 +1,7 @@
-"""Runs ONNX networks with onnxruntime on the CPU, and predicts how long they take.
+"""Runs ONNX networks with onnxruntime on the CPU, and predicts their run time.
 
-Callers may state the names of the inputs and outputs that they need. If a file lacks these inputs
-or outputs because it belongs to another network, it is refused before it runs. This module
-downloads nothing.
+Callers may state the names of the inputs and outputs of a network. A file without these inputs and
+outputs is refused before it runs. This module downloads nothing.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ class OnnxNetwork:
         inputs: Names of the network's inputs, in the order in which they are passed; if None, the
             order of the file.
         outputs: Names of the outputs that are returned; None: the first output.
-        folds: Whether onnxruntime computes constant expressions when it opens the file. If the
-            weights have 8 bits, this takes memory, because they are unpacked to float32.
+        folds: Whether onnxruntime computes constant expressions when it opens the file. Weights of
+            8 bits are then unpacked to float32, which takes more memory.
 
     Raises:
         InputError: If onnxruntime is not installed, or the file is unreadable or belongs to another
@@ -77,7 +76,7 @@ class OnnxNetwork:
         feeds: Mapping[str, NDArray[Any]] = dict(zip(self.inputs, arrays, strict=True))
         try:
             return [np.asarray(out) for out in self.session.run(self.outputs, feeds)]
-        except Exception as error:  # onnxruntime's errors have no other common base class
+        except Exception as error:  # onnxruntime's errors have no narrower base class
             limit = f"it does not accept these inputs ({str(error).splitlines()[0]})."
             remedy = "Choose the file that belongs to this network (`phy124 weights` lists them)."
             raise InputError("weights", self.path, limit, remedy) from error
@@ -109,7 +108,7 @@ def _open(path: Path, folds: bool) -> InferenceSession:
             providers=["CPUExecutionProvider"],
             disabled_optimizers=None if folds else ["ConstantFolding"],
         )
-    except Exception as error:  # onnxruntime's errors have no other common base class
+    except Exception as error:  # onnxruntime's errors have no narrower base class
         raise InputError(
             "weights",
             path,
@@ -119,12 +118,12 @@ def _open(path: Path, folds: bool) -> InferenceSession:
 
 
 def predict_seconds(about: About) -> float | None:
-    """Predict how long one picture takes under the current load [s]; None if this is unknown."""
+    """Predict the time [s] for one picture under the current load; None if it is unknown."""
     return about.work / multiply_rate() if about.work else None
 
 
 def multiply_rate() -> float:
-    """Measure how many operations per second are reached in products of float32 matrices.
+    """Measure the operations per second in products of float32 matrices.
 
     The measurement takes a fraction of a second, and depends on the current load of the machine.
     """

@@ -1,8 +1,8 @@
 """Finds, checks and downloads files of trained weights.
 
-Nothing is downloaded unless `fetch` is called. Files are searched in this order: in the folder that
-the user states (`--weights`), in the folder PHY124_WEIGHTS, in the Hugging Face cache, and in the
-package phy124 itself.
+Nothing is downloaded unless `fetch` is called. Files are searched in the user's folder
+(`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache, and then in the
+package phy124.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _named: ContextVar[str | os.PathLike[str] | None] = ContextVar("_named", default
 
 @contextmanager
 def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
-    """Within this context, search `folder` (the user's `--weights`) before all other folders."""
+    """Within this context, search `folder` (`--weights`) before all other folders."""
     token = _named.set(folder)
     try:
         yield
@@ -66,8 +66,8 @@ def hub_cache() -> Path:
 def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
     """Yield the paths at which `file` may be stored, in the order of preference.
 
-    In a plain folder, both `NAME` and `REPOSITORY/PATH` are searched. One folder can thus contain
-    several repositories whose files have the same names.
+    In a plain folder, both `NAME` and `REPOSITORY/PATH` are searched. A folder can therefore
+    contain files of the same name from several repositories.
     """
     for root in (folder or _named.get(), os.environ.get("PHY124_WEIGHTS")):
         if root:
@@ -83,7 +83,7 @@ def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) 
 
 
 def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path | None:
-    """Return the first path at which `file` exists; None if it does not exist."""
+    """Return the first path at which `file` exists, or None."""
     return next((p for p in list_places(file, folder) if p.is_file()), None)
 
 
@@ -134,7 +134,7 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
 
 
 def _alternative(name: str) -> str:
-    """Return the remedy for a missing set of weights, which messages append to a sentence."""
+    """Return the remedy for a missing set of weights, for use at the end of a sentence."""
     about = ABOUT.get(name)
     if about is not None and ("--foreground" in about.brings or "--depth" in about.brings):
         return "remove the option"
@@ -258,8 +258,7 @@ def _download(
             f"Run `{install_command('onnx')}`.",
         ) from error
     target = None if folder is None else folder / file.repo.rpartition("/")[2]
-    # The base classes of HfHubHTTPError include the error type of the library's HTTP client, which
-    # differs between releases.
+    # HfHubHTTPError is derived from the error of an HTTP client, which depends on the release.
     failures = cast("tuple[type[Exception], ...]", (OSError, *HfHubHTTPError.__bases__))
     try:
         url = hf_hub_url(file.repo, file.path, endpoint=endpoint)

@@ -29,9 +29,10 @@ SIZE = 320
 """Width and height of the network's input [pixels]."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CLOSER, AROUND = 1.4, 0.15
-"""An object is segmented again if the object and its surroundings can be enlarged by at least the
-first factor. The second number is the width of these surroundings, relative to the object's longest
-side."""
+"""An object with its surroundings is segmented again if it can be enlarged by the first factor.
+
+The second number is the width of the surroundings, relative to the object's longest side.
+"""
 AGREED = 0.85
 """The mask of the repeated segmentation is used if its overlap (IoU) with the first mask is at
 least this."""
@@ -188,7 +189,7 @@ def _normalise(image: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the mask [H,W] that a network's output [1,1,320,320] stands for; `size` is (W, H)."""
+    """Convert a network's output [1,1,320,320] to a mask [H,W]; `size` is (W, H)."""
     return _stretch_mask(d0, size, Image.Resampling.LANCZOS)
 
 
@@ -217,8 +218,8 @@ STYLES = {
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does; return [H,W,4].
 
-    LGM's program receives such images, and multiplies the colours by alpha once more. This darkens
-    soft edges.
+    LGM's program receives such images and multiplies the colours by alpha again, which darkens soft
+    edges.
     """
     picture = Image.fromarray(image).convert("RGBA")
     clear = Image.new("RGBA", picture.size, 0)
@@ -227,8 +228,7 @@ def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[
 
 def _load_onnx(path: Path) -> Network:
     try:
-        # The file is passed as bytes, because OpenCV cannot open every file name that the system
-        # allows.
+        # The file is passed as bytes, because OpenCV cannot open files with some names.
         network = cv2.dnn.readNetFromONNX(np.frombuffer(path.read_bytes(), np.uint8))
         first = network.getUnconnectedOutLayersNames()[0]
     except (cv2.error, OSError, IndexError) as error:

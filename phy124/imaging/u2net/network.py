@@ -145,7 +145,7 @@ class U2Net(nn.Module):
 def load(tensors: StateDict) -> U2Net:
     """Build the network to which the tensors belong (U2-Net or U2-NetP), and load the tensors.
 
-    An error is raised if tensors are missing or superfluous.
+    An error is raised if tensors are missing or unknown.
 
     Raises:
         InputError: If the tensors fit neither network.

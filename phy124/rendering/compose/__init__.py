@@ -1,8 +1,8 @@
-"""Films the moving object inside the photograph from which it was made.
+"""Renders the moving object inside the photograph from which the object was made.
 
 Generators assume that the camera is straight in front of the object. The zoom and shift of the
-assumed camera are matched to the photograph. Inpainting removes the object from the photograph. The
-moving object and its shadow are then drawn over the result.
+assumed camera are matched to the photograph. The object is removed from the photograph by
+inpainting. The moving object and its shadow are then drawn over the inpainted photograph.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def compose(
         **fields: `device` and `progress`, if no context is passed.
 
     Returns:
-        The file, and two PSNR values of its first picture inside the object [dB]: `psnr`, and
-        `psnr_before`, the value before colours and sizes were matched.
+        The file, and two PSNR values [dB] of the first picture inside the object: `psnr`, and
+        `psnr_before`, which is the value before colours and sizes were matched.
     """
     context = RunContext.of(context, **fields)
     device, progress = context.device, context.progress

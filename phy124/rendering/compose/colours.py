@@ -19,14 +19,14 @@ from phy124.rendering.render import BLACK, MAX_PAIRS, Renderer, runs
 ROUNDS = 12
 """Number of iterations of the colour correction."""
 SIZES = (1.0, 0.8)
-"""Relative sizes of splats to try. Smaller sizes help because generators let splats overlap too
-much."""
+"""Relative sizes of splats that are tried.
+
+Generators let splats overlap too much, so smaller sizes may be better.
+"""
 AROUND = 9
-"""Width of a square of pixels around a Gaussian [px]. The colours of these pixels bound the
-Gaussian's colour."""
+"""Width of the square of pixels whose colours limit the colour of a Gaussian [px]."""
 BEHIND = 0.03
-"""Largest distance behind the visible surface at which a Gaussian counts as visible, relative to
-the object's depth."""
+"""Largest distance of a visible Gaussian behind the surface, relative to the object's depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +80,10 @@ def _fit_colours(
     photograph: Photograph,
     each: Callable[[], object],
 ) -> Gaussians:
-    """Fit colours by least squares, within the range of colours of nearby pixels of the photograph.
+    """Fit colours by least squares, within the range of nearby colours of the photograph.
 
-    Let W map the colours of Gaussians to pixels. Each step adds a Gaussian's mean residual, W^T r /
-    W^T 1, to its colour (SIRT), with Nesterov's momentum.
+    Let W map the colours of Gaussians to pixels, and r be the residual. Each step adds W^T r / W^T
+    1 to the colours (SIRT), with Nesterov's momentum.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))
@@ -111,7 +111,7 @@ def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -
 def _seen(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> NDArray[np.bool_]:
-    """Return the mask of the Gaussians on the object's surface that the camera sees [N]."""
+    """Return the mask [N] of the Gaussians that the camera sees."""
     pixels, depths = camera.project(gaussians.means.astype(float))
     depths = (depths - depths.min()) / max(float(np.ptp(depths)), 1e-9)
     g, grey = gaussians, np.repeat(depths[:, None], 3, axis=1)
@@ -134,7 +134,7 @@ def sample_maps(maps: NDArray, pixels: NDArray) -> NDArray[np.float32]:
 
 
 class Adjoint(Renderer):
-    """A renderer that also adds up pixel values per Gaussian, the transpose of rendering."""
+    """A renderer that also computes the transpose of rendering: sums of pixels per Gaussian."""
 
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray

@@ -24,19 +24,19 @@ CUTOUT = "cutout.png"
 LARGEST = 1024
 """Largest side of a photograph [pixels]. Larger photographs are reduced to this size."""
 MARGIN = 0.015
-"""Width of the rim around the object that is inpainted, too, relative to the photograph's longest
-side."""
+"""Width of the inpainted rim around the object, relative to the photograph's longest side."""
 HOLE = 320
 """Longest side of the picture in which holes are inpainted [pixels]. A larger picture takes longer
 and gives no better result."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances to try, relative to the silhouette's size. The first two distances are assumed
-by relief and LGM, and the third is that of a longer lens."""
+"""Camera distances that are tried, relative to the silhouette's size.
+
+Relief and LGM assume the first two distances; the third distance is typical of a longer lens.
+"""
 RIM = 0.008
-"""Width of the rim around the object that is compared, too, relative to the photograph's longest
-side."""
+"""Width of the compared rim around the object, relative to the photograph's longest side."""
 ROUNDS = (False, False, False, True, True)
-"""For each correction of the camera: whether to compare only the object and its rim."""
+"""For each correction of the camera: whether only the object and its rim are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def likeness(
 
 
 def _first_camera(gaussians: Gaussians, photograph: Photograph, distance: float) -> Camera:
-    """Return a camera in front that shows the object at its size and position in the photograph."""
+    """Return a front camera that shows the object at its size and position in the photograph."""
     means = gaussians.means[gaussians.opacities > 0.1].astype(float)
     means = means[np.isfinite(means).all(axis=1)]
     low, high = means.min(axis=0), means.max(axis=0)
@@ -198,7 +198,7 @@ def _correct_camera(
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
     """Return the mask of the object and a thin rim [H,W].
 
-    The rim allows for flat ends of the object, which are rendered too long.
+    The rim is needed because flat ends of the object are rendered too long.
     """
     import cv2
 

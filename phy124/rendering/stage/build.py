@@ -24,14 +24,11 @@ from phy124.rendering.stage.solids import floor_heights, place_walls
 from phy124.scene import Scene, View
 
 RECENT = 64
-"""Number of frames whose surroundings are stored, because pictures from other sides need them,
-too.
-"""
+"""Number of frames whose surroundings are stored for pictures from other sides."""
 SAMPLE = 1024
-"""Number of Gaussians whose paths determine how large the shadow map is."""
+"""Number of Gaussians whose paths determine the size of the shadow map."""
 OUTLIERS = (0.5, 99.5)
-"""Percentiles of the positions of `SAMPLE` Gaussians in each frame. The shadow map covers the range
-between these percentiles."""
+"""Percentiles of the Gaussians' positions in each frame, between which the shadow map extends."""
 ROOM = 0.9
 """Margin of the shadow map around the range of positions, as a fraction of the object's largest
 height above the floor."""
@@ -64,7 +61,7 @@ class Stage:
 
     def at(self, frame: Frame) -> StageFrame:
         """Return the surroundings of the object in a frame of the clip."""
-        with self.lock:  # threads that draw a frame from several sides request it at the same time
+        with self.lock:  # several threads, one for each side, request the same frame
             if frame.index not in self.frames:
                 while len(self.frames) >= RECENT:
                     del self.frames[next(iter(self.frames))]
@@ -111,7 +108,7 @@ def make_stage(
         return None
     background = backdrop(view)
     rest = np.asarray(clip.means[0][clip.object_mask] if rest is None else rest)
-    # The order is column-major, in which minimum and maximum are computed several times faster.
+    # In column-major order, minimum and maximum are several times faster.
     rest = np.asfortranarray(rest[_finite(rest)], np.float64)
     if view.stage == "plain" or not len(rest):
         return Stage(background, np.zeros(len(clip)), (), None)
@@ -134,7 +131,7 @@ def _finite(points: NDArray) -> NDArray[np.bool_]:
 def boundaries_of(clip: Clip) -> Sequence[Boundary]:
     """Return the boundaries of a clip's scene, except those from plug-ins that are not installed.
 
-    A plug-in is known if it is registered, or if this program defines its class.
+    Plug-ins are installed if they are registered, or if this program defines their classes.
     """
     defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
     known: list[Any] = []
@@ -156,7 +153,7 @@ def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
 
 
 def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
-    """Return a shadow map that covers the floor around the object in all frames."""
+    """Return the object that computes shadow maps of the floor around the object in all frames."""
     chosen = np.flatnonzero(clip.object_mask & _finite(clip.means[0]))
     chosen = chosen[:: 1 + len(chosen) // SAMPLE]
     first = clip.means[0][chosen].astype(np.float64)
@@ -177,8 +174,8 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
     """Yield the optical depth of each glass solid for two layers of the shadow map.
 
-    The two layers are just below and just above the solid's lowest point. Two weights, whose sum is
-    1, interpolate between the heights of the layers.
+    The layers are just below and just above the solid's lowest point. The optical depth is divided
+    between the layers by linear interpolation in height.
     """
     for solid in solids:
         x, y, z = solid.centre.tolist()

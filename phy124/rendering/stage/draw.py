@@ -27,22 +27,22 @@ class Uploaded:
         levels = NO_SHADE if shown.floor is None else shown.floor.levels
         self.setting = setting(shown)
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
-        # The few solids are arranged on the CPU, so that no picture waits for the number of solids.
+        # The solids are sorted on the CPU, so that the renderer does not have to wait for their
+        # number.
         self._numbers: Any = wp.array(shown.table, dtype=float, device="cpu")
         kind: Any = glass.Solid
-        # This is an alias of `_numbers`, which owns the memory. A structured NumPy array would be
-        # simpler, but with several threads Warp sometimes rejects the array's type.
+        # An alias of `_numbers`, which owns the memory. A structured NumPy array would be simpler,
+        # but if there are several threads, Warp sometimes rejects its type.
         self.solids = wp.array(
             ptr=self._numbers.ptr, shape=len(shown.solids), dtype=kind, device="cpu"
         )
 
 
 class Surroundings:
-    """The stage on a device; a renderer uses the same instance for all pictures."""
+    """The stage on a device; a renderer uses one instance for all pictures."""
 
     among: int
-    """Number of solids that are drawn between the Gaussians: not behind all of them, and not in
-    front of all of them."""
+    """Number of solids that are neither behind nor in front of all Gaussians."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
         """Create an empty stage on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
@@ -94,16 +94,13 @@ class Surroundings:
         return [shown.setting, shown.shade, self._picture[1], self._before, *self._solids]
 
     def draw(self, image: wp.array, coverage: wp.array) -> None:
-        """Render the stage behind Gaussians, from their light on black and their coverage."""
+        """Draw the stage behind Gaussians that were rendered over black."""
         view, inputs = self._view, [self._view, *self.inputs(), coverage]
         threads = view.width * view.height
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
     def _allocate(self, count: int, device: Any) -> tuple[Any, Any]:
-        """Return arrays for the sorted solids and their outlines.
-
-        Existing arrays are reused if their lengths are right.
-        """
+        """Return arrays for the sorted solids and their outlines, reused if possible."""
         key = count, str(device)
         if key not in self._arrays:
             kinds: tuple[Any, Any] = glass.Solid, glass.Outline

@@ -14,8 +14,7 @@ Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
 """Lowest and highest corner [3], m."""
 TOGETHER = 64
-"""Number of points per row in the computation of minimum and maximum, which is faster for wide
-rows."""
+"""Number of points per row when minimum and maximum are computed; wide rows are faster."""
 POOL = 0.5
 """Brightness added in the middle of a studio's floor if the grey of the floor is 1/2."""
 
@@ -56,7 +55,7 @@ class Floor:
 
     @cached_property
     def shaded(self) -> tuple[int, int, int, int]:
-        """First and last cell in shade along x, then those along y."""
+        """First and last cell in shade along x, then along y."""
         along_x, along_y = (np.flatnonzero(self.shade.any(axis=axis)) for axis in (1, 0))
         if not len(along_x):
             return 0, 0, 0, 0
@@ -85,12 +84,11 @@ class StageFrame:
     floor: Floor | None = None
     solids: tuple[Solid, ...] = ()
     box: Box | None = None
-    """A box around all Gaussians, or None if it is unknown. The box determines the drawing order of
-    the solids."""
+    """A box around all Gaussians, for the drawing order of the solids; None if it is unknown."""
 
     @cached_property
     def table(self) -> Array:
-        """The solids in the form that kernels read [S,16]."""
+        """The solids as an array for the kernels [S,16]."""
         table = np.empty((len(self.solids), 16), np.float32)
         for row, solid in zip(table, self.solids, strict=True):
             row[:3], row[3:12] = solid.centre, np.ravel(solid.axes)

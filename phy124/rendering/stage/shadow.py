@@ -1,13 +1,13 @@
 """Computes the shadow of Gaussians on the floor by projecting them along the light.
 
 The floor is lit by a soft lamp above and by the sky of a room. Gaussians are projected along the
-lamp's direction, like splats (Zwicker et al. 2001), and sorted into layers by height. Seen from the
-floor, a layer hides the layers above it. A layer at height h then dims
+lamp's direction, like splats (Zwicker et al. 2001), and sorted into layers by height. A layer hides
+the layers above it from the floor. A layer at height h dims
 
-- the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, which is the
-  lamp's image through a hole at that height;
-- the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), which is the part of a uniform
-  sky's light that comes through it (ambient occlusion).
+- the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, because the
+  lamp is not a point;
+- the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), the fraction of a uniform sky's
+  light that passes at a distance r (ambient occlusion).
 
 The blur and the weighted coverage are convolutions. A map therefore takes one Fourier transform per
 layer, and one inverse transform.
@@ -50,17 +50,18 @@ are widened."""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Value of the shade that is halved. Smaller values almost vanish. Otherwise the sky's shadow would
-be unlimited."""
+"""Value of the shade that is halved; smaller values almost vanish.
+
+This limits the extent of the sky's shadow.
+"""
 UNSEEN = 0.1 / 255
 """Smallest value of the shade that is visible. Smaller values are set to zero."""
 FAINTEST = 1e-4
-"""Smallest frequency response of a layer that is not neglected."""
+"""Frequency responses of a layer below this value are neglected."""
 EDGE = 0.1
 """Fraction of the map, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""A rectangle of cells in a layer, as (layer, rows, columns), and the optical depth that is added
-to it."""
+"""A rectangle of cells (layer, rows, columns), and the optical depth to add to these cells."""
 
 
 def covering(device: str) -> tuple[Any, int]:
@@ -91,9 +92,7 @@ class Caster:
         return self.tallest * np.linspace(0, 1, LAYERS) ** 2
 
     def layer(self, height: float) -> tuple[int, float]:
-        """Return the index of the layer below a height, and the fraction that the layer above
-        receives.
-        """
+        """Return the index of the layer below a height, and the weight of the layer above."""
         level = (LAYERS - 1) * min(height / self.tallest, 1.0) ** 0.5
         layer = min(int(level), LAYERS - 2)
         return layer, level - layer
@@ -115,7 +114,8 @@ class Caster:
         depth = depth[:, covered]
         below, open = np.zeros_like(depth[0]), np.ones_like(depth[0])
         total, along_y = np.zeros((2, CELLS, CELLS // 2 + 1), np.complex64)
-        # The floor sees a layer through all layers below it. A single layer fits into the cache.
+        # A layer is seen from the floor through all layers below. A single layer fits into the
+        # cache.
         for layer, response in zip(depth, self._response, strict=True):
             below += layer
             through = np.exp(-below)
@@ -153,15 +153,14 @@ class Caster:
     def _response(self) -> list[NDArray[np.complex64]]:
         """Frequency response of each layer [CELLS,K], where K <= CELLS/2+1.
 
-        Higher layers are smoother. Higher layers therefore need fewer frequencies along y.
+        Higher layers are smoother and need fewer frequencies along y.
         """
         kx = 2 * np.pi * scipy.fft.fftfreq(CELLS, self.cell)[:, None]
         ky = 2 * np.pi * scipy.fft.rfftfreq(CELLS, self.cell)[None, :]
         h = self.heights[:, None, None]
         k = np.hypot(kx, ky)
         blur = np.exp(-0.5 * (SOFTNESS * h * k) ** 2)
-        # This is the transform of h^2 / (pi (h^2 + r^2)^2), shifted back by the lamp's
-        # displacement.
+        # The transform of h^2 / (pi (h^2 + r^2)^2), shifted back by the lamp's displacement.
         kh = np.maximum(k * h, 1e-9)
         sky = kh * scipy.special.k1(kh) * np.exp(1j * h * (kx * SLOPE[0] + ky * SLOPE[1]))
         smooth = np.exp(-0.5 * (0.7 * self.cell * k) ** 2)

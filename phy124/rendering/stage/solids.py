@@ -39,7 +39,7 @@ class PlacedWall:
     """The three parameter vectors of the wall's distance function [3,3], m."""
     track: Track | None
     holds: bool
-    """Whether the wall is a clamp. A clamp holds the object and does not obstruct it."""
+    """Whether the wall is a clamp, which holds the object instead of stopping it."""
     span: Corners
     """Box to which the rendering of an infinite wall is limited, m."""
 
@@ -87,9 +87,9 @@ def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
 
 
 def span_container(container: Container, low: NDArray, high: NDArray) -> Corners:
-    """Return the box that shows a container around an object.
+    """Return the box that is drawn for a container around an object.
 
-    At rest, the object lies between two corners [m].
+    The object at rest lies between the corners `low` and `high` [m].
 
     The walls of the box end slightly above the object. Open sides end at 2 object sizes.
     """

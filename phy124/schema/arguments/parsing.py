@@ -1,7 +1,7 @@
 """Parse a command line into a command, and convert the parser's errors to `InputError`s.
 
-The parser (tyro) reports errors to a hook. If the installed version of tyro does not support the
-hook, the parser prints its own message.
+The parser (tyro) passes errors to a hook. If the installed version of tyro has no such hook, the
+parser prints its message itself.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from phy124.schema.arguments.words import (
 NARROWEST = 40
 """Smallest width for which help texts are laid out [characters]."""
 SIMILAR = 0.75
-"""Similarity (from 0 to 1) from which a known option is suggested in place of an unknown one."""
+"""Smallest similarity (0 to 1) of a known option that is suggested instead of an unknown option."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
@@ -50,7 +50,7 @@ def parse(
     """Parse a command with its options.
 
     Args:
-        arguments: The words after the program's name. An empty list means --help.
+        arguments: The arguments after the program's name. An empty list means --help.
         commands: Classes of the commands, by name.
         program: The program's name.
         description: The first paragraph of `--help`.
@@ -82,18 +82,18 @@ def parse(
         with (
             _no_help_texts(),
             suppress(InputError),
-        ):  # parsed again to get a message with help texts
+        ):  # parsed again to get an error message with help texts
             return parse_once()
     return parse_once()
 
 
 def asks_for_commands(arguments: Sequence[str]) -> bool:
-    """Return whether the words ask for the list of all commands."""
+    """Return whether the arguments ask for the list of all commands."""
     return not arguments or arguments[0] in ("-h", "--help")
 
 
 def _registry() -> Any:
-    """Return the parser's rules; an option that may be absent is described by its values."""
+    """Return the parser's rules; an optional value is described like a required value."""
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
     registry = ConstructorRegistry()
@@ -122,14 +122,14 @@ def _translate_errors(arguments: Sequence[str], commands: Commands, program: str
     """Raise errors of the parser as InputError within this context."""
     try:
         from tyro._errors import on_parse_error
-    except ImportError:  # another version of tyro, which prints its own message
+    except ImportError:  # other versions of tyro print their message themselves
         on_parse_error = nullcontext
 
     def hook(event: Any) -> None:
         try:
             error = _explain(event, arguments, commands, program)
         except (AttributeError, LookupError):
-            return  # an event of another version of tyro, which prints its own message
+            return  # an event of another version of tyro, which prints its message itself
         if error is not None:
             raise _Refused(error)
 
@@ -174,11 +174,11 @@ def _no_empty_defaults() -> Iterator[None]:
 
 @contextmanager
 def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -> Iterator[None]:
-    """Replace functions of a module of tyro within this context, if this version has them.
+    """Within this context, replace functions of a tyro module, if this version has them.
 
     Args:
         module: The module's name.
-        wrappers: For each name of a function, the function that returns the replacement.
+        wrappers: Functions that return a replacement, by the name of the replaced function.
     """
     try:
         place = import_module(f"tyro.{module}")
@@ -218,7 +218,7 @@ class _Refused(Exception):
 def _refuse_empty(
     arguments: Sequence[str], commands: Commands, program: str, empty: Container[str]
 ) -> None:
-    """Raise InputError if the first word is not a command, or if a word is empty."""
+    """Raise InputError if the first argument is not a command, or if an argument is empty."""
     name = arguments[0]
     if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
         if name.startswith("-"):

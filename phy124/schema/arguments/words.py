@@ -1,4 +1,4 @@
-"""Prepare a command line for the parser: expand `~`, split at `--`, merge repeated options."""
+"""Prepares a command line for the parser: expands `~`, splits at `--`, merges options."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from phy124.errors import InputError
 
 END = "--"
-"""Marks the end of the options. Later words are operands, even if they look like options."""
+"""Marks the end of the options. Later arguments are operands, even if they look like options."""
 _BEFORE_HOME = re.compile(r"(?:[\w.-]+=)*(?=~)")
 """Matches the text before a `~`, such as --out=, object.file= or --set=object.file=."""
 
@@ -19,7 +19,7 @@ _BEFORE_HOME = re.compile(r"(?:[\w.-]+=)*(?=~)")
 def expand_home(word: str) -> str:
     """Expand `~` at the start of a path; shells do not expand it after an equals sign.
 
-    The word is unchanged if the home folder does not exist.
+    If the home folder does not exist, the argument is unchanged.
     """
     prefix = _BEFORE_HOME.match(word)
     if prefix is None:
@@ -28,9 +28,9 @@ def expand_home(word: str) -> str:
 
 
 def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Split the words at `--`.
+    """Split the arguments at `--`.
 
-    The second list starts with `--`. If there are no operands, the second list is empty.
+    The second list starts with `--`, or is empty if there are no operands.
     """
     end = list(arguments).index(END) if END in arguments else len(arguments)
     operands = list(arguments[end:])
@@ -38,11 +38,11 @@ def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
-    """Return the words with each option once; join repeated lists and remove repeated equal values.
+    """Return the arguments with each option only once; join the values of repeated list options.
 
-    If an option is repeated, argparse, which reads the command line, would silently use only its
-    last value. Operands are rewritten so that none looks like an option (`-x.png` becomes
-    `./-x.png`), because the parser (tyro) ignores `--` after a positional value.
+    Without this step, the parser would silently use only the last value of a repeated option.
+    Operands that look like options are rewritten (`-x.png` becomes `./-x.png`), because the parser
+    (tyro) ignores `--` after a positional value.
 
     Raises:
         InputError: An option has two different values.
@@ -56,8 +56,7 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
     single: dict[str, str | None] = {}
     for name, values in _group_by_option(arguments):
         if name in lists:
-            # An option that is written with `=` has a single value. Later words do not belong to
-            # this option.
+            # An option with `=` has a single value; later arguments do not belong to this option.
             joined.setdefault(name, []).extend(values)
             continue
         value = values[0] if values else None
@@ -65,7 +64,7 @@ def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list
             limit = f"the option has two values, {single[name]} and {value}."
             raise InputError(name.removeprefix("--"), value, limit, "Give it once.")
         if name and value and value.startswith("-") and value != "-h":
-            # Otherwise the parser would mistake the value for an option: `--front -y`.
+            # Without `=`, the parser would mistake the value for an option: `--front -y`.
             name, values = f"{name}={value}", values[1:]
         rest += [name, *values] if name else values
     for name, values in joined.items():
@@ -111,9 +110,9 @@ def _strip_annotated(annotation: Any) -> Any:
 
 
 def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return pairs of an option and the words that follow it.
+    """Return pairs of an option and its arguments.
 
-    The words before the first option follow "".
+    The option before the first option is "".
     """
     groups: list[tuple[str, list[str]]] = [("", [])]
     for word in arguments:
