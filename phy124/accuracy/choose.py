@@ -1,12 +1,12 @@
 """Chooses an accuracy that meets a goal: a maximum error or a maximum time.
 
 A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine.
-Each level has at most 1.5 times as many cells across the object as the level before. After three
+Each level has at most 1.5 times as many cells across the object as the previous level. After three
 levels, the order of convergence and the error of each level are estimated, and the next level is
 the coarsest grid that is predicted to meet the goal. The search ends when a level meets the goal.
-If the estimates are right, the chosen grid therefore has at most 1.5 times as many cells as the
-goal needs. If the material tears on a level (phy124/monitor/tearing.py), this level is repeated
-with one more particle per cell and axis, and all later levels use this number of particles, too.
+If the estimates are correct, the chosen grid therefore has at most 1.5 times as many cells as
+necessary. If the material tears on a level (phy124/monitor/tearing.py), the level is repeated with
+one more particle per cell and axis. All later levels also use this number of particles.
 
 For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
 """
@@ -45,7 +45,7 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the first levels. Three levels are needed to observe an order of
+"""Cells across the object on the first levels. Three levels are needed to measure an order of
 convergence.
 """
 STEP = 1.5
@@ -53,7 +53,7 @@ STEP = 1.5
 far.
 """
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Cells across the object of all further grids that may be chosen.
+"""Cells across the object on the further grids.
 
 A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
@@ -71,7 +71,7 @@ DENSEST = 4.0
 
 @dataclass
 class Reached:
-    """A finished run, and the error or time that the run reached."""
+    """A finished run, and its error or time."""
 
     simulation: Simulation
     clip: Clip
@@ -125,18 +125,16 @@ class _Runs:
     """Callback that receives the simulation after each frame of each run."""
     done: dict[int, tuple[Simulation, Clip]] = field(default_factory=dict)
     spent: dict[int, float] = field(default_factory=dict)
-    """Cells across the object -> duration of the run on this grid [s]."""
+    """Duration of the run on each grid [s]; the keys are the cells across the object."""
     placed: Placed | None = None
-    """The object as placed in the scene by the first simulation; None before the first
-    simulation.
-    """
+    """The object after placement in the scene; None before the first simulation."""
     denser: bool = False
     """Whether all runs use one more particle per cell and axis, because the material tore on a
     level.
     """
 
     def simulation(self, cells: int) -> Simulation:
-        """Create a simulation on this grid, but do not start the simulation."""
+        """Create a simulation on this grid without starting it."""
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
@@ -165,9 +163,7 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a level on which the material tore with more particles, unless their number would
-        exceed the limit.
-        """
+        """Repeat a level on which the material tore, with more particles if the limit allows."""
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -180,9 +176,7 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Levels on which the grid may have torn the material; error estimates ignore these
-        levels.
-        """
+        """Levels on which the material may have torn; error estimates ignore these levels."""
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 
@@ -230,7 +224,7 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Return the error at the finest level without tears, and the order of convergence."""
+    """Return the error on the finest level without tearing, and the order of convergence."""
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -240,8 +234,8 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe the error and the time that the finest possible grid would have, extrapolated from
-    the finest run.
+    """Describe the error and the time on the finest possible grid, extrapolated from the finest
+    run.
     """
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
@@ -301,7 +295,7 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Estimate the order of convergence and the errors of all levels without tears, in the goal's
+    """Estimate the order of convergence, and the errors of levels without tearing, in the goal's
     unit.
     """
     cells = runs.whole
@@ -343,7 +337,7 @@ def in_time(
     """Return the scene on the finest grid whose predicted time is within a maximum, and the
     forecast.
 
-    The scene itself is not run; only the short probes for the forecasts are run.
+    Only short trial runs are made for the forecasts.
 
     Args:
         goal: The maximum time.
@@ -355,7 +349,7 @@ def in_time(
         forecaster: Predicts times; None: a new forecaster.
 
     Raises:
-        InputError: Even the coarsest grid would take longer. The message gives its time.
+        InputError: Even the coarsest grid would take longer. The message states the necessary time.
     """
     context = (context or RunContext()).aside()
     runs = _Runs(gaussians, scene, context, crop)
@@ -416,7 +410,7 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
         cells = _choose_next(cells, wanted, preparing, forecast, left, kept)
     if not best:
         coarsest = min(tried)
-        # If the command is repeated, the kernels are already compiled.
+        # If the user repeats the command, the kernels are already compiled.
         ready = elapsed + watch.total - start - (_sum_compilation(runs) - compiled)
         raise explain_time(goal, runs.scene, coarsest, tried[coarsest][1], ready)
     return _Fit(best, *tried[best], sorted(tried))
@@ -446,9 +440,8 @@ def _choose_next(
     """Return the next grid to forecast; 0 if there is none.
 
     The result is the finest grid whose preparation and run are expected to stay within the maximum
-    time. After the preparation, enough time must remain to run the best grid so far. If no grid is
-    expected to stay within the maximum, and no forecast so far did, the result is the coarsest
-    grid.
+    time. After the preparation, enough time must remain to run the best grid so far. If there is no
+    such grid, and no forecast so far was within the maximum time, the result is the coarsest grid.
 
     Args:
         cells: Cells across the object of the last grid.
@@ -469,8 +462,7 @@ def _choose_next(
 
 
 GROWTH = 2.5
-"""Exponent of the growth of the time: preparation and simulation are assumed to take times in
-proportion to cells^GROWTH.
+"""Exponent: the times of preparation and simulation are assumed to be proportional to cells^GROWTH.
 
-The exponent lies between those of a thin surface (2) and of a solid (3).
+The exponent lies between that of a thin surface (2) and that of a solid (3).
 """

@@ -1,13 +1,12 @@
-"""Estimates the error of a finished run from a companion: a run of the same scene on a coarser
-grid.
+"""Estimates the error of a finished run from a second run on a coarser grid (the companion run).
 
-The distance between the two runs is measured by the positions of a sample of the Gaussians. The
+The distance between the two runs is the RMS distance between the positions of some Gaussians. The
 estimated error is this distance times a factor, and the error bound is the distance times a larger
 factor. The factors were measured on many objects (docs/lab/own-error.md).
 
-The companion runs after the run, so it changes neither the run nor its result. Whether the
-companion runs depends only on numbers counted in the run, not on measured times, so that equal runs
-have equal reports.
+The companion run starts after the original run, so it does not change the result. The decision
+whether to make a companion run does not depend on measured times, so that equal runs have equal
+reports.
 """
 
 from __future__ import annotations
@@ -35,12 +34,9 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
-"""Maximum predicted time of the companion run, as a fraction of the time of the original run's
-dynamics.
-"""
+"""Maximum predicted time of the companion run, relative to the original run's dynamics."""
 ON_LATTICE = 1.5
-"""Factor by which `AFFORDABLE` is multiplied for lattices, whose dynamics take at most half the
-time of other solvers.
+"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half the time of other solvers.
 """
 SAMPLE = 2000
 """Number of Gaussians whose motions in the two runs are compared."""
@@ -51,8 +47,8 @@ RATES = {
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
 """Costs per unit of work for each solver of elastic objects on a CPU, and for a GPU. The first
-rates are for the original run, the second for the companion run. On a lattice, the checks at each
-frame take a large part of a run's substep time.
+rates are for the original run, the second for the companion run. On a lattice, the checks of each
+frame are a large part of the time.
 """
 EFFORT: dict[Motion, float] = {
     "squeezed": 2.2,
@@ -61,23 +57,18 @@ EFFORT: dict[Motion, float] = {
     "held": 0.9,
     "free": 2.4,
 }
-"""Kind of motion -> factor on the time of a substep that the rates for lattices predict.
+"""Factors on the predicted time of a lattice's substep, by kind of motion.
 
-Contact takes additional time, and so do measurements of the vibration frequency of strained
-objects.
+Contact, and measuring the vibration frequency of strained objects, take additional time.
 """
 PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
-"""Time to prepare a companion run [s]: a constant, a time per Gaussian, and a time per particle of
-the companion.
-"""
+"""Time to prepare a companion run [s]: a constant, a time per Gaussian, and a time per particle."""
 COARSEST = 6
-"""Minimum number of cells across the object on the coarser grid of the companion run."""
+"""Minimum number of cells across the object in the companion run."""
 FEWEST = 3
 """Minimum number of frames that is needed to estimate an error."""
 PARTED = 0.1
-"""Distance, as a fraction of the object's size, above which the motions on two grids count as
-different.
-"""
+"""Largest distance between similar motions on two grids, as a fraction of the object's size."""
 
 
 class Factors(NamedTuple):
@@ -86,7 +77,7 @@ class Factors(NamedTuple):
     about: float
     """Median of the ratio over the measured objects and scenes."""
     at_most: float
-    """Ratio that was not exceeded in 95 % of the measured objects and scenes."""
+    """95th percentile of the ratio over the measured objects and scenes."""
 
 
 RATIO = 0.5
@@ -108,8 +99,8 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors for each kind of motion, and for the constitutive laws that were measured. For any other
-law, the factors of the kind of motion are used.
+"""Factors for each kind of motion, and for each constitutive law that was measured. For other laws,
+the factors of the kind of motion are used.
 """
 USUAL_CELLS = 16
 """Cells across the object in the companion run for which the factors hold. On finer and coarser
@@ -118,17 +109,15 @@ grids, the factors are larger.
 FLOOR = 2e-4
 """Error that is always added to the bound, as a fraction of the object's size."""
 LEAST = 0.6
-"""Smallest allowed bound, as a fraction of the error that was expected before the run.
+"""Smallest allowed bound, as a fraction of the error that was predicted before the run.
 
-The results on two coarse grids may agree by chance, so that the estimate is too small. The expected
-error then keeps the bound from being far too small.
+If the results on two coarse grids agree by chance, the estimated error is too small. In this case,
+the predicted error limits the bound.
 """
 
 
 class OwnError(NamedTuple):
-    """The error of a run, estimated from its coarser companion run, or the reason why there is no
-    estimate.
-    """
+    """The error of a run, estimated from a coarser run, or the reason why there is no estimate."""
 
     about: float | None = None
     """RMS distance from the exact motion over Gaussians and frames, as a fraction of the object's
@@ -137,16 +126,14 @@ class OwnError(NamedTuple):
     at_most: float | None = None
     """Upper bound of the RMS distance from the exact motion, as a fraction of the object's size."""
     until: float | None = None
-    """Time from which the motion depends on the grid [s]; None if the motion never depends on it.
+    """Time after which the motion depends on the grid [s]; None if there is no such time.
 
     The error holds for the frames before this time.
     """
     cells: int | None = None
-    """Cells across the object on the companion's grid; None if there is no companion run."""
+    """Cells across the object in the companion run; None if there is no companion run."""
     cost: float | None = None
-    """Predicted time of the companion run, as a fraction of the time of the original run's
-    dynamics.
-    """
+    """Predicted time of the companion run, relative to the original run's dynamics."""
     why_not: str = ""
     """Reason why there is no estimate."""
 
@@ -158,15 +145,14 @@ class Lost(Exception):
 def with_own_error(
     run: Simulation, clip: Clip, *, omit: str = "", goal: Mapping[str, Any] | None = None
 ) -> Clip:
-    """Return the clip of a run, with the run's own error in its report.
+    """Return the clip of a run, whose report contains the estimated error of the run.
 
     Args:
         run: The run.
         clip: The clip of the run.
-        omit: Reason to skip the companion run. If it is empty, the companion runs if it is cheap
-            enough.
-        goal: The entry `goal` of the report, if the error was measured by the grids of
-            `--max-error`.
+        omit: Reason to omit the companion run. If it is empty, the companion run is made if it
+            takes little time.
+        goal: The entry `goal` of the report, if `--max-error` already measured the error.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
     if omit:
@@ -176,7 +162,7 @@ def with_own_error(
     else:
         try:
             result = measure_error(run, clip)
-        except Lost as lost:  # the original run is finished and must not be lost
+        except Lost as lost:  # the results of the original run must not be lost
             result = OwnError(why_not=str(lost))
     effects = dict(clip.report["effects"])
     if result.cells is not None:
@@ -191,7 +177,7 @@ def with_own_error(
 
 
 def _measured_for(goal: Mapping[str, Any]) -> OwnError:
-    """Return the error that the search for a maximum error measured with several grids."""
+    """Return the error that `--max-error` measured on several grids."""
     error = goal["fraction"]
     if error is None:
         return OwnError(why_not=goal["why_not"].rstrip("."))
@@ -199,14 +185,14 @@ def _measured_for(goal: Mapping[str, Any]) -> OwnError:
 
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
-    """Return the error of a finished run; the companion is run only if it is cheap enough.
+    """Return the error of a finished run, if the companion run takes little time.
 
     Args:
         run: The run.
         clip: The clip of the run.
 
     Raises:
-        Lost: The companion was interrupted, or failed.
+        Lost: The companion run was interrupted, or failed.
     """
     if len(clip) < FEWEST:
         return OwnError(why_not=f"the clip has fewer than {FEWEST} frames")
@@ -234,18 +220,17 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the predicted cost above which a run's companion is not run."""
+    """Return the largest allowed predicted cost of a companion run."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the CPU time of the companion run, divided by the CPU time of the original run's
-    dynamics.
+    """Return the CPU time of the companion run, relative to the original run's dynamics.
 
     Args:
         run: The run.
         substeps: Number of substeps of the run.
-        particles: Number of particles of the companion; if it is None, the number is estimated.
+        particles: Number of particles in the companion run; if None, the number is estimated.
     """
     kind = run.scene.solver if run.device == "cpu" else "cuda"
     (rates, bare), (once, each, point) = RATES[kind], PREPARING[kind]
@@ -259,20 +244,18 @@ def forecast(run: Simulation, substeps: int, particles: int | None = None) -> fl
 
 
 def count_threads(setup: Setup) -> int:
-    """Return how many threads a companion run can use, given the original run's particles and
-    threads.
-    """
+    """Return the number of threads for a companion run."""
     enough = count_particles(setup) // MIN_PARTICLES
     return max(1, min(enough, setup.threads))
 
 
 def count_particles(setup: Setup) -> int:
-    """Estimate the number of particles of a run's companion."""
+    """Estimate the number of particles in a companion run."""
     return round(len(setup.particles) * RATIO**3)
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
-    """Return the factors for a scene whose companion has a given number of cells."""
+    """Return the factors for a scene and the number of cells in the companion run."""
     keys = [
         section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
     ]
@@ -285,15 +268,15 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the error, the bound on the error, and the time for which both hold, as in `OwnError`.
+    """Return the error, the error bound, and the time for which both hold, as in `OwnError`.
 
     Args:
-        distances: RMS distance between the run and its companion in each frame [T], as a fraction
-            of the object's size.
+        distances: RMS distance between the two runs in each frame [T], as a fraction of the
+            object's size.
         times: Times of the frames [T], s.
         factors: Ratios of the error to the distance between the runs.
-        expected: Error bound that was stated before the run, as a fraction of the object's size;
-            None if it was not measured.
+        expected: Error bound that was predicted before the run, as a fraction of the object's size;
+            None if there was no prediction.
     """
     together = np.flatnonzero(distances <= PARTED)
     count = int(together[-1]) + 1 if len(together) else 0
@@ -306,7 +289,7 @@ def estimate(
 
 
 def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int64]) -> OwnError:
-    """Simulate the companion of a run, and return the estimated error of the original run."""
+    """Make the companion run, and return the estimated error of the original run."""
     cells = scene.resolution.cells
     try:
         companion = _prepare(run.setup, scene)
@@ -324,9 +307,7 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
 
 
 def _prepare(setup: Setup, scene: Scene) -> Setup:
-    """Return the setup of a companion run, which has no observers and does not deform the
-    Gaussians.
-    """
+    """Return the setup of a companion run, without observers and without deforming Gaussians."""
     progress = setup.context.progress
     threads = count_threads(setup)
     context = RunContext(setup.context.device, threads, lambda *_: progress("companion", 0, 1))
@@ -341,9 +322,7 @@ def _sample(setup: Setup) -> NDArray[np.int64]:
 
 
 def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Run a companion; return, for each frame [T], the RMS distance [m] between a sample of its
-    Gaussians and the same Gaussians of a clip.
-    """
+    """Make the companion run; return its RMS distance [m] from a clip in each frame [T]."""
     look = setup.appearance
     chosen = (np.cumsum(look.moves) - 1)[indices]
     limits: dict[str, Any] = {name: values[chosen] for name, values in look.limits().items()}

@@ -21,23 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Range of convergence orders in which the order is searched."""
+"""Smallest and largest order of convergence in the search."""
 TRUSTED = (1.0, 2.0)
 """Range of convergence orders that may be used to estimate errors.
 
-Free surfaces converge with first order, and the interior with second order. If the levels are too
-coarse, the observed order is lower than 1, and errors that were estimated with this order would be
-unreliable.
+Free surfaces converge with first order, and the interior with second order. On grids that are too
+coarse, the measured order is below 1, and errors estimated with this order are unreliable.
 """
 SAFETY = 1.25
-"""Factor by which the errors are multiplied if the observed order is outside `TRUSTED` by more than
-`NEAR` (Roache 1998).
+"""Factor on the errors if the measured order is outside `TRUSTED` by more than `NEAR`. Source:
+Roache 1998.
 """
 NEAR = 0.1
 AGREE = 1e-5
-"""Maximum distance between levels that count as equal up to rounding, in the unit of the
-results.
-"""
+"""Levels are equal up to rounding if their distance is at most this, in the unit of the results."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,7 @@ class Convergence:
     exact: tuple[float, ...] = ()
     """Weights of the levels in the extrapolated result; the weights sum to 1."""
     inside: float = 0.0
-    """Mean square distance between the levels and the extrapolated result, weighted by `exact`."""
+    """Mean square distance of the levels from the extrapolated result, weighted by `exact`."""
     factor: float = 1.0
     """Safety factor by which the errors are multiplied."""
 
@@ -69,10 +66,9 @@ class Convergence:
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Estimate the error of any result from its distances to the results of all levels [L].
+        """Estimate the error of a result from its distances to the results of all levels [L].
 
-        Returns:
-            The error; None if the levels have no extrapolated result.
+        Returns: The error, or None if there is no extrapolated result.
         """
         if not self.exact:
             return None
@@ -83,8 +79,8 @@ class Convergence:
 def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
     """Return the order of convergence of levels whose errors are known.
 
-    The order is the slope of a straight line that is fitted by least squares to the logarithm of
-    the error as a function of the logarithm of the spacing.
+    The order is the slope of a straight line, fitted by least squares, in a log-log plot of the
+    error over the spacing.
     """
     return float(np.polyfit(np.log(spacings), np.log(np.abs(errors)), 1)[0])
 
@@ -95,8 +91,8 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
     Args:
         spacings: Grid spacings, from coarse to fine [L].
         apart: Distances between the levels' results [L,L].
-        agree: Distance below which levels count as equal. If all levels are equal, their error is
-            the largest distance between them.
+        agree: Largest distance between equal levels. If all levels are equal, the error is the
+            largest distance between them.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:
@@ -128,8 +124,8 @@ def longest_convergence(
 ) -> tuple[Convergence, int]:
     """Estimate the errors over the longest initial part of the clips for which the levels converge.
 
-    The motions on two grids may separate after some event, for example if the object topples on
-    only one of the grids. Up to such an event the results on finer grids still converge.
+    The motions on two grids may become different, for example if the object topples on only one of
+    the grids. Until this time, the results on finer grids still converge.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
@@ -137,8 +133,8 @@ def longest_convergence(
         size: Divisor of the distances.
 
     Returns:
-        The convergence, and the number of frames for which it holds. If the levels converge for no
-        initial part, the result is the convergence over all frames.
+        The convergence, and the number of frames for which it holds. If there is no convergence in
+        any initial part, the result is that for all frames.
     """
     frames = len(clips[0])
     square = np.zeros((frames, len(clips), len(clips)))

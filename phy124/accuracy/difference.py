@@ -1,6 +1,6 @@
 """Measures the difference between two clips of the same Gaussians.
 
-The difference is measured in metres, as a fraction of the object's size, in pixels, and as PSNR and
+The difference is stated in metres, as a fraction of the object's size, in pixels, and as PSNR and
 SSIM.
 """
 
@@ -34,7 +34,7 @@ class Difference:
     worst_frame: int
     """Index of the frame with the largest RMS distance."""
     worst: float
-    """RMS distance in the frame where it is largest, as a fraction of the object's size at rest."""
+    """RMS distance in the frame `worst_frame`, as a fraction of the object's size at rest."""
     psnr: float
     """PSNR of the videos of the first view [dB]; infinite if the videos are equal."""
     ssim: float
@@ -48,8 +48,7 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
     Args:
         clip: The first clip.
-        reference: The second clip. Both clips are rendered with the camera that is chosen for the
-            second clip.
+        reference: The second clip. Both clips are rendered with the camera of this clip.
         view: The view settings.
         device: Warp device.
 

@@ -5,7 +5,7 @@ its grid and of its object (`properties`). The coefficients are sums over the gr
 scene belongs (`groups`), such as its kind of motion and its material law. tests/benchmarks/zoo.py
 measures the errors, and tests/benchmarks/expectations.py fits the model and writes measured.json.
 
-A scene has a prediction only if scenes with its law and kind of motion were measured in its range.
+There is no prediction for a scene if no similar scene was measured.
 """
 
 from __future__ import annotations
@@ -38,22 +38,20 @@ WORDS: dict[Motion, str] = {
     "held": "held at a part of it",
     "free": "touching nothing",
 }
-"""Kind of motion -> description of this kind in messages."""
+"""Descriptions of the kinds of motion, for messages."""
 ON_LATTICE = ", on a lattice"
-"""Words that are appended to the name of a kind of scene or of a feature if the lattice solver
-moves the elastic objects.
-"""
+"""Text that is appended to the name of a kind of scene or of a feature if lattices are used."""
 MARGIN = 1.25
-"""Maximum ratio of a scene's property to the upper end of the measured range of this property."""
+"""Maximum ratio of a scene's property to the largest measured value of the property."""
 NEARBY = 0.02
-"""Maximum amount by which Poisson's ratio may exceed the measured range."""
+"""Maximum difference by which Poisson's ratio may exceed the measured range."""
 HARDER = {
     "violence": "with so fast a motion or so soft a material",
     "yielding": "with so large a plastic deformation",
 }
-"""Name of a property -> description of scenes in which the property is above the measured range."""
+"""Descriptions of scenes in which a property exceeds the measured range, by property."""
 THINNEST = 0.7
-"""Thickness of an object, in cells, below which thinner objects do not have larger errors."""
+"""Thickness of an object, in cells, below which the error no longer depends on the thickness."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
 """Proportions of an object that is thick enough for every grid."""
 STIFFEST, SOFTEST = 0.02, 100.0
@@ -68,11 +66,9 @@ class Expectation(NamedTuple):
     object's size.
     """
     unmeasured: str = ""
-    """The kind of the scene, if there is no prediction because no scene of this kind was
-    measured.
-    """
+    """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
     such: str = ""
-    """Constitutive law and kind of motion of the measured objects, in words."""
+    """Description of the measured objects' constitutive law and kind of motion."""
     objects: int = 0
     """Number of measured objects with this law and kind of motion."""
     length: float = math.inf
@@ -80,9 +76,7 @@ class Expectation(NamedTuple):
 
 
 def law_of(scene: Scene) -> str:
-    """Return the name of a scene's constitutive law; "elastic" stands for all laws without plastic
-    or viscous flow.
-    """
+    """Return a scene's constitutive law, or "elastic" for laws without plastic or viscous flow."""
     sections = scene.materials
     laws = {"elastic" if isinstance(each, Springy) else each.law for each in sections}
     return " and ".join(sorted(laws))
@@ -91,25 +85,21 @@ def law_of(scene: Scene) -> str:
 def kind_of(scene: Scene) -> str:
     """Return the constitutive law and the kind of motion of a scene, such as "elastic landing".
 
-    A scene on lattices is of another kind: "lattice elastic landing".
+    The kind of a scene on lattices is different: "lattice elastic landing".
     """
     kind = f"{law_of(scene)} {motion_of(scene)}"
     return f"lattice {kind}" if scene.on_lattice else kind
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the names of the groups to which a scene belongs; the model adds up the coefficients
-    of these groups.
-    """
+    """Return the groups to which a scene belongs, whose coefficients the model adds up."""
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return pairs of a feature of the scene and the scene's solver. A prediction needs
-    measurements of each pair.
-    """
+    """Return pairs of a feature and the solver; a prediction needs measurements of all pairs."""
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
@@ -178,7 +168,7 @@ def expect(
     Args:
         scene: The scene.
         proportions: Proportions of the scene's object; None if they are unknown.
-        model: The coefficients and the measured ranges; if it is None, measured.json is used.
+        model: The coefficients and the measured ranges; if None, measured.json is used.
     """
     model = model or table()
     law, motion = law_of(scene), motion_of(scene)
@@ -193,7 +183,7 @@ def expect(
         return Expectation(None, f"{such} {outside}")
     if proportions is None:
         return Expectation(None, "an object of unknown proportions")
-    # The error on a coarser grid is never predicted to be smaller than on the finest measured grid.
+    # The predicted error is never smaller than on the finest measured grid.
     finest = measured["cells"][1]
     grids = [
         values | {"cells": cells, "thickness": max(proportions.thickness * cells, THINNEST)}
@@ -207,9 +197,7 @@ def expect(
 def predict(
     coefficients: Mapping[str, Mapping[str, float]], names: list[str], values: Mapping[str, float]
 ) -> float:
-    """Return the error bound of a scene with these groups and properties, as a fraction of the
-    object's size.
-    """
+    """Return the error bound of a scene, as a fraction of the object's size."""
     terms = regressors(values)
     each = (coefficients.get(name, {}) for name in names)
     return math.exp(sum(c * terms[term] for group in each for term, c in group.items()))
@@ -224,7 +212,7 @@ def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str
 
 
 def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
-    """Describe a feature of the scene that was not measured; the text is empty if there is none."""
+    """Describe a feature of the scene that was not measured; return "" if there is none."""
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
     accuracy = scene.resolution
@@ -239,11 +227,10 @@ def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
 def _describe_outside(
     scene: Scene, values: Mapping[str, float], measured: Mapping[str, Any]
 ) -> str:
-    """Describe a property of the scene that is outside the measured range; the text is empty if
-    there is none.
+    """Describe a property of the scene outside the measured range; return "" if there is none.
 
-    A value that makes the error smaller is not reported, since the nearest measured value replaces
-    it.
+    Values that make the error smaller are not reported; they are replaced by the nearest measured
+    value.
     """
     for name, words in HARDER.items():
         if values[name] > MARGIN * measured[name][1]:

@@ -1,10 +1,10 @@
 """Forecasts the time of a run before it starts.
 
 The time [s] is substeps * (a * particles + b * nodes) + frames * (shapes + views * pictures). The
-rates a and b are measured in probes of 20 substeps. The probes use the solver of the run, and then
-reset the solver to its initial state. The number of substeps comes from a pilot run on a coarse
-grid (`phy124.accuracy.probe`). The times of shapes, rendered frames and video are measured on a few
-frames. The forecast is only a guess if the particles' speed limits the substep.
+rates a and b are measured in trial runs of 20 substeps, after which the solver is reset to its
+initial state. The number of substeps comes from a pilot run on a coarse grid
+(`phy124.accuracy.probe`). The times for shapes, rendering and video are measured on a few frames.
+The forecast is less reliable if the particles' speed limits the substep.
 """
 
 from __future__ import annotations
@@ -37,23 +37,18 @@ from phy124.scene import AccuracyName, Scene
 from phy124.simulation import Simulation, prepare
 
 SPEED_UP = 0.72
-"""Amount by which each additional thread increases the speed-up."""
+"""Increase of the speed-up with each additional thread."""
 GROWTH = 2.5
-"""Exponent with which the time of a companion run grows with the number of cells across the
-object.
+"""Exponent in the time of a companion run as a function of the number of cells across the object.
 """
 UNSURE = 0.1
-"""Maximum fraction of the substeps that the particles' speed may limit; if it is exceeded, the
-forecast is only a guess.
-"""
+"""Maximum fraction of substeps limited by the particles' speed in a reliable forecast."""
 GUESS = 1.14
-"""Factor that widens the range of the predicted time if the forecast is only a guess."""
+"""Factor that widens the range of the predicted time if the forecast is not reliable."""
 ON_DEVICE = ("simulate", "deform", "render")
 """Names of the stages that run on the GPU, if there is a GPU."""
 REMEMBERED = 32
-"""Maximum number of forecasts and measurements that are stored; a new entry replaces the oldest
-entry.
-"""
+"""Maximum number of stored forecasts and measurements; a new entry replaces the oldest entry."""
 
 
 @dataclass(frozen=True)
@@ -63,22 +58,22 @@ class Forecast:
     """
 
     stages: dict[str, float]
-    """Name of a stage, as in the report -> its predicted time [s]."""
+    """Predicted time of each stage [s], by the names in the report."""
     measured: tuple[str, ...]
-    """Names of the finished stages, whose time in `stages` is measured, not predicted."""
+    """Names of finished stages, whose times in `stages` were measured."""
     particles: int
     nodes: int
     """Mean number of grid nodes over the run."""
     substeps: int
     limiters: dict[str, float]
-    """Name of a limit of the substep -> fraction of the substeps whose length it determines."""
+    """Fraction of the substeps whose length is determined by each limit."""
     rates: SubstepCost
     memory: float = 0.0
     """Estimated memory of the run (`phy124.budget.limits`) [bytes]."""
     caveat: str | None = None
-    """Reason why the predicted time is only a guess; None if it is not."""
+    """Reason why the predicted time is not reliable, or None."""
     load: Load = QUIET
-    """Load by other programs on this machine while the probes ran."""
+    """Load by other programs on this machine during the trial runs."""
     proportions: Proportions | None = None
     """Proportions of the objects; None if they are unknown."""
     device: str = "cpu"
@@ -97,16 +92,16 @@ class Forecast:
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """Return the forecast in which one more stage is finished and has a measured time [s]."""
+        """Return the forecast after a stage was finished in a measured time [s]."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:
-        """Return the forecast with an additional first stage, whose time is only a guess.
+        """Return the forecast with an additional first stage, whose time is not reliable.
 
         Args:
             name: Name of the stage.
             seconds: Predicted time of the stage [s].
-            caveat: Reason why this time is only a guess.
+            caveat: Reason why this time is not reliable.
         """
         caveats = " ".join(filter(None, (self.caveat, caveat)))
         return replace(self, stages={name: seconds, **self.stages}, caveat=caveats)
@@ -149,7 +144,7 @@ class Forecast:
         """Compare the predicted and the measured times, by stage and in total, for the report.
 
         Args:
-            spent: Name of a stage -> its measured time [s].
+            spent: Measured time of each stage [s].
         """
         predicted = {n: s for n, s in self.stages.items() if n not in self.measured and n in spent}
         rows = {
@@ -185,15 +180,15 @@ class Stop:
     pixels: float | None
     """The error bound in the video [pixels]; None if there is no bound."""
     caveat: str | None = None
-    """Reason why the predicted time is only a guess; None if it is not."""
+    """Reason why the predicted time is not reliable, or None."""
     forecast: Forecast | None = None
-    """The forecast of the time; None if no probes of the object itself were made."""
+    """The forecast of the time; None if no trial runs were made."""
 
     @classmethod
     def of(
         cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
     ) -> Stop:
-        """Return the slider position for the accuracy preset that a scene names.
+        """Return the slider position for the named accuracy of a scene.
 
         Args:
             scene: The scene.
@@ -218,9 +213,9 @@ class Forecaster:
     """
 
     context: RunContext = field(default_factory=RunContext)
-    """Device and threads of the runs; its progress and stopwatch are not used."""
+    """Device and threads of the runs; progress and stopwatch are not used."""
     error: bool = True
-    """Whether each run will estimate its own error if the estimate is cheap."""
+    """Whether each run will estimate its error if this takes little time."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -228,7 +223,7 @@ class Forecaster:
         self._meter = LoadMeter(self.context.device)
 
     def forecast(self, gaussians: Gaussians, scene: Scene, *, crop: Crop = WHOLE) -> Forecast:
-        """Forecast the time of a run: create the scene's particles, then probe the solver.
+        """Forecast the time of a run: create the scene's particles, then make trial runs.
 
         Args:
             gaussians: The object.
@@ -251,15 +246,14 @@ class Forecaster:
         error: bool = True,
         load: Load | None = None,
     ) -> Forecast:
-        """Forecast the time of a simulation that has not started, without changing the simulation's
-        state.
+        """Forecast the time of a simulation that has not started, without changing its state.
 
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
-            error: Whether this run will estimate its own error; this requires `error` of the
+            error: Whether this run will estimate its error; this requires `error` of the
                 forecaster.
-            load: Load by other programs; if it is None, the load is measured.
+            load: Load by other programs; if None, the load is measured.
         """
         scene = simulation.scene
         pilot = self._pilot(simulation)
@@ -282,7 +276,7 @@ class Forecaster:
                 companion.count_threads(simulation.setup)
             )
             stages["companion"] = cost * faster * stages["simulate"]
-            if pilot.stages:  # On a lattice, a companion is like the pilot run on another grid.
+            if pilot.stages:  # a companion run takes as long as a pilot run
                 ratio = companion.coarsen(scene).resolution.cells / pilot.cells
                 stages["companion"] = pilot.seconds * ratio**GROWTH
         return Forecast(
@@ -332,7 +326,7 @@ class Forecaster:
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """Return the stored value for a key; if the value is missing, compute and store it.
 
-        If the key contains the `id` of a Python object, `keep` is this object. While the object is
+        If the key contains the `id` of a Python object, pass this object as `keep`: while it is
         stored, no other object can get the same id.
         """
         if key not in self._known:
@@ -348,7 +342,7 @@ def speed_up(threads: int) -> float:
 
 
 def _sample(gaussians: Gaussians) -> tuple[int, bytes]:
-    """Return the number of Gaussians and a few of their positions, to be used as a cache key."""
+    """Return the number of Gaussians and a few positions, for use as a cache key."""
     return len(gaussians), gaussians.means[:: max(1, len(gaussians) // 64)].tobytes()
 
 

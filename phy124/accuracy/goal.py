@@ -1,6 +1,4 @@
-"""Defines the goal of a run, a maximum error or a maximum time, and refuses times that are too
-short.
-"""
+"""Defines the goal of a run: a maximum error or a maximum time."""
 
 from __future__ import annotations
 
@@ -22,11 +20,9 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
     "fraction": lambda scene: 1.0,
     "metres": lambda scene: scene.object.size,
 }
-"""Kind of a goal -> function that returns the object's size in the goal's unit."""
+"""Functions that return the object's size in the goal's unit, by kind of goal."""
 MARGIN = 0.95
-"""Maximum predicted time as a fraction of the goal's maximum time. The rest is left for forecast
-errors of a few per cent.
-"""
+"""Maximum predicted time as a fraction of the goal's maximum time; forecasts are off by a few %."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +31,7 @@ class Goal:
 
     kind: Kind
     value: float
-    """Value of the maximum, in pixels of the first view, fractions of the object's size, metres or
+    """Maximum value, in pixels of the first view, fractions of the object's size, metres or
     seconds.
     """
     text: str
@@ -85,7 +81,7 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
     """Describe how a run met its goal, from the entry `goal` of the run's report.
 
     Args:
-        goal: The goal, the grid that was chosen, and the result.
+        goal: The goal, the chosen grid, and the result.
         seconds: Time of the run [s].
     """
     target, grid = goal["target"], f"D/{goal['cells']}"
@@ -145,4 +141,4 @@ STAGES = {
     "encode": "the videos",
     "save": "saving",
 }
-"""Name of a stage in the report -> its name in messages."""
+"""Descriptions of the stages in messages, by the names in the report."""

@@ -1,6 +1,4 @@
-"""Measures the load by other programs on this machine, and by how much this load lengthens a
-run.
-"""
+"""Measures the load by other programs on this machine, and its effect on the time of a run."""
 
 from __future__ import annotations
 
@@ -14,27 +12,21 @@ from dataclasses import dataclass
 from phy124.runtime.cores import cores
 
 SPIN = 0.3
-"""Duration of the measurement of the fraction of a core that busy-waiting threads get [s]."""
+"""Duration of a load measurement [s]."""
 ENOUGH, LONGEST = 0.2, 4.0
-"""Minimum CPU time that a busy-waiting thread must get, and maximum duration of its waiting; both
-are in units of `SPIN`.
-"""
+"""Minimum CPU time and maximum duration of a busy-waiting thread, in units of `SPIN`."""
 BLOCK = bytes(1 << 18)
-"""Data for the checksum that a busy-waiting thread computes without holding Python's global
-lock.
-"""
+"""Data whose checksum busy-waiting threads compute without Python's global lock."""
 ALONE = 0.93
-"""Fraction of a core's time that a thread must get if the core is to count as free."""
+"""A core is free if a thread gets at least this fraction of its time."""
 SECOND_THREAD = 1.5
-"""Factor by which a simulation takes longer if its second thread finds no free core."""
+"""Factor by which a simulation takes longer if there is no free core for the second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of the measured time divided by the predicted time, on an idle machine
-(docs/lab/forecasts.md).
+"""Range of the measured time on an idle machine, relative to the predicted time. See
+docs/lab/forecasts.md.
 """
 BUSY = 1.2
-"""Factor that widens the range of the time on a busy machine, because the load may change during a
-run.
-"""
+"""Factor that widens the range of the time on a busy machine, where the load may change."""
 FRESH = 10.0
 """Maximum age at which a measurement of the load is reused [s]."""
 
@@ -52,9 +44,9 @@ class Load:
     def measure(cls, device: str = "cpu") -> Load:
         """Measure the current load by the fraction of a core that busy-waiting threads get.
 
-        The measurement includes the effects of priorities, of a container's limits and of the
-        scheduler. Other work of this process counts as load, too. Both factors are 1 for a GPU,
-        because the load hardly affects runs on a GPU.
+        The measurement includes the effects of priorities, of a container's limits, of the
+        scheduler, and of other work in this process. For a GPU, both factors are 1, because the
+        load hardly affects the run.
         """
         if device != "cpu":
             return cls()
@@ -68,7 +60,7 @@ class Load:
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Return the mean of two loads, for work that was done between the two measurements."""
+        """Return the mean of two loads, for work between the two measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 
@@ -103,9 +95,7 @@ class LoadMeter:
             device: Warp device of the runs.
         """
         self.latest = Load()
-        """The last measured load. Before the first measurement, it is the load of an idle
-        machine.
-        """
+        """The last measured load; before the first measurement, the load of an idle machine."""
         self._device, self._measured = device, -math.inf
         self._measuring = threading.Lock()
 
@@ -117,7 +107,7 @@ class LoadMeter:
 
     def measure(self) -> Load:
         """Measure the load now."""
-        with self._measuring:  # two simultaneous measurements would count each other as load
+        with self._measuring:  # two simultaneous measurements would disturb each other
             self.latest = Load.measure(self._device)
             self._measured = time.monotonic()
             return self.latest
@@ -143,8 +133,7 @@ def _measure_fraction(threads: int) -> float:
 def _spin(seconds: float) -> float:
     """Return the fraction of a core that this thread gets while it busy-waits.
 
-    The thread waits for `seconds`, or longer if it has received too little CPU time for a
-    measurement.
+    The thread waits for `seconds`, or longer if it has got too little CPU time for a measurement.
     """
     start, start_cpu, passed, ran = time.perf_counter(), time.thread_time(), 0.0, 0.0
     while passed < seconds or (ran < ENOUGH * seconds and passed < LONGEST * seconds):

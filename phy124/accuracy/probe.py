@@ -1,6 +1,4 @@
-"""Measures or predicts the times of substeps, of deforming Gaussians, of making videos, and of
-compiling kernels.
-"""
+"""Measures times for a forecast: substeps, deforming Gaussians, videos, and compiling kernels."""
 
 from __future__ import annotations
 
@@ -55,17 +53,15 @@ A substep on a GPU takes so little time that the fixed cost of a frame would dom
 probe. The difference of the two probes does not contain this fixed cost.
 """
 FILMED, TRIES = (2, 6), 2
-"""Numbers of frames of the two test videos, and number of repetitions; the fastest repetition
-counts.
+"""Numbers of frames of the two test videos, and number of repetitions.
 
-The two lengths separate the fixed cost of a video from the cost per frame.
+The fastest repetition is used. The two lengths separate the fixed cost of a video from the cost per
+frame.
 """
 SHORT_STEP = 1e-3
-"""Length of a substep if no limit requires a shorter substep [s]."""
+"""Largest length of a substep [s]."""
 NODE_STAGES = ("clear", "grid")
-"""Names of the stages whose time is proportional to the number of nodes, in addition to the stages
-of the boundaries.
-"""
+"""Stages, besides those of boundaries, whose time is proportional to the number of nodes."""
 
 
 @dataclass(frozen=True)
@@ -199,10 +195,9 @@ def _node_fraction(solver: AnySolver) -> float:
 
 
 def time_shapes(simulation: Simulation) -> tuple[float, float]:
-    """Return the time to bind the Gaussians to particles, and the time to deform the Gaussians in a
-    frame [s].
+    """Return the times [s] to bind Gaussians to particles, and to deform the Gaussians in a frame.
 
-    The particles are randomly strained.
+    For the measurement, the particles are randomly strained.
     """
     solver, particles = simulation.solver, simulation.setup.particles
     rng = np.random.default_rng(0)
@@ -225,7 +220,7 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
     Args:
         gaussians: The object.
         scene: The scene.
-        context: Device and threads; its progress and stopwatch are not used.
+        context: Device and threads; progress and stopwatch are not used.
     """
     front = scene.view.model_copy(update={"views": ("front",)}).only("front")
     views, frames = len(scene.view.sides), scene.time.frames
@@ -258,8 +253,8 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
 
-    This function creates kernels. Only one thread may call this function at a time, and no solver
-    may be built meanwhile. Kernels of forces on a part of the object (0.3 s each) are not counted.
+    This function creates kernels. Only one thread may call it at a time, and no solver may be built
+    at the same time. Kernels of forces on a part of the object (0.3 s each) are not included.
     """
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0
@@ -271,7 +266,7 @@ def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
 def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
     """Return a clip in which the object moves by 1 % of its size per frame.
 
-    A motion of 1 % per frame is typical of the videos that runs encode.
+    A motion of 1 % of the size per frame is typical of the videos of runs.
     """
     n = len(gaussians)
     shift = np.arange(count, dtype=np.float32)[:, None, None] * np.float32(scene.object.size / 100)
@@ -290,8 +285,8 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS, ON_LATTICE = 0.8, 1.2
-"""Exponents of growth. A motion needs more substeps than the state at rest. The number of
-additional substeps is assumed to grow as cells^(1 + EXCESS), and on lattices as cells^(1 +
+"""Exponents for the additional substeps that a motion needs compared with the rest state. Their
+number is assumed to be proportional to cells^(1 + EXCESS), and on lattices to cells^(1 +
 ON_LATTICE).
 """
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
@@ -303,21 +298,20 @@ class Pilot:
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """Name of a limit -> number of substeps whose length the limit determines in each frame [T],
-    before rounding up.
+    """Number of substeps in each frame [T] whose length is determined by each limit, not rounded.
     """
     rest: float
     """Number of substeps per frame that the initial state needs."""
     growth: float
     """Mean number of nodes in the grid's window during the run, relative to the initial number."""
     stopped: bool
-    """Whether the pilot run became unstable; a forecast is then only a guess."""
+    """Whether the pilot run became unstable, so that the forecast is not reliable."""
     viscous: float = 0.0
     """Number of substeps per frame that viscosity alone requires."""
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus at each frame [T]."""
     excess: float = EXCESS
-    """Exponent of growth: the substeps in addition to those at rest grow as cells^(1 + excess)."""
+    """The substeps in addition to those at rest are proportional to cells^(1 + excess)."""
     dx: float = 1.0
     """Side of a cell [m]."""
     stages: Stages = field(default_factory=dict)
@@ -341,8 +335,8 @@ class Pilot:
 
         Args:
             cells: Cells across the object.
-            rest: Substeps per frame that the initial state needs on this grid. If it is None, their
-                number is assumed to be proportional to the cells.
+            rest: Substeps per frame that the initial state needs on this grid; if None, the number
+                is assumed to be proportional to the cells.
         """
         scale = cells / self.cells
         more = scale if rest is None else rest / self.rest
@@ -366,7 +360,7 @@ class Pilot:
 
 def coarsen(scene: Scene) -> Scene:
     """Return the scene of the pilot run, with a coarse grid and the binding `lattice`."""
-    # Solids that the scene's grid resolves must not be too thin for the coarse grid.
+    # Solids that the grid of the scene resolves must not be too thin for the coarse grid.
     cells = min(max(CELLS, min_cells(scene)), scene.resolution.cells)
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}
     accuracy = scene.resolution.model_copy(update=changes)
@@ -411,7 +405,7 @@ def run_pilot(
     try:
         solver.step(0.0, 0.0)
         rest = substeps_at_rest(solver) / timing.fps
-        _clear_timings(solver)  # These are the limits of the first substep, which takes no time.
+        _clear_timings(solver)  # The limits of the first substep, which has no duration.
         for frame in range(timing.frames - 1):
             before = dict(solver.clock.needed)
             if softening is not None:

@@ -1,14 +1,13 @@
-"""States the error of a scene or of a run (the "promise"), and words all messages about errors.
+"""States the error of a scene or of a run (the "promise"), and formats all messages about errors.
 
-The stated error depends on what is known so far; `promise` chooses it. Before a run, the stated
-error is predicted by a model that was fitted to many objects (phy124/accuracy/expectation.py).
-After a run, the stated error is the run's own error (phy124/accuracy/companion.py), or the error
-that was measured for a goal. If no error is known, the error is stated as "not measured". A study
-of the scene (`phy124 accuracy`) can measure the error.
+Before a run, the error is predicted by a model that was fitted to many objects
+(phy124/accuracy/expectation.py). After a run, the error is the one that was estimated for the run
+(phy124/accuracy/companion.py) or measured for a goal. If no error is known, the error is stated as
+"not measured". A study of the scene (`phy124 accuracy`) can measure the error.
 
-An error of the scene itself has two values: an estimate ("about") and a bound ("at most"). The
-bound held for 95 % of the objects and scenes with which it was compared. All percentages of an
-object's size are formatted by `format_percent`.
+An error that was measured for a scene has two values: an estimate ("about") and a bound ("at
+most"). The bound held for 95 % of the objects and scenes with which it was compared. All
+percentages of an object's size are formatted by `format_percent`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from phy124.scene import Scene
 
 UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
-"""The command that measures the error of a user's own scene."""
+"""The command that measures the error of a scene."""
 SPREAD = 3.0
 """Bound on the ratio of an error to its estimate from several grids. Only 5 % of the measured pairs
 of objects and scenes exceed this ratio (docs/lab/accuracy.md#goals).
@@ -47,17 +46,15 @@ class Promise:
     why: str
     """A sentence that names the source of the bound, or the reason why there is none."""
     unmeasured: str = ""
-    """The kind of the scene, if there is no bound because no scene of this kind was measured."""
+    """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
     about: float | None = None
-    """Error that was measured on this scene itself, as a fraction of the object's size; None if
-    `error` comes from other scenes.
+    """Error that was measured on this scene, as a fraction of the object's size; None if it was not
+    measured.
     """
     seconds: float | None = None
-    """Duration for which the bound holds, from the start of the clip [s]; None if it holds for the
-    whole clip.
-    """
+    """Time up to which the bound holds [s]; None if the bound holds for the whole clip."""
     unestimated: str = ""
-    """Reason why a finished run did not estimate its own error; empty before a run."""
+    """Reason why a finished run did not estimate its error; empty before a run."""
 
     @property
     def sentence(self) -> str:
@@ -69,18 +66,16 @@ class Promise:
         return f"Expected error: {self.size()}{self._span}. {self.why}{self._reason}"
 
     def with_study(self, command: str) -> str:
-        """Return `sentence`, in which `command` replaces the command that measures the scene's
-        error.
-        """
+        """Return `sentence` with another command for measuring the scene's error."""
         return self.sentence.replace(STUDY, command)
 
     @property
     def of_scene(self) -> bool:
-        """Whether the error was measured on the scene itself, not predicted from other scenes."""
+        """Whether the error was measured on this scene instead of predicted from other scenes."""
         return self.about is not None
 
     def size(self, whole: str = "the object's size") -> str:
-        """Return the error in words: "about 1.3 % of the object's size, at most 2.4 %"."""
+        """Return the error as text: "about 1.3 % of the object's size, at most 2.4 %"."""
         most = format_percent(self.error or 0.0)
         if self.about is None:
             return f"at most {most} of {whole}"
@@ -119,25 +114,19 @@ class Promise:
 
     @property
     def _span(self) -> str:
-        """The part of the clip for which the bound holds, as text; empty if the bound holds for the
-        whole clip.
-        """
+        """Text about the part of the clip for which the bound holds; empty for the whole clip."""
         return "" if self.seconds is None else f" in the first {self.seconds:.2f} s"
 
     @property
     def _reason(self) -> str:
-        """A sentence that states why a finished run did not estimate its own error; empty if there
-        is no reason.
-        """
+        """Sentence with the reason why a finished run did not estimate its error; may be empty."""
         if not self.unestimated:
             return ""
         return f" This run did not estimate its own error: {self.unestimated.rstrip('.')}."
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error from a run's report, or the reason why there is no error; None if the report
-    has neither.
-    """
+    """Return the error in a run's report, or the reason for its absence, or None."""
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
@@ -156,10 +145,10 @@ def promise(
 
     Args:
         scene: The scene.
-        proportions: Proportions of the object (`phy124.particles.thickness`). If it is None, they
-            are read from the report, or are unknown.
-        report: The report of the scene's run. The report may contain the run's own error, the error
-            that was measured for a goal, or a reason why no bound holds.
+        proportions: Proportions of the object (`phy124.particles.thickness`). If None, they are
+            read from the report, if possible.
+        report: The report of the scene's run. It may contain the estimated error, the error that
+            was measured for a goal, or a reason why no bound holds.
     """
     if report and (settled := _promise_of_run(report)):
         return settled
@@ -184,8 +173,7 @@ def refuse_promise(why: str) -> Promise:
 def promise_measured(
     error: float, cells: int, grids: Sequence[int], until: float | None = None
 ) -> Promise:
-    """Return the promise for an error that was estimated by running the scene itself on several
-    grids.
+    """Return the promise for an error that was estimated by running the scene on several grids.
 
     Args:
         error: The estimated error, as a fraction of the object's size.
@@ -203,7 +191,7 @@ def promise_measured(
 
 
 def promise_own(entry: Mapping[str, Any]) -> Promise:
-    """Return the promise for a run's own error, from the entry `error` of its report."""
+    """Return the promise for the estimated error in the entry `error` of a report."""
     why = f"Estimated from the same motion on D/{entry['cells']}."
     if entry["until"] is not None:
         why += (
@@ -218,7 +206,7 @@ def format_percent(fraction: float, digits: int = 2) -> str:
 
     Args:
         fraction: The fraction.
-        digits: Number of significant digits before and after the point.
+        digits: Number of significant digits.
     """
     percent = 100 * max(fraction, SMALLEST)
     places = max(digits - 1 - math.floor(math.log10(percent)), 0)
@@ -226,9 +214,7 @@ def format_percent(fraction: float, digits: int = 2) -> str:
 
 
 def format_apart(first: float, second: float) -> tuple[str, str]:
-    """Format two fractions as percentages; if the fractions differ, the percentages have enough
-    digits to differ.
-    """
+    """Format two fractions as percentages, with enough digits to show their difference."""
     texts = [[format_percent(each, n) for each in (first, second)] for n in range(2, 7)]
     a, b = next((pair for pair in texts if pair[0] != pair[1]), texts[0])
     return a, b
@@ -261,7 +247,7 @@ def check_promise(
         error: The error measured in this scene, as a fraction of the object's size.
         until: Time up to which the error was measured [s]; None if it was measured for the whole
             motion.
-        stated: The error that a run of this scene states in its own report; None if it is unknown.
+        stated: The error in the report of a run of this scene; None if it is unknown.
     """
     states = _describe_stated(stated or {})
     here = f"measured here{'' if until is None else f' up to {until:.2f} s'}"
@@ -279,9 +265,7 @@ def check_promise(
 
 
 def _describe_stated(entry: Mapping[str, Any]) -> str:
-    """Describe the error bound in the entry `error` of a report, and the time for which it holds;
-    the text is empty if there is no bound.
-    """
+    """Describe the error bound in the entry `error` of a report; return "" if there is no bound."""
     if entry.get("at_most") is None:
         return ""
     span = "" if entry.get("until") is None else f" in the first {entry['until']:.2f} s"
@@ -294,9 +278,7 @@ def _join_names(names: Sequence[str]) -> str:
 
 
 def why_broken(report: Mapping[str, Any]) -> str:
-    """Return the reason why no error bound holds for a run; the text is empty if a bound may
-    hold.
-    """
+    """Return the reason why no error bound holds for a run, or "" if a bound may hold."""
     if report.get("balance", {}).get("tearing", {}).get("likely"):
         return "the grid may have torn the material (see the notes)."
     if report.get("complete") is False:

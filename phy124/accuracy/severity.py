@@ -1,6 +1,4 @@
-"""Computes the properties of a scene that determine how large the errors of its motion are, such as
-its severity.
-"""
+"""Computes the properties of a scene that determine its error, such as its severity."""
 
 from __future__ import annotations
 
@@ -15,16 +13,15 @@ from phy124.scene import Scene
 from phy124.scene.energies import duration, energy
 
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
-"""Fields of a material that may have any value, since `severity`, `yielding`, `damping` or
-`poisson` account for it."""
+"""Fields of a material that `severity`, `yielding`, `damping` or `poisson` account for."""
 MEASURED = {"repose_angle": (30.0, 36.0), "extension": (0.003, 0.0075)}
-"""Other fields of a material -> range of values that give the same errors as the default value."""
+"""Ranges in which other fields of a material have the same errors as with the default value."""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 
 
 def violence(scene: Scene, thickness: float | None = None) -> float:
-    """Return the severity of a scene, its energy relative to the stiffness: 2 e / c^2 + s^2.
+    """Return the severity of a scene: its energy relative to the stiffness, 2 e / c^2 + s^2.
 
     Here 2 e is twice the energy per mass (see `energy`), c the speed of waves in a bar of the
     object's softest material, and s the deformation by walls and hands, relative to the object's
@@ -42,7 +39,7 @@ def yielding(scene: Scene, thickness: float | None = None) -> float:
     """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
     Here 2 e is twice the energy per mass (see `energy`), rho the density, and sigma the yield
-    stress. The result is the largest ratio of all materials.
+    stress. The result is the largest ratio over all materials.
     """
     supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
@@ -64,9 +61,7 @@ def damping(scene: Scene) -> float:
 
 
 def poisson(scene: Scene) -> float:
-    """Return the largest Poisson's ratio of all materials; a material without a Poisson's ratio
-    counts as 0.
-    """
+    """Return the largest Poisson's ratio of all materials, or 0 if no material has one."""
     return max(getattr(section, "nu", 0.0) for section in scene.materials)
 
 
@@ -82,9 +77,7 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a value of a material that does not occur in any measured scene; the text is empty
-    if there is none.
-    """
+    """Describe a value of a material that was never measured; return "" if there is none."""
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual, value = field.get_default(call_default_factory=True), getattr(section, name)

@@ -1,9 +1,9 @@
 """Predicts the time of a substep on lattices, stage by stage.
 
-Probes at rest do not show the full cost of a motion, because some stages take longer in motion:
-contact, the search for parts that touch, and measurements of the vibration frequency. A pilot run
-of the whole motion counts the calls of each stage; a probe on the run's own grid measures the
-duration of a call.
+Trial runs at rest do not show the full cost of a motion, because some stages take longer in motion:
+contact, the search for touching parts, and measurements of the vibration frequency. The calls of
+each stage are counted in a pilot run of the whole motion; the duration of a call is measured in a
+trial run on the grid of the run.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Stage(NamedTuple):
 
 
 Stages = Mapping[str, Stage]
-"""Name of a stage -> number and duration of the stage's calls."""
+"""Number and duration of the calls of each stage."""
 
 
 def average_stages(timings: Timings, substeps: int) -> dict[str, Stage]:
-    """Return the number and the duration of each stage's calls, measured in some substeps."""
+    """Return the number and the duration of the calls of each stage in some substeps."""
     taken = max(substeps, 1)
     return {name: Stage(n / taken, seconds / n) for name, (seconds, n) in timings.items() if n}
 

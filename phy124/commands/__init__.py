@@ -1,6 +1,6 @@
 """Declares one class per command of the command line. The fields of a class are the command's
-options, and its method `run` does the work. A command's module is imported only when that command
-is run; listing the commands imports none.
+options, and its method `run` does the work. A command's module is imported only when the command is
+run.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ MODULES = {
     "warm": ("effects", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }
-"""Name of a command -> its module in this package, and its class in that module."""
+"""Module and class of each command."""
 
 
 class Commands(Mapping[str, type]):
-    """Name of a command -> the command's class. A class is imported when it is first looked up."""
+    """The class of each command, which is imported when it is first looked up."""
 
     def __getitem__(self, name: str) -> type:
         module, kind = MODULES[name]
@@ -53,9 +53,7 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return one class per command. Each class has only the docstring, which suffices to list
-    commands.
-    """
+    """Return a class for each command, with the command's docstring only, to list the commands."""
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()
@@ -64,7 +62,7 @@ def outline() -> dict[str, type]:
 
 @cache
 def _docstrings(module: str) -> dict[str, str | None]:
-    """Return a map from class names to docstrings for a module, without importing the module."""
+    """Return the docstrings of a module's classes, by name, without importing the module."""
     code = Path(__file__).with_name(f"{module}.py").read_text("utf-8")
     classes = [node for node in ast.parse(code).body if isinstance(node, ast.ClassDef)]
     return {node.name: ast.get_docstring(node) for node in classes}

@@ -21,7 +21,7 @@ BETWEEN_LINES = 10.0
 LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
 """Format of a progress bar that shows the predicted remaining time."""
 TITLES = {"compile": "compile kernels, once"}
-"""Name of a stage -> the title that users see, if the title differs from the name."""
+"""Titles of stages whose title differs from their name."""
 
 
 @contextmanager
@@ -35,13 +35,12 @@ def silence() -> Iterator[None]:
 
 
 class Bars:
-    """A `Progress` that shows the current stage; use it as a context manager. On a terminal it
-    draws a progress bar; elsewhere, for example in a log file, it prints a line at regular
+    """A `Progress` that shows the current stage; use it as a context manager. On a terminal, it
+    draws a progress bar; otherwise, for example for a log file, it prints a line at regular
     intervals. Within the context, Ctrl-C ends the work at the next report of progress, because
-    stopping inside a kernel could crash the process. A second Ctrl-C before that report interrupts
-    at once. If `keeps` is true, a message says that the results so far are saved; the caller must
-    save them. `left` predicts the remaining time [s] better than the bar, which assumes that all
-    steps take equally long.
+    stopping inside a kernel could crash the process. A second Ctrl-C interrupts at once. If `keeps`
+    is true, a message says that the results so far are saved; the caller must save them. `left`
+    predicts the remaining time [s]; without it, all steps are assumed to take the same time.
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class Bars:
         self._signals.__exit__(None, None, None)
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Show the progress of a stage; after each Ctrl-C, raise Cancelled once."""
+        """Show the progress of a stage; raise Cancelled after Ctrl-C."""
         if self.interrupted:
             self.interrupted, self.cancelled = False, True
             self.close()
@@ -96,8 +95,8 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context, an error or Ctrl-C ends the work without raising an exception. The
-        caller can then save the results so far, and `status` reports the error.
+        """Within this context, errors and Ctrl-C end the work but are not raised. The caller can
+        then save the results so far, and `status` reports the error.
         """
         try:
             yield
@@ -105,7 +104,7 @@ class Bars:
             self.ended = problem
 
     def status(self, kept: str) -> int:
-        """Print why a command ended early and which results are `kept`; return its exit status."""
+        """Print why a command ended early and which results were kept; return the exit status."""
         if self.ended is None:
             return 0
         incomplete = Incomplete(kept)

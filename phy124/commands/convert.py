@@ -37,9 +37,7 @@ MERGE = tyro.conf.arg(metavar="N")
 TO = "; ".join(f"{name}: {format.title}" for name, format in written_formats().items())
 FRAMES = "frames: a clip with all values of each frame"
 OF_RUNS = (".json", ".toml", ".safetensors", ".png", ".mp4")
-"""Endings of the file names of a run's report, scene, clip and pictures. An export must not replace
-such a file.
-"""
+"""File name endings of a run's results, which an export must not replace."""
 
 
 @dataclass(frozen=True)

@@ -157,7 +157,7 @@ class PictureOptions:
         }
 
     def list_changes(self) -> dict[str, Any]:
-        """Return the options that differ from their defaults, as a map from name to value."""
+        """Return the values, by name, of the options that differ from their defaults."""
         usual, changed = PictureOptions(), dict[str, Any]()
         for name, value in vars(self).items():
             if isinstance(value, Section):

@@ -39,7 +39,7 @@ EXTRAS = {
     "fit": ("cma",),
     "fourdgs": ("fourdgs",),
 }
-"""Name of an optional extra -> the modules that the extra needs."""
+"""Modules that each optional extra needs."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Doctor:
 
 
 def examine() -> dict[str, Any]:
-    """Collect facts about this machine and installation, as plain data."""
+    """Return data about this machine and installation."""
     import warp as wp
 
     start()
@@ -97,9 +97,7 @@ def examine() -> dict[str, Any]:
 
 
 def _encoder() -> str | None:
-    """Return the path of the ffmpeg program that writes MP4 files; None if the program does not
-    work.
-    """
+    """Return the path of a working ffmpeg program, or None."""
     import imageio_ffmpeg
 
     return None if encoder_problem() else imageio_ffmpeg.get_ffmpeg_exe()

@@ -73,9 +73,7 @@ class Evaluate:
         return 0
 
     def _model(self) -> tuple[similarity.ClipModel | None, str | None]:
-        """Return the CLIP model, or None and the reason why there is none; a model that the user
-        names must exist.
-        """
+        """Return the CLIP model, or None and the reason; a model named by the user must exist."""
         if self.clip_model == "none":
             return None, "CLIP-T was switched off by --clip-model none."
         try:

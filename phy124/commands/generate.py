@@ -114,9 +114,7 @@ class Generate:
         return self.options.study_command([self.image, *self.more], self.making.list_changes())
 
     def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
-        """Film the object inside the photograph; add this film to the result, and return the
-        result.
-        """
+        """Render the object inside the photograph; return the result with the additional video."""
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.of_clip(clip.scene).view
         try:
@@ -261,7 +259,7 @@ class Simulate:
     def _read(self, file: PlyFile, scene: Scene, context: RunContext) -> Capture:
         read = capture(file, scene, count=self.gaussians, progress=context.progress)
         count = self.gaussians
-        # The generator for further pictures runs on the CPU; its time is added to the stage "read".
+        # Generators of further pictures run on the CPU; their time is added to the stage "read".
         context = RunContext(progress=context.progress)
         every = pipeline.with_others(read.gaussians, read.scene, self.more, context, count=count)
         about = read.about | every.about
@@ -287,9 +285,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Import SciPy while the video encoder encodes a test frame; the result of this test is
-    stored.
-    """
+    """Import SciPy while the video encoder is tested; the result of the test is stored."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)
@@ -357,9 +353,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the names of the files. If the object was filmed inside the photograph, print the PSNR
-    of this film first.
-    """
+    """Print the names of the files. For a video inside the photograph, print the PSNR first."""
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:

@@ -26,7 +26,7 @@ KINDS = {
     ".safetensors": "a clip",
     ".toml": "a scene",
 }
-"""Ending of a file name -> kind of the file."""
+"""Kind of a file by the ending of its name."""
 SIGNS = {
     b"ply\n": "a file of Gaussians",
     b"ply\r": "a file of Gaussians",
@@ -36,7 +36,7 @@ SIGNS = {
     b"GIF8": "a picture",
     b"RIFF": "a picture",
 }
-"""First bytes of a file -> kind of the file; the file's name is ignored."""
+"""Kind of a file by its first bytes, which take precedence over the name."""
 HEAD = 4096
 """Number of bytes read from the beginning of a file to detect its kind."""
 TAKES = {
@@ -49,9 +49,7 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Name of a command -> the option that names its file, and the kind of file that the command
-takes.
-"""
+"""Option and kind of the file of each command."""
 TAKES_MESHES = ("generate", "simulate", "orient")
 """Names of the commands that also take a mesh."""
 USES = {
@@ -61,7 +59,7 @@ USES = {
     "a clip": "Use `phy124 render {}` or `phy124 export {}`.",
     "a scene": "Give it after --scene.",
 }
-"""Kind of file -> a remedy that names the command for this kind of file."""
+"""Remedies that name the command for each kind of file."""
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
@@ -81,16 +79,14 @@ def refuse_other_kind(name: str, command: Any) -> None:
 
 
 def _kind(path: Path) -> str | None:
-    """Detect the kind of a file from its first bytes, or else from its name; return None if
-    unknown.
-    """
-    # Imported here, because commands that read no file do not need the file formats.
+    """Return the kind of a file from its first bytes or from its name; None if it is unknown."""
+    # Imported only here, because some commands do not need the file formats.
     from phy124.io.formats import MESH_ENDINGS, endings
     from phy124.io.formats.spz import begins
 
     head = b""
     with suppress(OSError, ValueError):
-        if path.is_file():  # a pipe must not be read here: it can be read only once
+        if path.is_file():  # a pipe must not be read here, because it can be read only once
             with open(path, "rb") as file:
                 head = file.read(HEAD)
     signed = next((kind for sign, kind in SIGNS.items() if head.startswith(sign)), None)
@@ -106,5 +102,5 @@ def _kind(path: Path) -> str | None:
         if is_mesh(path):
             return "a mesh"
         if ending == ".glb":
-            return signed  # the name of a PLY or GLB file does not tell a mesh from Gaussians
+            return signed  # a PLY or GLB file may contain a mesh or Gaussians
     return signed or KINDS.get(ending) or ("a file of Gaussians" if ending in endings() else None)

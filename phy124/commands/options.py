@@ -68,7 +68,7 @@ class CameraOptions:
     """Keep the camera fixed instead of following the object."""
 
     def changes(self) -> dict[str, Any]:
-        """Return the chosen values by their paths in the scene."""
+        """Return the chosen values, by their paths in the scene."""
         chosen = {
             "view.views": _items(self.views),
             "view.azimuths": _items(self.azimuth),
@@ -96,7 +96,7 @@ class ViewOptions(CameraOptions):
     megabytes: Annotated[float | None, help_of(View, "megabytes")] = None
 
     def changes(self) -> dict[str, Any]:
-        """Return the chosen values by their paths in the scene."""
+        """Return the chosen values, by their paths in the scene."""
         chosen = {
             "view.formats": _items(self.format),
             "view.outputs": _items(self.outputs),
@@ -166,8 +166,8 @@ class SceneOptions:
 
         Args:
             sources: Pictures or files of the scene's objects.
-            making: Options for making the Gaussians that differ from their defaults, as a map from
-                name to value.
+            making: Values, by name, of options for making the Gaussians that differ from their
+                defaults.
         """
         first, *more = map(str, sources)
         words = [PACKAGE, "accuracy", self.scene, "--image", first]

@@ -68,7 +68,7 @@ class Orient:
 
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
-    """Draw the object from its front [H,W,3], with the options for its axes written below."""
+    """Draw the object from its front [H,W,3], and write the options for its axes below."""
     tile = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))

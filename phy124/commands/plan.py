@@ -71,16 +71,16 @@ class PlanOptions:
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, context: RunContext) -> Forecaster | None:
-        """Return the forecaster if the report shall contain a forecast, else None."""
+        """Return the forecaster if the report must contain a forecast; otherwise None."""
         return Forecaster(context, self.error) if self.forecast else None
 
 
 def announce(scene: Scene, goal: Goal | None, device: str, *, as_json: bool) -> None:
-    """Print a summary of the scene, and a note that names the material that makes the run slow.
+    """Print a summary of the scene, and a note if one material makes the run slow.
 
     Args:
         scene: The scene.
-        goal: The goal that determines the grid. If it is None, the scene's own grid is used.
+        goal: The goal that determines the grid; if None, the grid of the scene is used.
         device: Name of the device, as `pick_device` takes it.
         as_json: Whether the command prints only JSON; this function then prints nothing.
     """
@@ -115,7 +115,7 @@ def predict(
         crop: Position of the object in the picture on which the masks of parts were painted.
         study: The command that measures the error of this scene.
         as_json: Print JSON and nothing else.
-        effort: Expected effort of the slow generator that `relief` replaced in this forecast.
+        effort: Predicted time of the slow generator that `relief` replaces in this forecast.
     """
     forecaster, goal = Forecaster(context, plan.error), plan.goal()
     spent = dict(context.watch.seconds)

@@ -85,7 +85,7 @@ class Render:
         return bars.status("the listed files are complete, the others were not written")
 
     def _photograph(self) -> Photograph | None:
-        """Open the photograph for --compose, if there is one, before any film is rendered."""
+        """Open the photograph for --compose, if there is one, before any video is rendered."""
         if self.compose is None:
             return None
         from phy124.rendering.compose import photograph_of

@@ -47,7 +47,7 @@ class Scenes:
             scene = Scene.named(self.name)
             print(json.dumps(scene.data()) if self.json else scene.to_toml())
             return 0
-        # The list does not need the classes of scenes, which would import Warp.
+        # The list is made without the classes of scenes, whose import would load Warp.
         files = sorted(Path(str(resources.files("phy124") / "presets")).glob("*.toml"))
         tables = {file.stem: tomllib.loads(file.read_text("utf-8")) for file in files}
         descriptions = {name: table["description"] for name, table in tables.items()}

@@ -23,7 +23,7 @@ SENTENCES = {
     "unchecked": "found; not checked",
     "missing": "missing",
 }
-"""Result of checking a file of weights -> a sentence that describes the result."""
+"""Descriptions of the results of checking a weight file."""
 OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli download ...`)"
 
 

@@ -70,7 +70,7 @@ class Outlook:
         return counts
 
     def wall(self, generations: int) -> float:
-        """Return how long the fit takes if all workers are always busy [s]."""
+        """Return the time of the fit [s] if all workers are always busy."""
         work = np.dot(self.runs(generations), self.each)
         return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
 

@@ -14,14 +14,13 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
-"""Smallest ratio of a range's ends for which the range is sampled logarithmically (for 1e4..1e6,
-the ratio is 100)."""
+"""A range is sampled logarithmically if the ratio of its ends is at least this value."""
 
 
 def parse_range(data: Any) -> Any:
     """Convert text such as 1e4..1e6 to the plain data of a range.
 
-    Data that is not text, such as a table from a sweep, is returned unchanged.
+    Data of other types, such as a table from a sweep, is returned unchanged.
 
     Raises:
         ValueError: The text does not describe a range.
@@ -39,9 +38,9 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag that names the type of a range.
+    """Return the tag of the type of a range.
 
-    For invalid data the tag is "even", and the type of that name then refuses the data.
+    For invalid data, the tag is "even", and the type with this tag refuses the data.
     """
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
@@ -148,7 +147,7 @@ class Fit(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:
-        """Read the plain data of a fit from a file, before options of the command line are applied.
+        """Read the plain data of a fit from a file; options of the command line are applied later.
 
         Raises:
             InputError: The file is missing or is not valid TOML.

@@ -1,8 +1,8 @@
 """Estimates the fitted values and their intervals.
 
-First, the best values are searched on the coarsest grid. Values that the measurements cannot
-determine are then refused, the other values are refined on each finer grid, and the intervals are
-computed.
+First, the best values are searched on the coarsest grid. If the measurements cannot determine some
+of the values, the fit is refused. If they can, the values are refined on each finer grid, and the
+intervals are computed.
 """
 
 from __future__ import annotations
@@ -28,13 +28,12 @@ from phy124.studies.fit.search import Refined, refine, screen, search
 STEP = 0.05
 """Step of central differences, as a fraction of a value's range.
 
-The results of runs differ at random by some tenths of a pixel, even if the values hardly differ.
-With a shorter step, these random differences dominate. With a step of 0.01, the derivatives with
-respect to nu for a pressed duck were up to nine times too large.
+Runs with almost equal values differ at random by some tenths of a pixel. With a shorter step, these
+random differences dominate. For example, with a step of 0.01, the derivatives of a pressed duck's
+motion with respect to nu were up to nine times too large.
 """
 END = 0.005
-"""A note warns if a value is closer than this to an end of its range, as a fraction of the
-range."""
+"""Values this near to an end of their range, as a fraction of the range, cause a warning."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Estimate:
     """The fitted values and their intervals, as fractions of the values' ranges."""
 
     places: tuple[Values, ...]
-    """The best point in the unit cube [P] on each grid that was used."""
+    """The best point in the unit cube [P] on each grid."""
     misfits: tuple[list[float], ...]
     """RMS misfit of each kind of measurement on each grid."""
     grids: tuple[int, ...]
@@ -59,10 +58,10 @@ class Estimate:
     def on(self, cells: float) -> tuple[Values, Values]:
         """Return the best point on a grid [P], and the half-width of its intervals [P].
 
-        The values are extrapolated to a grid with this number of cells; infinity stands for a grid
-        without error. The uncertainty of the extrapolated values is assumed to be the distance by
-        which the extrapolation shifts them, and at least `model`. This uncertainty is a systematic
-        error, so it is added to the error that is due to the measurements.
+        The values are extrapolated to a grid with this number of cells; infinity means a grid
+        without error. The uncertainty of the extrapolated values is assumed to be the shift by the
+        extrapolation, and at least `model`. This systematic error is added to the error from the
+        measurements.
 
         Args:
             cells: Number of cells across the object; may be infinite.
@@ -100,8 +99,8 @@ def estimate(
         fit = levels[-1]
         levels.append(_refine(problem, distance, fit.place, fit.jacobian, level))
     if not problem.late(1.0):
-        # Broyden's updates are accurate only along the steps, so all derivatives are computed again
-        # here.
+        # Broyden's updates are accurate only along the steps, so the derivatives are computed
+        # again.
         level, fit = len(levels) - 1, levels[-1]
         slopes = _slopes(problem, fit.place, level)
         fit = _refine(problem, distance, fit.place, slopes, level)
@@ -182,8 +181,5 @@ def _failure(problem: Problem) -> InputError:
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a distance whose scales are the misfits of a fit.
-
-    Misfits below 1e-12 count as 1e-12.
-    """
+    """Return a distance whose scales are the misfits of a fit, but at least 1e-12."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

@@ -1,15 +1,15 @@
 """Computes intervals of the fitted values, and finds values that remain undetermined.
 
-J is the Jacobian of the measurements, which are stated in units of their errors. The Fisher matrix
-J^T J shows how precisely each direction in the space of values is determined. Along an eigenvector
-with eigenvalue l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of
-two parts. The first is the error from a bootstrap over groups of measurements, and the second is
-the effect of the grid's error.
+J is the Jacobian of the measurements in units of their errors. The Fisher matrix J^T J shows how
+precisely each direction in the space of values is determined. Along an eigenvector with eigenvalue
+l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of two parts. The
+first is the error from a bootstrap over groups of measurements, and the second is the effect of the
+grid's error.
 
 Each bootstrap draw selects G of the G groups with replacement, and makes one Gauss-Newton step from
 the fitted point. This step needs no simulation. All measurements of a group may have the same
-error, for example if a point is badly tracked. Such errors widen the interval, because each group
-is drawn as a whole.
+error, for example if a point is badly tracked. Since groups are drawn as a whole, such errors widen
+the interval.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def bootstrap(
 
 
 def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.Generator) -> Values:
-    """Return how often each bootstrap sample contains each group [DRAWS,G]."""
+    """Return the number of times that each bootstrap sample contains each group [DRAWS,G]."""
     taken = np.zeros((DRAWS, count))
     for kind in kinds:
         members = np.unique(groups[kind.place])
@@ -88,8 +88,8 @@ def extrapolate(
     Args:
         grids: Numbers of cells across the object, from coarse to fine.
         places: The fitted point on each grid [P].
-        cells: Number of cells across the object on the other grid; infinity stands for a grid
-            without error.
+        cells: Number of cells across the object on the other grid; infinity means a grid without
+            error.
 
     Returns:
         The extrapolated point [P], and the distance of each value from the value on the finest grid
@@ -106,7 +106,7 @@ def extrapolate(
 def find_unexplained(
     grids: Sequence[int], coarse: Sequence[float], fine: Sequence[float]
 ) -> Values:
-    """Return the finest grid's error for each kind of measurement, as a fraction of the misfit.
+    """Return the error of the finest grid for each kind of measurement, relative to the misfit.
 
     The model of a misfit m is m^2 = a^2 + (c h)^2. The error of the measurements, a, is the same on
     all grids. The error of the grid, c h, is proportional to the spacing h. The misfits on two
@@ -127,9 +127,9 @@ def shift_values(
     """Return the largest shift of each value that grid errors of known size can cause [P].
 
     The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
-    (two to four singular values in synthetic tests). A grid's errors may therefore have the same
-    effect on the measurements as a change of a value; the worst case is assumed. In a least-squares
-    fit, errors of norm e can then shift value i by at most e sqrt(((J^T J)^-1)_ii).
+    (two to four singular values in synthetic tests). In the worst case, which is assumed here, the
+    errors have the same effect on the measurements as a change of a value. In a least-squares fit,
+    errors of norm e then shift value i by e sqrt(((J^T J)^-1)_ii).
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
@@ -146,7 +146,7 @@ def shift_values(
 
 
 DEAD = 1e-3
-"""A value is undetermined if its relative effect on the measurements is smaller than this.
+"""A value is undetermined if its relative effect on the measurements is below this limit.
 
 The relative effect is the change of the measurements over the value's range, divided by the norm of
 the measurements.
@@ -157,19 +157,18 @@ values on the measurements.
 
 The singular value is 0 if the effects of two values have the same direction, and 1 if they are
 orthogonal; 0.12 means a correlation of 0.986. Below this limit, the values cannot be separated,
-because errors of the model, such as grid errors, resemble the difference between the effects.
+because the difference between their effects is similar to errors of the model, such as grid errors.
 
-For example, if no force is known, E and density of a pressed duck have effects that differ only by
+For example, if no force is known, the effects of E and density on a pressed duck differ only by
 damping. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. For E and nu, the
 singular value is 0.93.
 """
 SHARE = 0.3
-"""A value counts as undetermined if its component in the weakest direction is at least this."""
+"""A value is undetermined if its component in the weakest direction is at least this value."""
 VAGUE = 1 / 3
-"""A value is undetermined if the half-width of its 95 % interval is at least this fraction of the
-range.
+"""Smallest half-width of the 95 % interval of an undetermined value, relative to the range.
 
-The interval then covers two thirds of the range.
+Such an interval covers two thirds of the range or more.
 """
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
 FORCE = "measure the force on a wall, or load the object with a known force in newtons"
@@ -177,7 +176,7 @@ HOW = (
     " (--forces plate.csv, or a clip of a scene with wrenches = true; "
     '[[forces]] kind = "force" is a load)'
 )
-"""Part of a message that explains how to provide a measured force on the command line."""
+"""Part of a message: how to provide a measured force on the command line."""
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
     "material.E": f"let it oscillate freely after the load, or {FORCE}",
@@ -189,8 +188,7 @@ EXPERIMENTS = {
     "object.spin": "watch it fly for some frames before it touches anything",
     "stiffness": "load the stiff and the soft end one after the other",
 }
-"""Experiments that determine a value: path of the value, or a part of the path -> description of
-the experiment."""
+"""Descriptions of experiments that determine a value, by the value's path or a part of the path."""
 
 
 class Undecided(InputError):
@@ -213,10 +211,7 @@ class Blind(NamedTuple):
     why: str
 
     def refusal(self) -> Undecided:
-        """Return the error for these values.
-
-        It suggests an experiment that would determine them.
-        """
+        """Return the error for these values, which suggests an experiment to determine them."""
         fixed = self.names[-1]
         tell = suggest_experiment(self.names)
         how = HOW if FORCE in tell else ""
@@ -261,7 +256,7 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
 def find_undetermined(
     names: Sequence[str], errors: Values, model: Values, directions: Values
 ) -> Blind | None:
-    """Return the values whose intervals are too wide; None if all intervals are narrow enough.
+    """Return the values whose intervals are too wide, or None.
 
     Args:
         names: Names of the values [P].

@@ -32,7 +32,7 @@ class Table(NamedTuple):
 def read_table(
     path: str | os.PathLike[str], field: str, name: str, kinds: Sequence[tuple[str, ...]]
 ) -> Table:
-    """Read a file of measurements.
+    """Read a table of measurements from a file.
 
     Args:
         path: The file of measurements.
@@ -102,7 +102,7 @@ class Observation(Protocol):
 
 
 class Kind(NamedTuple):
-    """A kind of measurement, and the slice that it has in the vector of all measurements."""
+    """A kind of measurement, and its slice of the vector of all measurements."""
 
     name: str
     unit: str
@@ -135,7 +135,7 @@ class Observations:
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Interpolate values, which are known at some times, at other times.
+    """Interpolate values between the times at which they are known.
 
     If all requested times coincide with frames, the values of these frames are returned; otherwise
     a spline is used.
@@ -157,7 +157,7 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
 
 
 def refuse_outside(field: str, source: object, times: Values, length: float) -> None:
-    """Refuse measurements that are earlier than a scene's first frame or later than its last frame.
+    """Refuse measurements before the first frame or after the last frame of a scene.
 
     Args:
         field: The option that names the measurements, for messages.

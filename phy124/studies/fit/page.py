@@ -1,7 +1,7 @@
 """Compares a video with the fitted scene in three files: an HTML page, a video, and an image.
 
-The web page of phy124 also shows `figure`. The script and the style sheet are in phy124/io/viewer,
-and the web page serves them.
+The result of `figure` is also shown on phy124's web page. The script and the style sheet are in
+phy124/io/viewer.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Phy124Compare(document.querySelector('.compare'));</script>
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
-    """Write an HTML file that contains the comparison video, which browsers can show offline.
+    """Write an HTML file that contains the comparison video, for browsers without a network.
 
     Args:
         path: The HTML file.
@@ -117,10 +117,7 @@ def distances(shown: dict[str, Any]) -> str:
 
 
 def trials(report: dict[str, Any], name: str) -> str:
-    """Return an SVG plot of the misfit of each run over one of the fitted values.
-
-    The plot also shows the interval of this value.
-    """
+    """Return an SVG plot of a fitted value's interval, and of the misfits of all runs."""
     tried = [run for run in report["tried"] if run["misfits"]]
     log = "log_uniform" in report["declared"]["find"][name]
     values = [float(run["values"][name]) for run in tried]
@@ -165,13 +162,12 @@ ROWS = 8
 PICTURE_HEIGHT = 192
 """Height of each frame in the comparison image [pixels]."""
 BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
-"""Colours of the image that shows the difference; colour-blind people can distinguish these
-colours."""
+"""Colours of the image of the difference, which colour-blind people can distinguish."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A video and the clip of the scene that was fitted to it, both seen from the same camera."""
+    """A video and the clip of the scene that was fitted to the video, seen from one camera."""
 
     film: Film
     times: Values

@@ -13,11 +13,11 @@ from phy124.io.clip import Clip
 from phy124.studies.fit.observation import Groups, Table, Values, at_times
 
 NEIGHBOURS = 4
-"""Number of nearby Gaussians from whose weighted mean position a point's position is predicted."""
+"""Number of Gaussians whose weighted mean position predicts the position of a point."""
 FAR = 0.2
 """Maximum distance between a point and the object, as a fraction of the object's size."""
 FEW = 8
-"""If there are fewer points than this, errors at different times are treated as independent."""
+"""With fewer points, errors at different times are treated as independent."""
 
 
 class Points:
@@ -26,8 +26,8 @@ class Points:
     Each point is attached to the Gaussians that are nearest to it in the first frame.
 
     An error in a point's first measurement would shift the whole predicted track of this point.
-    Therefore, the mean of each track is subtracted from the track before the comparison, for
-    measured and predicted tracks alike.
+    Therefore, the mean of each measured and of each predicted track is subtracted before the
+    comparison.
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:

@@ -1,7 +1,7 @@
 """Defines the minimisation problem that a fit solves.
 
-A point of the unit cube stands for a set of values; each value has an axis of the cube. For each
-point of the cube, a problem can predict the measurements.
+A point of the unit cube represents a set of values, one on each axis of the cube. A problem
+predicts the measurements for each point of the cube.
 """
 
 from __future__ import annotations

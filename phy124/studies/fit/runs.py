@@ -37,7 +37,7 @@ DIGITS = 6
 """Number of significant digits to which values of a scene are rounded."""
 
 Played = tuple[Values | None, float]
-"""Predicted measurements, or None if the run stopped early; and the CPU time of the run [s]."""
+"""Predicted measurements (None if the run stopped early), and CPU time of the run [s]."""
 
 
 class Tried(NamedTuple):
@@ -112,7 +112,7 @@ class Runs:
         self._known = _digest(self.player, target.declared)
 
     def values(self, place: Values) -> dict[str, float]:
-        """Return the values that a point of the unit cube stands for."""
+        """Return the values at a point of the unit cube."""
         pairs = zip(self.names, self._ranges, place, strict=True)
         return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 
@@ -183,10 +183,7 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of all inputs of a prediction except the scene.
-
-    The code is one of the inputs.
-    """
+    """Return a digest of all inputs of a prediction, including the code, except the scene."""
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())

@@ -28,7 +28,7 @@ GENERATIONS = 60
 
 
 def screen(problem: Problem, distance: Distance, seed: int) -> Values:
-    """Evaluate points that are evenly distributed in the unit cube, and return the best one.
+    """Evaluate evenly distributed points of the unit cube, and return the best point.
 
     Raises:
         InputError: The run fails at all points.
@@ -88,7 +88,7 @@ def search(
             "fit", "cma", "the package cma is not installed.", f"Run {command}."
         ) from None
     count = len(start)
-    # CMA-ES needs at least two coordinates; a second one that has no effect costs little.
+    # CMA-ES needs at least two coordinates; a second coordinate without effect costs little.
     begin = start if count > 1 else np.append(start, 0.5)
     options = {"bounds": [0, 1], "seed": seed + 1, "popsize": generation_size(count)}
     options |= {"tolx": SETTLED, "maxiter": GENERATIONS}
@@ -99,8 +99,7 @@ def search(
         asked = strategy.ask()
         places = [np.asarray(place[:count], float) for place in asked]
         costs = [*map(distance.cost, problem.predict(places, 0))]
-        # The logarithm keeps the order of the costs, and makes differences between small costs
-        # visible.
+        # CMA-ES uses only the order of the costs, which the logarithm does not change.
         strategy.tell(asked, np.log(np.maximum(costs, 1e-30)).tolist())
         if min(costs) < least:
             best, least = places[int(np.argmin(costs))], min(costs)
@@ -115,9 +114,9 @@ LONGEST = 0.15
 SHORTEST = 1e-3
 """The refinement ends when a step is shorter than this fraction of the range."""
 INFORMATIVE = 0.01
-"""A step updates the derivatives only if it is at least this long, as a fraction of the range.
+"""Smallest length of a step that updates the derivatives, as a fraction of the range.
 
-The effect of a shorter step is no larger than the random differences between runs.
+The effect of shorter steps is not larger than the random differences between runs.
 """
 ROUNDS = 6
 HALVES = (1.0, 0.5)
@@ -181,7 +180,7 @@ def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)
-    # The normal equations have only one row per value, so they are far smaller than the Jacobian.
+    # The normal equations have only one row per value, so they are much smaller than the Jacobian.
     square, slope = matrix.T @ matrix, matrix.T @ residual
     low = np.maximum(-place, -LONGEST) - 1e-12
     high = np.minimum(1 - place, LONGEST) + 1e-12

@@ -1,4 +1,4 @@
-"""Measures silhouettes, which state how much of each pixel the object covers, and aligns videos.
+"""Measures silhouettes (the fraction of each pixel that the object covers), and aligns videos.
 
 If a video's camera is unknown, its first frame is aligned with the scene's view of the object at
 rest. The alignment is a scale and a shift, which are applied to all frames.
@@ -120,8 +120,7 @@ class Laid(NamedTuple):
     """Shift of the upper left corner of the frames (right, down), relative to the image's
     height."""
     shared: float
-    """Intersection over union of the video's first silhouette and the silhouette of the object at
-    rest."""
+    """Intersection over union of the video's first silhouette and that of the object at rest."""
 
 
 def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
@@ -168,8 +167,8 @@ def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Value
     size, masks = wanted.shape[::-1], (mask, wanted)
     areas = [max(int(outline.sum()), 1) for outline in masks]
     middles = [np.argwhere(m).mean(0)[::-1] if m.any() else np.zeros(2) for m in masks]
-    # Multiplying the scale by exp(1 / radius) moves the outline by about one pixel. All three
-    # parameters therefore have the unit pixel.
+    # Multiplying the scale by exp(1 / radius) moves the outline by about one pixel. The unit of all
+    # three parameters is therefore a pixel.
     start, radius = float(np.sqrt(areas[1] / areas[0])), float(np.sqrt(areas[1] / np.pi))
     solid, place = mask.astype(np.float32), np.zeros(3)
     goal = _blur_outline(wanted.astype(np.float32))

@@ -37,7 +37,7 @@ class Expected(NamedTuple):
     """Mean size of a clip [bytes]."""
 
     def wall(self, workers: int) -> float:
-        """Return how long the sweep takes if all workers are always busy [s]."""
+        """Return the time of the sweep [s] if all workers are always busy."""
         return self.seconds[0] * self.clips / workers
 
     def sentence(self, workers: int) -> str:
@@ -107,8 +107,7 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 SAMPLED = 256
 """Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""The least-squares fit contains an additional data point (no work, no time), which has this weight
-per clip."""
+"""Weight, per clip, of an additional data point in the fit: no work takes no time."""
 FEWEST = 3
 """The remaining time is estimated once at least this number of clips is finished."""
 
@@ -148,16 +147,14 @@ class Remaining:
         self._moments += (1.0, work, seconds, work**2, work * seconds)
 
     def left(self, clips: int) -> float | None:
-        """Return the time that `clips` more clips will take [s].
-
-        None until enough clips are finished.
-        """
+        """Return the time of `clips` more clips [s], or None until enough clips are finished."""
         count, work, seconds = self._moments[:3]
         if self._start is None or count < FEWEST:
             return None
         fixed, per_work = fit_line(self._moments)
         spent = self._clock() - self._start
-        # When a worker finishes a clip, each other worker is on average halfway through its clip.
+        # When a worker finishes a clip, the other workers have, on average, finished half of
+        # theirs.
         others = max(0.0, seconds / spent - 1.0)
         made = (fixed * count + per_work * work) * (1.0 + others / 2 / count)
         ahead = [work for index, work in self._sample if index > self._last]
@@ -165,7 +162,7 @@ class Remaining:
         return clips * (fixed + per_work * mean) * spent / made
 
     def _work_of(self, index: int) -> float:
-        """Return how long a clip takes on a typical machine [s]; 0 for a clip that is refused."""
+        """Return the time of a clip on a typical machine [s]; 0 if the clip is refused."""
         try:
             scene = self._plan.scene_of(self._plan.item(index))
             return work_of(scene, films=self._plan.sweep.films)
@@ -174,10 +171,7 @@ class Remaining:
 
 
 def work_of(scene: Scene, *, films: bool) -> float:
-    """Return how long a scene's clip takes on a typical machine [s].
-
-    No Gaussians are made for this.
-    """
+    """Return the time of a scene's clip on a typical machine [s], without making Gaussians."""
     costs = USUAL["cpu"].seconds(Work.of(scene))
     stages = ("simulate", "deform", "film") if films else ("simulate", "deform")
     return sum(costs[stage] for stage in stages)

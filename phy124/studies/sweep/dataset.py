@@ -37,8 +37,7 @@ class Dataset:
         """Read the manifest.
 
         Args:
-            folder: The folder of the sweep's results (its `out`), or the fsspec address of this
-                folder.
+            folder: The folder of the sweep's results, or the fsspec address of this folder.
 
         Raises:
             InputError: The folder contains no results of a sweep.

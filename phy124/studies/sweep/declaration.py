@@ -150,7 +150,7 @@ class Choice(Section):
 
 NAMED = {"values": "Listed", "first": "Range", "uniform": "Uniform"}
 NAMED |= {"log_uniform": "LogUniform", "choice": "Choice"}
-"""Key that identifies the type of an axis in plain data -> name of this type."""
+"""Name of the type of an axis, by the key that identifies the type in plain data."""
 
 
 def _kind(data: Any) -> str:
@@ -218,7 +218,7 @@ Texts = Annotated[
 
 
 class Sweep(Section):
-    """The options of a sweep, which combines the values on its axes, or samples them."""
+    """The options of a sweep, which combines or samples the values on several axes."""
 
     pictures: Texts = Field(
         min_length=1,

@@ -1,6 +1,6 @@
 """Computes the key of a clip, which is a digest of all inputs that determine the clip.
 
-Clips with the same key are equal, so such clips are made only once.
+Clips with the same key are equal and are made only once.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str
     Args:
         picture: Address of the picture.
         generator: Name of the generator.
-        changes: Dotted path in the scene -> value.
+        changes: Values by their dotted paths in the scene.
     """
     return _digest_of([picture, generator, changes])
 
@@ -83,7 +83,7 @@ def digest(address: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    del stamp  # a changed file has a new stamp and is therefore read again
+    del stamp  # a changed file has a new stamp
     with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -114,7 +114,7 @@ def code() -> str:
 HEXADECIMAL = 16
 """Number of hexadecimal digits of each key that `Seen` stores.
 
-The probability that any two of 1e6 keys agree in all these digits is 3e-8.
+For 1e6 keys, the probability that any two agree in all these digits is 3e-8.
 """
 RECENT = 4096
 """Maximum number of keys in the unsorted set."""

@@ -27,20 +27,16 @@ MANIFEST = "manifest.parquet"
 BATCH = 2048
 """Number of rows that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Folders of the row files. There is one folder per first digit of the keys, so that each folder
-stays small."""
+"""Folders of the row files, one for each first digit of the keys, so that folders stay small."""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:
-    """Yield the keys of all clips that the next run need not make again.
-
-    The keys are read from the names of the row files.
-    """
+    """Yield the keys of finished clips, which are read from the names of the row files."""
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 
 
 def sweep_rows(storage: Storage) -> None:
-    """Remove files that killed processes wrote only partly, from the sweep's and row folders."""
+    """Remove incomplete files of killed processes from the folders of the sweep and its rows."""
     for folder in ("", *FOLDERS):
         storage.sweep(folder)
 
@@ -99,7 +95,7 @@ def read_manifest(storage: Storage) -> list[Row]:
 
 
 def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
-    """Yield tables that together contain all rows; valid rows of the existing table are kept."""
+    """Yield tables that together contain all rows, including valid rows of the existing table."""
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()

@@ -89,14 +89,14 @@ class _Tasks:
                 self.ray.cancel(task, force=True)
 
     def _most(self) -> int:
-        """Return how many tasks may be submitted at a time, given the current number of CPUs."""
+        """Return the number of tasks that may be submitted at a time with the current CPUs."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
     def _reserve(self, order: Order) -> dict[str, float]:
         """Return the resources that Ray reserves for a task.
 
-        The reserved memory is at most that of the largest node, because the task would otherwise
-        wait forever.
+        The memory is at most that of the largest node, because the task would otherwise wait
+        forever.
         """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
@@ -106,10 +106,7 @@ class _Tasks:
         return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
 
     def _source(self, order: Order) -> Any:
-        """Return the task that makes the Gaussians of a clip.
-
-        Clips with the same source share it.
-        """
+        """Return the task that makes the Gaussians of a clip, one for all clips of a source."""
         key = order.source
         if key not in self.sources:
             self.sources[key] = self.make.options(**self._reserve(order)).remote(order)
@@ -162,11 +159,11 @@ def _ray(address: str | None, workers: int | None) -> Any:
 
 
 def _mute(ray: Any) -> None:
-    """Stop Ray from printing messages about dead workers; these are also written to Ray's logs.
+    """Stop Ray from printing messages about dead workers, which are also in Ray's logs.
 
-    Ray prints these messages to standard output even with `log_to_driver=False`. The messages would
-    corrupt the JSON that phy124 prints to standard output. If a version of Ray lacks this private
-    attribute, the messages are still printed.
+    Ray prints these messages to standard output even with `log_to_driver=False`, and would corrupt
+    the JSON that phy124 prints there. The private attribute may be missing in some versions of Ray,
+    which then still print the messages.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):

@@ -1,4 +1,4 @@
-"""Plans a sweep; the settings of a clip are computed from its index, so they need not be stored."""
+"""Plans a sweep; the settings of each clip are computed from the clip's index."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Item:
     picture: str
     generator: str
     changes: dict[str, Any]
-    """Values that the clip changes in the scene: dotted path -> value."""
+    """Values that the clip changes in the scene, by their dotted paths."""
 
 
 class Plan:
@@ -82,7 +82,7 @@ class Plan:
     def item(self, index: int) -> Item:
         """Return the clip at an index.
 
-        Clips enumerate all combinations of the axes, the last axis varying fastest.
+        Clips are the combinations of the values on all axes; the last axis varies fastest.
         """
         if self.sweep.samples is None:
             places = np.unravel_index(index, [axis.count for axis in self._counted])
@@ -121,10 +121,7 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """Random shift that is added to all samples, modulo 1.
-
-        The samples remain evenly distributed.
-        """
+        """Random shift that is added to all samples, modulo 1; it keeps their even distribution."""
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:

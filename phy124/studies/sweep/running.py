@@ -30,8 +30,7 @@ class Counts:
     """Numbers of clips in a run of a sweep, counted by their status."""
 
     here: int = 0
-    """Number of clips that exist from an earlier run, or that are equal to another clip of this
-    run."""
+    """Number of clips that need not be made, because they, or equal clips, exist already."""
     ended: Counter[str] = field(default_factory=Counter)
     """Number of clips that this run has finished, by status."""
     left: float | None = None
@@ -59,7 +58,7 @@ def run(
     Args:
         plan: The clips of the sweep.
         out: Folder of the results, or its fsspec address.
-        ray: Address of a Ray cluster; None stands for this machine.
+        ray: Address of a Ray cluster; None means this machine.
         workers: Number of worker processes on this machine. If None, there is one per core; if 0,
             all clips are made in this process.
         shard: Number of the shard to make, counted from 1; and total number of shards.

@@ -73,7 +73,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder, whose files can be moved to the storage at any time.
+        """Provide a local folder, from which files can be moved to the storage at any time.
 
         Args:
             folder: Name of the folder in the storage.
@@ -97,16 +97,13 @@ class Storage:
         return size
 
     def sweep(self, folder: str) -> None:
-        """Remove files that killed processes wrote only partly, from a folder on this machine."""
+        """Remove incomplete files of killed processes from a folder on this machine."""
         if self.here is not None:
             sweep_parts(self.here / folder)
 
     @contextmanager
     def local(self, name: str) -> Iterator[Path]:
-        """Provide a file of the storage as a local file.
-
-        If it is downloaded, the copy is removed later.
-        """
+        """Provide a file of the storage as a local file; a downloaded copy is removed later."""
         with fetch(self.place(name)) as path:
             yield path
 

@@ -40,13 +40,11 @@ PROCESS = 4e8
 CONTEXT = 6e8
 """GPU memory that CUDA itself needs per process [bytes]."""
 UNSURE = 2.0
-"""Safety factor on memory, because it is unknown what fraction of its bounding cube an object
-fills."""
+"""Safety factor on memory, because the volume of an object is unknown."""
 STEP = 1 << 28
-"""Unit in which memory is reserved [bytes]; amounts are rounded up, so similar tasks reserve the
-same amount."""
+"""Unit in which memory is reserved [bytes]; similar tasks reserve the same amount."""
 SHARERS = 8
-"""Maximum number of tasks per GPU; with more tasks, they would wait for each other."""
+"""Maximum number of tasks per GPU; more tasks would wait for each other."""
 
 
 class Needs(NamedTuple):
@@ -59,7 +57,7 @@ class Needs(NamedTuple):
 
 
 def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
-    """Estimate the resources that the clip of a scene needs, before its Gaussians exist.
+    """Estimate the resources for the clip of a scene before its Gaussians are made.
 
     Args:
         scene: The scene.
@@ -86,7 +84,7 @@ def memory_of_gpu(device: str) -> float | None:
 
 
 def _part(state: float, gpu_memory: float) -> float:
-    """Return the fraction of a GPU for a task: 1 / (number of tasks whose memory fits on it)."""
+    """Return the fraction of a GPU for a task: 1 / (number of tasks that fit into the memory)."""
     fit = int(gpu_memory // (CONTEXT + UNSURE * state))
     return 1.0 / max(1, min(SHARERS, fit))
 
@@ -94,7 +92,7 @@ def _part(state: float, gpu_memory: float) -> float:
 Row = dict[str, Any]
 """A row of the manifest: the data of one clip."""
 FAILED = ".failed.json"
-"""Ending of the name of a failed clip's row file; the next run makes only such clips again."""
+"""File name ending of the row of a failed clip, which the next run makes again."""
 THUMBNAIL = 96
 """Width and height of a clip's thumbnail in the report [pixels]."""
 
@@ -142,7 +140,7 @@ class Made(NamedTuple):
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians as plain data; None stands for the scene of the order."""
+    """The scene for these Gaussians as plain data; None means the scene of the order."""
     seconds: float
     refusal: str | None = None
 
@@ -215,13 +213,13 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
     """Write the row of a clip, and return the row.
 
-    A clip counts as finished once its row is written.
+    A clip is finished when its row is written.
 
     Args:
         storage: The sweep's folder.
         key: The clip's key.
-        clip: The clip's settings.
-        result: The clip's status and measurements.
+        clip: The settings of the clip.
+        result: The status and the measurements of the clip.
     """
     row = {
         "key": key,
@@ -321,7 +319,8 @@ def _store(
         context: Device, threads, progress and stopwatch.
     """
     watch = context.watch
-    # Durations are removed: they differ from run to run, but equal orders must give equal files.
+    # Durations are removed, because they differ from run to run, but equal orders must give equal
+    # files.
     report = {k: v for k, v in clip.report.items() if k != "substep_stages"}
     report |= view_report(clip, scene.view) if order.films else {}
     report["promise"] = asdict(promise(scene, None, report))
@@ -339,7 +338,7 @@ def _store(
 
 
 def _numbers(report: dict[str, Any]) -> Row:
-    """Return the columns of the manifest whose values come from a clip's report."""
+    """Return the columns of the manifest that come from a clip's report."""
     walls = report.get("walls") or {}
     forces = [wall["largest_force"] for wall in walls.values()]
     return {
