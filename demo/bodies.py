@@ -23,7 +23,7 @@ ODD = "This request cannot be read: its JSON has too many values, or they are ne
 class BodyLimit:
     """Refuses request bodies that are too large, and JSON with too many values.
 
-    Bodies that declare no size are refused, too, once they become too large.
+    Bodies without a declared size are refused when they become too large.
 
     Gradio parses JSON in its main thread. A body with three million numbers would block all
     visitors for a second.
@@ -115,7 +115,7 @@ def _limit(receive: Receive, most: int) -> Receive:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Pass on a request body that was already read, then continue receiving."""
+    """Return a function that returns a body already read, then continues to receive."""
     unread = True
 
     async def again() -> Message:

@@ -24,8 +24,10 @@ from .source import SMALLER
 
 FOLDER = Path(__file__).parent
 FIRST = "press drop bounce wind spin push_right sway"
-"""Presets that the page shows first. All other presets follow in alphabetical order; presets that
-are named after a material come last."""
+"""Presets that the page shows first, before all others in alphabetical order.
+
+Presets that are named after a material come last.
+"""
 TITLES = {"push_right": "Push"}
 """Card title of each preset whose name is unsuitable as a title."""
 READY = {
@@ -38,10 +40,12 @@ READY = {
 }
 """Title and example picture of each preset whose finished result `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the page's direction pad changes, each with the field that the pad sets."""
+"""Forces that the page's direction pad changes, and the field that the pad sets."""
 LONGEST, LONGER = 20_000, 200
-"""Largest length of a scene as text [characters], and the increase of this limit per frame. The
-limit increases because a saved live run stores a position of the hand for each frame."""
+"""Largest length of a scene as text [characters], and increase of this limit per frame.
+
+A saved live run contains a position of the hand for each frame.
+"""
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
 """Fields of a scene that are lists, each with the largest number of entries allowed."""
 WEIGHTS = {"foam": 50, "water": 1000, "stone": 2600, "iron": 7900}
@@ -55,8 +59,10 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "water": {"law": "fluid", "viscosity": 0.5, "tint": "#1f6fb8", "visibility": 0.1},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
-"""Everyday names of materials. The metal is soft: real metal of a toy's size would hardly
-deform."""
+"""Everyday names of materials.
+
+The metal is soft, because a toy of real metal would hardly deform.
+"""
 PREVIEWS = Path(__file__).parent / "previews"
 
 
@@ -91,7 +97,7 @@ def catalogue(settings: Settings) -> dict[str, Any]:
 
 
 def _schema() -> dict[str, Any]:
-    """Return the JSON schema of a scene, without the fields that the page sets itself."""
+    """Return the JSON schema of a scene, without fields that are set by the page."""
     schema = Scene.model_json_schema()
     fields = {"View": ("formats", "outputs", "output_format"), "Timing": ("seconds",)}
     for section, names in fields.items():
@@ -192,7 +198,7 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse objects from a generator or a file, because this process would read the file.
+    """Refuse objects that are made by a generator or from a file that this process would read.
 
     Raises:
         InputError: The scene has such an object.

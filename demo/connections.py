@@ -1,4 +1,4 @@
-"""Limit the number of connections, and how long a slow client may keep each of them open."""
+"""Limit the number of connections, and the time for which slow clients may keep them open."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ except ImportError:  # Windows
     resource = None
 
 HEAD, BODY, STALLED = 20.0, 120.0, 60.0
-"""Time limits for receiving a request's head, for receiving its body, and for the client to read an
-answer [s]."""
+"""Time limits for receiving the head and the body of a request, and for sending an answer [s]."""
 FILES, UNLIMITED = 16_384, 512
-"""Limit on open files and connections that the page requests from the operating system, and the
-limit that is assumed if the system has none."""
+"""Limit on open files and connections that the page requests from the operating system.
+
+The second number is the assumed limit if the system has none.
+"""
 AT_ONCE = 2048
 """Largest number of connections that are accepted at once (uvicorn's default)."""
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as possible; return half of it, for connections."""
+    """Raise the limit of open files as far as possible; return half of it for connections."""
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -43,10 +44,10 @@ def allow_connections() -> int:
 def limit_connections(most: int) -> Iterator[None]:
     """Limit the number of connections of all servers that are started within this context.
 
-    Gradio starts uvicorn without options. If the protocol class were replaced after the start,
-    earlier connections would have neither a deadline nor a limit. Up to three batches of new
-    connections are accepted before the excess connections of the first batch are closed. If a batch
-    were as large as the limit, a burst could use up all open files, and Gradio's start would fail.
+    The protocol class is replaced before Gradio starts uvicorn, so that all connections have a
+    deadline. Up to three batches of new connections are accepted before the excess connections of
+    the first batch are closed. A batch must therefore be smaller than the limit; otherwise, many
+    connections at the start could use up all open files.
 
     Args:
         most: Largest number of connections.
@@ -75,7 +76,7 @@ class Patient(H11Protocol):
         self.most = most
 
     def connection_made(self, transport: Any) -> None:
-        """Start the timer immediately, so that clients that send nothing are closed, too."""
+        """Start the timer immediately, so that the connection of a silent client is also closed."""
         super().connection_made(transport)
         self._watch()
         if len(self.connections) > self.most:
@@ -119,9 +120,7 @@ class Patient(H11Protocol):
             self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
-        """Close the connection with the earliest deadline; if no connection has one, close this
-        one.
-        """
+        """Close the connection with the earliest deadline, or this connection."""
         waiting = [each for each in self.connections if isinstance(each, Patient)]
         slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
         slowest._stop()
@@ -135,6 +134,6 @@ class Patient(H11Protocol):
 
 
 def _due(connection: Patient) -> float:
-    """Return when a connection will be closed; infinite while its request is processed."""
+    """Return the time at which a connection is closed; infinite while its request is processed."""
     clocks = (connection.clock, connection.stalled, connection.timeout_keep_alive_task)
     return min((clock.when() for clock in clocks if clock), default=math.inf)

@@ -41,7 +41,7 @@ NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
 
 class MeasureRequest(BaseModel):
-    """Arguments of /measure; each is checked where it is used, so that errors name the argument."""
+    """Arguments of /measure, which are checked later, so that errors name the argument."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -66,7 +66,7 @@ class MeasureRequest(BaseModel):
 
     @property
     def extras(self) -> dict[str, Any]:
-        """Optional inputs in addition to the front picture; the keys are option names."""
+        """Optional inputs in addition to the front picture, by option name."""
         return self.model_dump(include=set(EXTRAS))
 
     @property
@@ -110,7 +110,7 @@ def endpoints(studio: Studio) -> None:
         formats = _unread(gr.CheckboxGroup(list(EXPORTS), value=[], label="formats"))
         run = gr.State(None)
         files, report = gr.File(file_count="multiple", label="files"), gr.JSON(label="report")
-        # Each of these endpoints only waits for a job. The jobs wait in the page's own queue.
+        # These endpoints only wait for jobs, which wait in the queue of the page.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
 
         inputs = [*scene, formats, *extras, compose, *others]
@@ -155,7 +155,7 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """Make a component pass on its value unchecked; later checks name the argument in errors."""
+    """Disable the checks of a component; later checks name the argument in errors."""
     component.preprocess = lambda payload: payload
     return component
 
@@ -240,7 +240,7 @@ def _admit(studio: Studio, request: gr.Request) -> str:
 
 def _cut_out(studio: Studio, name: str, asked: MeasureRequest) -> tuple[Scene, Job]:
     """Build the scene of a request, and start the job that opens its picture or file."""
-    # Without this check, an unknown preset could be read as the path of a file.
+    # Otherwise, an unknown preset could be read as the path of a file.
     _check_choices("preset", [asked.preset], preset_names())
     _check_choices("accuracy", [asked.accuracy], list(PRESETS))
     with _refusing():
@@ -290,7 +290,7 @@ def _render(studio: Studio) -> Handler:
         speed: float | None = None,
         compose: bool = False,
     ) -> Iterator[tuple[Any, ...]]:
-        """Film this session's last run again, without simulating the motion again."""
+        """Render the last run of this session again, without simulating the motion again."""
         if run is None:
             raise refusal(NOTHING_YET)
         _, source, data, extras = run
@@ -312,7 +312,7 @@ def _fit(studio: Studio) -> Handler:
     def fit(
         run: Any, video: str | None, seconds: float, side: str, speed: float, request: gr.Request
     ) -> Iterator[tuple[Any, ...]]:
-        """Find the stiffness for this session's last run from a video; return files and report."""
+        """Fit the stiffness of this session's last run to a video; return files and report."""
         if run is None:
             raise refusal(NOTHING_YET)
         name, options = visitor_of(request), {"seconds": seconds, "side": side, "speed": speed}
@@ -353,6 +353,6 @@ def _evaluate(run: Any) -> dict[str, Any]:
 
 def _paths(done: Done) -> list[str]:
     files = [*done.films.iterdir(), *done.clip.iterdir()]
-    # Both folders contain a report. Only the report in the folder of films is complete.
+    # Both folders contain a report, but only the report in the folder of videos is complete.
     chosen = {path.name: str(path) for path in reversed(files) if path.name != "clip.pack"}
     return [chosen[name] for name in sorted(chosen)]

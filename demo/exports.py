@@ -39,8 +39,8 @@ def export(kinds: Sequence[str], done: Done, visitor: Visitor, visitors: Visitor
     Args:
         kinds: Names of formats in `EXPORTS`.
         done: The finished run.
-        visitor: The visitor who made the run. The visitor's older files are removed if disk space
-            is short.
+        visitor: The visitor who made the run. Older files of the visitor are removed if there is
+            not enough disk space.
         visitors: All visitors.
 
     Raises:
@@ -147,7 +147,7 @@ def _write_format(format: Format, done: Done, path: Path) -> None:
 
 
 def _export_of(format: Format) -> Export:
-    """Return the page's export for a file format."""
+    """Return the `Export` for a file format."""
     moves = format.write_clip is not None
     return Export(
         f"{format.title}, {'moving' if moves else 'at rest'}",

@@ -1,6 +1,6 @@
-"""Optional inputs in addition to the front picture: other views, a depth map, a thickness, and
-whether to film the object in its photograph. For a file of Gaussians, the only optional input is
-the orientation. The inputs have the names, ranges and choices of the command line's options.
+"""Optional inputs in addition to the front picture, such as other views or a depth map. For a file
+of Gaussians, the only optional input is the orientation. The inputs have the names, ranges and
+choices of the command line's options.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
 
 
 class Photographed(Section):
-    """Option to film the object in the photograph that the visitor sent."""
+    """Option to render the object in the photograph that the visitor sent."""
 
     compose: bool = Field(
         default=False,
@@ -80,7 +80,7 @@ class ExtraInputs:
     reading: Reading = NO_READING
     """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED
-    """Whether to film the object in its photograph. This option does not affect the Gaussians."""
+    """Whether to render the object in its photograph; this does not affect the Gaussians."""
     making: Making = NOT_CHOSEN
     """The generator that creates the object from the picture."""
 
@@ -100,7 +100,7 @@ class ExtraInputs:
                 raise InputError(field, error.value, limit, error.remedy) from error
 
     def suit(self, source: Source) -> ExtraInputs:
-        """Return the inputs adapted to the object; unset axes of a file become the likely axes.
+        """Return the inputs for an object; replace unset axes by the likely axes of the file.
 
         Raises:
             InputError: An input does not apply to this kind of object.
@@ -132,7 +132,7 @@ class ExtraInputs:
         return self.views.bind(generator, name, lambda field, path: open_view(path, field=field))
 
     def data(self) -> list[Any]:
-        """Return the inputs that determine the Gaussians, as plain data; names stand for files."""
+        """Return the inputs that determine the Gaussians, as plain data with file names."""
         sections = (self.depth, self.views, self.reading)
         return [section.model_dump(mode="json") for section in sections]
 
@@ -141,7 +141,7 @@ NO_EXTRAS = ExtraInputs()
 
 
 def options() -> dict[str, Any]:
-    """Return the JSON schema of each optional input; the keys are option names."""
+    """Return the JSON schemas of the optional inputs, by option name."""
     sections: list[type[Section]] = [OtherViews, DepthMap, Photographed]
     sections += [Making] if is_present("triposr") else []
     return {
@@ -184,7 +184,7 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
         depth["depth"] = str(sent.pop("depth"))
     cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
     reading = _validate(Reading, axes)
-    orientation(reading.up, reading.front)  # refuses pairs of axes that define no orientation
+    orientation(reading.up, reading.front)  # raises an error for invalid axes
     return ExtraInputs(
         _validate(DepthMap, depth),
         _validate(OtherViews, rest | cutouts),

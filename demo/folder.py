@@ -2,8 +2,8 @@
 
 The folder is removed when the page ends. If the page is killed, the next page removes the folder.
 File locks show which folders are in use, because a lock is released when its process ends. Windows
-has no such locks. On Windows the folders of killed pages therefore remain, and two pages can use
-the same folder by mistake.
+has no such locks, so folders of killed pages remain there, and two pages can use the same folder by
+mistake.
 """
 
 from __future__ import annotations

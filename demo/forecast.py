@@ -28,8 +28,7 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to set up one grid of a study and to compare its motion with that on other grids, as a
-fraction of the rate `rest`."""
+"""Time to prepare and to compare a grid of a study, as a fraction of the rate `rest`."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +42,11 @@ class Estimate:
     promise: Promise
     """Error bound measured in similar scenes, or the reason why there is no error bound."""
     caveat: str | None = None
-    """Reason why the predicted time is uncertain; empty if it is not."""
+    """Reason why the predicted time is uncertain, or None."""
     load: Load = QUIET
-    """Load that other programs put on this machine."""
+    """Load by other programs on this machine."""
     measured: bool = False
-    """Whether the time was measured by a short trial run with this object."""
+    """Whether the time was measured in a short trial run with this object."""
     proportions: Proportions | None = None
     """Proportions of the object; None if no trial run was made."""
     compiling: float = 0.0
@@ -63,7 +62,7 @@ class Estimate:
 
     @property
     def sentence(self) -> str:
-        """The forecast as a sentence for the visitor."""
+        """The forecast as a message for the visitor."""
         busy = " while this machine is busy" if self.load.busy else ""
         text = f"About {format_span(self.span)}{busy}: {self.substeps:,} substeps of "
         text += f"{round(self.particles, -3):,} particles. {self.promise.brief}"
@@ -86,7 +85,7 @@ class Estimator:
 
     @property
     def rates(self) -> Rates:
-        """The current rates: the time that each stage takes per unit of work."""
+        """The current rates: the time of each stage per unit of work."""
         return self.learned.now
 
     def __call__(
@@ -109,9 +108,9 @@ class Estimator:
             gaussians: Number of Gaussians.
             generated: Whether the Gaussians exist already.
             simulated: Whether the clip exists already.
-            filmed: Whether the films exist already.
+            filmed: Whether the videos exist already.
             pictures: Number of pictures from which Gaussians are generated.
-            composed: Number of pixels of the film that shows the object in its photograph.
+            composed: Number of pixels of the video that shows the object in its photograph.
             network: Time of the generator's network under the current load [s].
             compiling: Time to compile missing kernels on an idle machine [s].
         """
@@ -143,7 +142,7 @@ class Estimator:
         generated: bool = False,
         compiling: float = 0.0,
     ) -> float:
-        """Predict how long it takes to measure a scene's error on several grids [s].
+        """Predict the time to measure a scene's error on several grids [s].
 
         Args:
             scene: The scene.
@@ -161,8 +160,8 @@ class Estimator:
     def load(self) -> Load:
         """Return the load from other programs on this machine, measured every few seconds.
 
-        During a run of this page, the last measurement is returned, because a new measurement would
-        include the run.
+        During a run, the last measurement is returned, because a new measurement would include the
+        run.
         """
         return self.meter.latest if self._occupied() else self.meter.load()
 
@@ -171,7 +170,7 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Make a run; return its scene and its times without the load from other programs."""
+        """Make a run; return the scene, and the times after correction for other programs."""
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene
@@ -181,7 +180,7 @@ class Estimator:
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Return the time that a run takes at the fastest rates measured on this machine [s]."""
+        """Return the time of a run at the fastest rates measured on this machine [s]."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
@@ -206,7 +205,7 @@ class Estimator:
             scene: The scene.
             gaussians: Number of Gaussians.
             proportions: Proportions of the object; None if they are unknown.
-            seconds: Time measured at the scene's own accuracy [s]; None if it was not measured.
+            seconds: Time measured at the accuracy of the scene [s]; None if it was not measured.
             study: Errors measured on this scene; None if none were measured.
         """
         scale = 1.0 if seconds is None else seconds / self(scene, gaussians=gaussians).seconds
@@ -261,7 +260,7 @@ def promise_of(
         scene: The scene.
         proportions: Proportions of the object; None if they are unknown.
         study: Errors measured on this scene. If None, errors of similar scenes are used.
-        report: Report of the scene's run, which may show that no error bound applies.
+        report: Report of the scene's run, which may state that no error bound holds.
     """
     if study is None or why_broken(report or {}):
         return promise(scene, proportions, report)

@@ -21,7 +21,7 @@ CLOSED = re.compile(
     r"/gradio_api/(?:dev|deep_link|stream|component_server|process_recording|vibe|undo-vibe|runs"
     r"|run-history|profiling|login_check)\b|/monitoring\b"
 )
-"""URLs of Gradio that the page does not use, including streams that never end."""
+"""URLs of Gradio that the page does not use, including infinite streams."""
 FORWARDED = ("x-forwarded-host", "x-gradio-server")
 """Request headers in which a proxy states the page's host name."""
 POLICY = (
@@ -32,8 +32,7 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses except the page itself. The policy matters if a browser
-opens such a response as a page."""
+"""Content security policy of all responses except the page, if a browser opens them as pages."""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
@@ -43,8 +42,8 @@ NETWORK = 64
 class Doorkeeper:
     """Refuses requests that this page must not answer.
 
-    The refused requests are requests with foreign host names, requests that would download from
-    other sites, requests for URLs that the page does not use, and cross-site requests.
+    These are requests with foreign host names, cross-site requests, and requests for downloads from
+    other sites or for unused URLs.
     """
 
     def __init__(
@@ -73,7 +72,7 @@ class Doorkeeper:
         await self.app(scope, receive, send)
 
     def _from_own_page(self, headers: Headers) -> bool:
-        """Return whether the origin headers show that this page or a program sent the request."""
+        """Return whether this page or a program sent the request, according to the headers."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if headers.get("sec-fetch-site", "none") not in ("same-origin", "none"):
             return False
@@ -85,10 +84,9 @@ class Doorkeeper:
         return _without_port(place) in self.origins or _usual(place) == _usual(host.lower())
 
     def _has_own_host(self, headers: Headers) -> bool:
-        """Return whether all host names in a request, including those from proxies, are the page's.
+        """Return whether all host names in a request belong to this page.
 
-        Gradio writes the host names from proxies into the page. The names from proxies are
-        therefore checked, too.
+        Host names from proxies are also checked, because Gradio writes them into the page.
         """
         host = headers.get("host", "").lower()
         said = ",".join(headers.get(name, "") for name in FORWARDED).lower()
@@ -150,7 +148,7 @@ class Headed:
 
     def __init__(self, app: ASGIApp, embedded: bool = False) -> None:
         self.app = app
-        # Hugging Face Spaces show the page in a frame of another site.
+        # Hugging Face Spaces show the page in a frame on another site.
         self.frames = "'self' https://huggingface.co" if embedded else "'self'"
         self.manner = "SameSite=None; Secure; Partitioned" if embedded else "SameSite=Lax"
 

@@ -1,4 +1,4 @@
-"""The jobs that the page's buttons start, and their limits; a job survives a lost connection.
+"""The jobs that the page's buttons start, and their limits; jobs continue without a connection.
 
 This module does not depend on the page's layout. All slow work is done by jobs in a queue
 (demo.line). There is one queue for the device, and another for cutting out pictures.
@@ -64,8 +64,10 @@ class Studio:
     visitors: Visitors
     forecaster: Estimator = field(default_factory=lambda: Estimator(DEVICE.locked))
     work: Callable[[Order], Iterator[Any]] = steps
-    """Function that carries out an order (the request for a run). On ZeroGPU, demo.zerogpu provides
-    it."""
+    """Function that executes an `Order` (the request for a run).
+
+    On ZeroGPU, the function comes from demo.zerogpu.
+    """
     searches: deque[float] = field(default_factory=lambda: deque(maxlen=5))
     """Durations of the latest segmentations [s]."""
     warm: threading.Event = field(default_factory=threading.Event)
@@ -125,7 +127,7 @@ class Studio:
         return self._submit(visitor, job, self.cuts, work)
 
     def _upload(self, name: str, sent: Any) -> Path:
-        """Return the visitor's upload that a request names; raise InputError if there is none."""
+        """Return the visitor's upload that a request names; raise InputError if it is missing."""
         if not sent:
             raise missing(None)
         return self.visitors.find_upload(name, sent)
@@ -163,7 +165,7 @@ class Studio:
                 path, doubts, searched = cut_once(visitor, shown, strokes, pick, deadline)
             except InputError as error:
                 if error.field == "image":
-                    job.subject = ""  # pictures that cannot be opened cannot be shown either
+                    job.subject = ""  # a picture that cannot be opened cannot be shown
                 raise
             if searched:
                 self.searches.append(time.monotonic() - start)
@@ -230,7 +232,7 @@ class Studio:
     def _with_error(
         self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
     ) -> Estimate:
-        """Return a forecast with the error bound of this object, or with its measured error."""
+        """Return a forecast with the error bound or the measured error of this object."""
         about = (name, source, scene, extras)
         promise = promise_of(scene, self.proportions(*about), self.study(*about))
         return replace(estimate, promise=promise)
@@ -247,14 +249,14 @@ class Studio:
         extras: Any = None,
         limits: Settings | None = None,
     ) -> Job:
-        """Start a run, which generates the Gaussians, simulates their motion and films it.
+        """Start a run, which generates the Gaussians, simulates their motion and renders videos.
 
         Args:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
             extras: Optional inputs in addition to the front picture, with option names as keys.
-            limits: Limits of this run. If None, the limits of the page apply.
+            limits: Limits of this run; by default, the limits of the page.
 
         Raises:
             InputError: The source, the scene or an input is invalid.
@@ -336,7 +338,7 @@ class Studio:
     def study_seconds(
         self, name: str, source: Source | None, scene: Scene, extras: Any = None
     ) -> float:
-        """Predict how long it takes to measure the errors of a scene [s].
+        """Predict the time to measure the errors of a scene [s].
 
         Args:
             name: The visitor's name.
@@ -362,7 +364,7 @@ class Studio:
             name: The visitor's name.
             source: The object's source.
             data: The scene as plain data.
-            limits: Limits of this request. If None, the limits of the page apply.
+            limits: Limits of this request; by default, the limits of the page.
 
         Raises:
             InputError: The source no longer exists, or the scene is invalid.
@@ -377,14 +379,14 @@ class Studio:
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
-        """Return which stages are already done for this visitor, as arguments of the forecast."""
+        """Return the finished stages of a run, as arguments of the forecast."""
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return {}
         return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
 
     def _compiling(self, scene: Scene) -> float:
-        """Return the time to compile a scene's kernels [s]; 0 if a run may be compiling them."""
+        """Return the time to compile a scene's kernels [s]; 0 if a run may compile them now."""
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:
@@ -401,7 +403,7 @@ class Studio:
         check_time(self.forecaster.minimum(scene, gaussians=count), self.settings)
 
     def order(self, asked: tuple[Visitor, Source, Scene], extras: ExtraInputs) -> Order:
-        """Create an order (the request for a run); raise InputError for unsuitable inputs."""
+        """Create the `Order` of a run; raise InputError for unsuitable inputs."""
         return order_of(*asked, extras, self.settings)
 
     def _submit(self, visitor: Visitor, job: Job, line: Line, work: Callable[[Job], None]) -> Job:
@@ -423,13 +425,13 @@ class Studio:
         if done is not None:
             job.tell(
                 done
-            )  # after `writing`, since the visitor may ask for several files at the same time
+            )  # after `writing`, because the visitor may request several files at the same time
             visitor.proportions[str(made_gaussians(order))] = Proportions.of_report(done.report)
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)
 
     def warm_up(self) -> None:
-        """Load all kernels, and calibrate the forecast by small runs; called in a thread."""
+        """Load all kernels, and calibrate the forecast by small runs; this runs in a thread."""
         from .warm import example_run, search_seconds, tiny_run, warm_up
 
         if self.settings.warm_up:

@@ -1,4 +1,4 @@
-"""A queue that runs jobs in order of arrival, and the messages with which jobs end.
+"""A queue that runs jobs in order of arrival, and messages about the end of jobs.
 
 A job continues when its visitor disconnects. Each job has a name that cannot be guessed.
 """
@@ -29,7 +29,7 @@ SERVER = {
     Kind.MEMORY: "This server has too little memory for this. Choose a coarser accuracy.",
     Kind.DISK: "The disk of this server is full. Try again later.",
 }
-"""Messages for the visitor by kind of failure. All other kinds have the message `FAILED`."""
+"""Messages for the visitor by kind of failure; the message of all other kinds is `FAILED`."""
 
 
 SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
@@ -56,8 +56,7 @@ class Job:
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self.asked: tuple[Any, Any, Any] = (None, None, None)
-        """Source, scene and further inputs of a run. A finer run of the same motion needs these
-        values."""
+        """Source, scene and further inputs of a run, which are needed for a finer run."""
         self._changed = threading.Condition()
 
     @property
@@ -105,12 +104,12 @@ class Job:
 
     @property
     def place(self) -> int:
-        """Number of jobs that will start before this job; 0 once this job has started."""
+        """Number of jobs queued before this job; 0 if this job has started."""
         return 0 if self.line is None else self.line.place(self)
 
     @property
     def seconds_to_start(self) -> float:
-        """Predicted time until this job starts [s]; 0 once it has started."""
+        """Predicted time until this job starts [s]; 0 if it has started."""
         return 0.0 if self.line is None else self.line.seconds_to_start(self)
 
 
@@ -154,16 +153,16 @@ class Line:
         return job
 
     def place(self, job: Job) -> int:
-        """Return the number of jobs before a job; 0 once the job has started."""
+        """Return the number of jobs queued before a job; 0 if the job has started."""
         with self._changed:
             names = [waiting.name for waiting, _ in self._waiting]
         return names.index(job.name) + self.running if job.name in names else 0
 
     def seconds_to_start(self, job: Job) -> float:
-        """Predict the time until a job starts [s]; 0 once it has started.
+        """Predict the time until a job starts [s]; 0 if it has started.
 
-        The predicted duration of each earlier job holds for an idle machine. The predicted duration
-        is therefore multiplied by the slowdown of recent jobs.
+        The durations of earlier jobs are predicted for an idle machine, so they are multiplied by
+        the slowdown of recent jobs.
         """
         with self._changed:
             jobs = [waiting for waiting, _ in self._waiting]
@@ -199,7 +198,7 @@ class Line:
             try:
                 work()
             except BaseException as problem:
-                # The thread must survive any exception, because it runs the following jobs.
+                # No exception may end the thread, because it runs the following jobs.
                 end(job, problem)
             job.end("failed", FAILED)
             with self._changed:

@@ -1,7 +1,7 @@
 """Render the previews of preset cards and materials, and the finished results on the page.
 
 Run `python -m demo.make_previews` again after changes of presets or their physics. Each preview
-takes a few seconds. A finished result consists of a film and, for some presets, a 3D player.
+takes a few seconds. A finished result consists of a video and, for some presets, a 3D player.
 """
 
 from __future__ import annotations
@@ -42,19 +42,17 @@ OBJECTS = {
 }  # fmt: skip
 """Example picture of each preset. Presets that are not listed use the duck."""
 FALL = 36
-"""Number of frames of a material's preview. In this time the object lands but does not topple."""
+"""Number of frames of a material's preview, in which the object lands but does not topple."""
 FRAMES = {"water": 11}
-"""Number of frames for materials that would otherwise spread beyond the edge of their card."""
+"""Number of frames for materials that would otherwise spread beyond the edge of the card."""
 LONGEST = 24
 """Largest number of pictures in a preview. Longer clips are subsampled."""
 SIZE, CHIP = 200, 128
-"""Width and height of a preset's preview, and those of a material's preview [pixels]."""
+"""Sides of the square previews of presets and of materials [pixels]."""
 CLOSE = 0.72
-"""Field of view of a material's preview, as a fraction of the field of view of a preset's
-preview.
-"""
+"""Ratio of the fields of view of a material's preview and a preset's preview."""
 FILM = (800, 600)
-"""Width and height of a finished result's film [pixels]."""
+"""Width and height of the video of a finished result [pixels]."""
 PLAYERS, SPLATS = ("press", "bounce", "jelly"), 9_000
 """Presets whose finished results have a 3D player, with the number of Gaussians in the player."""
 
@@ -83,7 +81,7 @@ def substance_scene(name: str) -> Scene:
 
 
 def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
-    """Simulate a scene, and film it from the front and slightly above.
+    """Simulate a scene, and render it from the front and slightly above.
 
     Args:
         scene: The scene.
@@ -102,7 +100,7 @@ def make_preview(scene: Scene, example: str, path: Path, size: int) -> None:
 
 
 def make_ready(name: str) -> None:
-    """Make a preset's finished result: film, processor time, and for some presets a 3D player."""
+    """Make a preset's finished result: video, processor time, and for some presets a 3D player."""
     scene = Scene.named(name).replaced({"accuracy": "draft"})
     start = time.process_time()
     clip = _simulate(scene, READY[name][1])
@@ -156,7 +154,7 @@ def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, qualit
 
 
 def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
-    """Render every `step`-th frame with shadow, walls and gloss; let the film end with a pause.
+    """Render every `step`-th frame with shadow, walls and gloss; add a pause at the end.
 
     The background is transparent, because the page may be light or dark.
     """
@@ -186,9 +184,8 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Rotate the order of the frames in the loop.
-
-    The loop then starts with the frame that differs most from the clip's first frame.
+    """Rotate the frames of a loop, so that it starts with the frame that differs most from the
+    first.
     """
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))

@@ -12,8 +12,7 @@ from .handlers import Handler
 
 HEAD = '<script src="phy124/static/server.js"></script>'
 MARK = "mark"
-"""Key of an entry in a panel's value. The content of this entry differs in every answer (see
-`mark_answers`)."""
+"""Key of an entry in a panel's value that is different in every answer (see `mark_answers`)."""
 
 
 HEAD += '<script src="phy124/static/page.js"></script>'
@@ -50,9 +49,9 @@ PLAYER = (
 
 
 def scene() -> gr.HTML:
-    """Create the scene editor.
+    """Create the scene editor, whose value is a scene as plain data.
 
-    The editor's value is a scene as plain data. The editor's event "change" sends a new scene.
+    The event "change" sends a new scene.
     """
     return _panel("scene", EDITOR, events="'change'")
 
@@ -71,7 +70,7 @@ def extras() -> gr.HTML:
 
     Events: "choose" names a picture uploaded for an option, "view" reports the end of its cut-out,
     "change" a new value. Handlers set an answer, or the orientations of a file of Gaussians, as the
-    value; the panel replaces it.
+    value, which the panel then replaces.
     """
     return _panel("known", KNOWN, events="'choose' 'view' 'change'")
 
@@ -91,14 +90,14 @@ def progress() -> gr.HTML:
 
 
 def viewer() -> gr.HTML:
-    """Create the stage, which shows ready results, the cut-out, the growing clip and the player."""
+    """Create the viewer, which shows example results, the cut-out, the clip and the player."""
     return _panel("viewer", PLAYER)
 
 
 def touch() -> gr.HTML:
-    """Create the panel of the live run; its value is the ticket for a live run or a message.
+    """Create the panel of the live run; its value is the ID of a live run or an error message.
 
-    The event "begin" requests a live run. The event "save" requests the clip of its session.
+    The event "begin" requests a live run. The event "save" requests a clip of the live run.
     """
     return _panel("touch", TOUCH, events="'begin' 'save'")
 
@@ -106,8 +105,7 @@ def touch() -> gr.HTML:
 def forecast() -> gr.HTML:
     """Create the forecast panel; the event "measure" requests a measurement of the scene's error.
 
-    The value contains the forecast as HTML, and the number of the scene change for which it was
-    made.
+    The value contains the forecast as HTML, and the number of the scene change that it belongs to.
     """
     return _panel("forecast", HEAD, events="'measure'")
 
@@ -130,8 +128,8 @@ def takeaway() -> gr.HTML:
 def fit() -> gr.HTML:
     """Create the panel of fits to a video; its value is the offer of a fit or the finished fit.
 
-    The event "begin" names an uploaded video, "stop" cancels its fit, and "ended" reports that the
-        fit has ended.
+    The event "begin" starts a fit to an uploaded video, "stop" cancels the fit, and "ended" reports
+        its end.
     """
     return _panel("fit", FIT, events="'begin' 'stop' 'ended'")
 
@@ -154,9 +152,9 @@ def _panel(name: str, head: str, events: str = "") -> gr.HTML:
 def mark_answers(page: Any) -> None:
     """Wrap the handlers of a `gr.Blocks`, so that no two answers to the same panel are equal.
 
-    Gradio does not send a panel a value that equals the previous value. Each answer therefore gets
-    a mark. Without the mark, a panel would wait forever if a request were refused twice with the
-    same message. Handlers receive values without marks.
+    Gradio does not send a panel a value that equals the previous value. If a request were refused
+    twice with the same message, the panel would wait forever. Each answer therefore contains a
+    different mark. Handlers receive values without marks.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]
@@ -165,8 +163,8 @@ def mark_answers(page: Any) -> None:
 
 
 def _marking(handle: Handler, panels: list[bool]) -> Handler:
-    # Gradio creates new components for each session. Therefore the handlers are wrapped, not the
-    # components.
+    # The handlers are wrapped instead of the components, because Gradio creates new components for
+    # each session.
     @wraps(handle)
     def marking(*arguments: Any) -> Any:
         answer = handle(*map(_unmark, arguments))

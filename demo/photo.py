@@ -1,7 +1,7 @@
 """Components for files that programs upload; files are decoded only after their limits are checked.
 
-Gradio itself would decode a picture before any check, download it from any URL, and accept data:
-URLs beyond its `max_file_size`.
+Gradio's own components would decode a picture before any check, download it from any URL, and
+accept data: URLs beyond `max_file_size`.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ class Sent(ImageData):
     name: ClassVar[str] = "image"
     """Name of the argument, for error messages."""
 
-    # This is not a pydantic validator, because the program would not see the exceptions of a
-    # validator.
+    # Not a pydantic validator, because the program would not see the exceptions of a validator.
     @classmethod
     def model_validate(cls, obj: Any, **options: Any) -> Sent:
         """Validate the picture; raise gr.Error if it is not a file."""
@@ -43,7 +42,7 @@ class Sent(ImageData):
 
 
 def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
-    """Create a `gr.Image` whose value is the path of the uploaded file, undecoded.
+    """Create a `gr.Image` whose value is the path of the uploaded file, which is not decoded.
 
     Args:
         studio: Stores the pictures that requests contain.
@@ -82,7 +81,7 @@ class SentVideo(FileData):
 
 
 def film(**options: Any) -> gr.File:
-    """Create a `gr.File` whose value is the path of the uploaded video, undecoded."""
+    """Create a `gr.File` whose value is the path of the uploaded video, which is not decoded."""
     file = gr.File(**options)
     file.data_model = SentVideo
 
@@ -117,8 +116,8 @@ def fetch_nothing(page: gr.Blocks) -> None:
     async def refuse(url: str) -> Any:
         raise refusal(f"file: {FETCHES_NOTHING}")
 
-    # Gradio copies unchanged panels for each session. Therefore the module's function is replaced,
-    # too.
+    # The function in the module is also replaced, because Gradio copies unchanged panels for each
+    # session.
     processing_utils.async_ssrf_protected_get = refuse
     for block in page.blocks.values():
         moved = block.async_move_resource_to_block_cache

@@ -29,12 +29,12 @@ from .settings import Settings
 from .visitors import Visitor, key
 
 MISSING = "Part of the object may be missing."
-"""First sentence of a warning about a doubtful cut-out. The reasons follow this sentence."""
+"""First sentence of a warning about a cut-out; the reasons follow."""
 REMEDIES = {
     "foreground": "Mark the object with the brush, or use a picture with a plain background.",
     "pick": "Click the middle of the object, or mark it with the brush.",
 }
-"""Advice to a visitor by the field of an error."""
+"""Advice for the visitor, by the field of an error."""
 HOW = "cutout"
 """Key of the PNG text that stores the method and quality of a cut-out."""
 Fraction = Annotated[float, Field(ge=-0.5, le=1.5, allow_inf_nan=False)]
@@ -81,7 +81,7 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; return a warning and its reasons, or else the notes.
+    """Write the cut-out of a picture; return a warning with its reasons, or the notes.
 
     Args:
         picture: The picture.
@@ -115,7 +115,7 @@ def cut_once(
 ) -> tuple[Path, tuple[str, ...], bool]:
     """Cut out an upload if its cut-out does not exist yet; correct the cut-out by strokes.
 
-    Return the cut-out, reasons to doubt it, and whether the object had to be segmented.
+    Return the cut-out, the reasons of a warning, and whether the object had to be segmented.
 
     Args:
         visitor: The visitor who uploaded the picture.
@@ -146,12 +146,12 @@ def correct_cutout(
 ) -> None:
     """Write a cut-out that is corrected by brush strokes.
 
-    Pixels under a stroke are kept or removed, depending on the kind of stroke. Near the strokes,
-    the outline follows the edges in the picture.
+    Pixels under a stroke are added to the object or removed from it. Near the strokes, the outline
+    follows the edges in the picture.
 
     Args:
         picture: The picture.
-        first: The cut-out to start from; None if there is none.
+        first: The cut-out to correct, or None.
         strokes: The brush strokes.
         path: The PNG to write.
         deadline: Time limit.
@@ -163,7 +163,7 @@ def correct_cutout(
         with Image.open(first) as cut:
             alpha = np.array(cut.getchannel("A"))
     if not has_alpha(image):
-        # If the computation of the outline takes too long, only the painted pixels change.
+        # If computing the outline takes too long, only the painted pixels change.
         with suppress(Unfinished):
             rgb = np.asarray(image.convert("RGB"))
             alpha = np.array(isolated.run(apply_marks, rgb, alpha, marks, deadline=deadline))

@@ -1,4 +1,4 @@
-"""Events of a job, and the progress of the job in the form that the page shows."""
+"""Events of a job, and the progress of a job for the page."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Progress:
     stages: dict[str, Step] = field(default_factory=dict)
     reused: list[str] = field(default_factory=list)
     glimpses: list[bytes] = field(default_factory=list)
-    """Small JPEG pictures of the frames that are done."""
+    """Small JPEG pictures of the finished frames."""
     live: list[str] = field(default_factory=list)
-    """Files of the frames that are done, for the 3D viewer."""
+    """Files of the finished frames, for the 3D viewer."""
     result: Any = None
     """Result of the job."""
 
@@ -74,7 +74,7 @@ class Progress:
         return max(self.duration(slowdowns) - (time.monotonic() - self.start), 0.0)
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Return plain data for the page; of the frames, include those from index `seen` on."""
+        """Return plain data for the page, including the frames from index `seen` on."""
         return {
             "state": self.state,
             "message": self.message,
@@ -131,7 +131,7 @@ class Reused:
 
 @dataclass(frozen=True)
 class Done:
-    """The run has ended; these are its folders."""
+    """The end of a run, with the folders of the results."""
 
     clip: Path
     """Folder of the clip, its Gaussians and its scene."""
@@ -153,7 +153,7 @@ class Done:
 
 @dataclass(frozen=True)
 class Measured:
-    """The study of the scene's error has ended."""
+    """The end of a study of the scene's error."""
 
     study: Path
     """File that stores a `demo.studies.Measurement`."""

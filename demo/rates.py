@@ -2,8 +2,8 @@
 
 A substep, a frame and a video each have a fixed cost and a cost per particle or pixel. All costs
 are measured before the first visitor comes. Finished runs then correct the costs per particle and
-pixel. No visitor can distort the costs, because runs that are too small to measure a cost are
-ignored. The median of the latest runs is used, limited to a factor of the first measurement.
+pixel. To prevent visitors from distorting the costs, small runs are ignored, and the median of the
+latest runs is used. The median may differ from the first measurement only by a limited factor.
 """
 
 from __future__ import annotations
@@ -18,19 +18,15 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""If the Gaussians were available within this time, they were probably read from a file, so they do
-not count as generated [s]."""
+"""Gaussians that were available within this time were probably read from a file [s]."""
 SPREAD = 3.0
-"""Largest factor by which a corrected cost may be above, or below, the cost measured at the
-start.
-"""
+"""Largest factor between a corrected cost and the cost measured at the start."""
 WINDOW = 5
 """Number of runs from which the median is computed."""
 FIXED = 0.7
 """Largest fraction of a usual run's time that may be attributed to fixed costs."""
 MINIMUM = 0.2
-"""A run corrects a cost only if the run's work is at least this fraction of the work in the first
-measurement."""
+"""Smallest work of a run that corrects a cost, relative to the work in the first measurement."""
 
 
 class Learned:
@@ -60,13 +56,12 @@ class Learned:
         with self._lock:
             self.now = self.measured = replace(fixed, **costs)
             self._first = much
-            # The measurement is entered twice, so that the first run of a visitor alone does not
-            # determine the median.
+            # The measurement is stored twice, so that the first run of a visitor does not determine
+            # the median.
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these rates in a process that cannot measure rates itself; finished runs correct
-        them.
+        """Use these rates in a process that cannot measure rates; finished runs correct the rates.
 
         Args:
             rates: The rates to use.
@@ -96,7 +91,7 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """For each rate, the smallest of the built-in, the measured and the current value."""
+        """The smallest value of each rate: built-in, measured or current."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 

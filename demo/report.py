@@ -139,7 +139,7 @@ def _stages(report: dict[str, Any]) -> str:
 
 
 def _cut_out(report: dict[str, Any]) -> str:
-    """Format the method that made the cut-out, and the reasons to doubt the cut-out."""
+    """Format the method that made the cut-out, and the warnings about the cut-out."""
     cutout = report.get("cutout")
     if not cutout:
         return ""

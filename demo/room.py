@@ -49,7 +49,7 @@ class Room:
 
 
 def all_taken(size: float, each: float, remedy: str) -> InputError:
-    """Return the error for a visitor whose disk space is full, or too small for `size` [bytes]."""
+    """Return the error for a visitor whose disk space does not suffice for `size` [bytes]."""
     limit = "Your storage on this server is full."
     if size > each:
         sizes = f"{size / 1e6:,.0f} MB; your limit is {each / 1e6:,.0f} MB"
@@ -162,7 +162,7 @@ class Arrivals:
         return True
 
     def sweep(self) -> None:
-        """Remove uploads that no request has named within the time limit."""
+        """Remove uploads that no request named within the time limit."""
         for name in [n for n, u in self._uploads.items() if time.time() - u.at > ARRIVED]:
             self._drop(name)
 

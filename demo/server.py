@@ -1,4 +1,4 @@
-"""Start the page with its routes and middleware, and end it."""
+"""Start the web server with its routes and middleware, and shut it down at the end."""
 
 from __future__ import annotations
 
@@ -48,14 +48,12 @@ GONE = (
 )
 """Page for a link whose result has been removed."""
 DIGITS = 9
-"""Largest number of digits that are read from a URL, because Python refuses to parse thousands of
-digits."""
+"""Largest number of digits of a number in a URL; Python refuses to parse thousands of digits."""
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SWEEP = 5.0
 """Interval between two checks for visitors who have left the page [s]."""
 NAMES = ("NO_PROXY", "no_proxy")
-"""Environment variables that list the hosts to reach without a proxy. Some programs read the first
-variable, others the second."""
+"""Environment variables that list hosts without a proxy; programs read one of the two."""
 
 
 def prepare(settings: Settings, root: Path) -> None:
@@ -99,7 +97,7 @@ class Assets(StaticFiles):
     """Static files that a browser may cache for an hour."""
 
     def file_response(self, *arguments: Any, **options: Any) -> Response:
-        """Return the response of StaticFiles, with a header that states the maximum age."""
+        """Return the response of StaticFiles with a header for the maximum age."""
         answer = super().file_response(*arguments, **options)
         answer.headers["cache-control"] = "public, max-age=3600"
         return answer
@@ -133,7 +131,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         )
 
     async def progress(request: Request) -> Response:
-        """Return the progress of a job; the request shows that the visitor is still present."""
+        """Return the progress of a job, and record that the visitor is still present."""
         job = studio.visitors.job(request.path_params["name"])
         if job is None:
             return JSONResponse({"state": "gone"}, 404)
@@ -143,7 +141,7 @@ def routes(studio: Studio) -> list[BaseRoute]:
         return JSONResponse({**data, **wait}, headers={"cache-control": "no-store"})
 
     async def here(request: Request) -> Response:
-        """Record that a page is open; answer whether the visitor's files still exist."""
+        """Record that a page is open; return whether the visitor's files still exist."""
         visitor = studio.visitors.find(cookie_of(request) or "")
         data = {"known": visitor is not None, "visitor": visitor and visitor.folder.name}
         return JSONResponse(data, headers={"cache-control": "no-store"})
@@ -192,7 +190,7 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
 
 
 def launch(page: Any, studio: Studio, **options: Any) -> None:
-    """Serve the page, with the protections of a public server, until the process is to end."""
+    """Serve the page, with the protections of a public server, until the process ends."""
     # Imported here, because it imports Gradio, whose environment must be prepared first.
     from .sessions import Sessions
 
@@ -204,8 +202,8 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
             server_name=settings.host,
             server_port=settings.port,
             share=False,
-            quiet=True,  # otherwise Gradio would advise to share the page publicly
-            _frontend=False,  # otherwise Gradio gives up if its page takes 3 s
+            quiet=True,  # otherwise Gradio would suggest a public link
+            _frontend=False,  # otherwise Gradio would give up after 3 s
             show_error=False,
             max_file_size=settings.max_file_bytes,
             allowed_paths=[],
@@ -224,7 +222,7 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
         )
     print(
         f"The page is at {page.local_url}", flush=True
-    )  # immediately, even if the output goes to a file
+    )  # printed immediately, even if the output goes to a file
     sessions = page.app.state_holder = page.state_holder = Sessions(page, studio.visitors)
     # uvicorn reads these attributes for each new connection.
     page.server.config.ws_max_size = LARGEST_MESSAGE
@@ -258,10 +256,10 @@ def tool_routes(page: Any, studio: Studio) -> list[BaseRoute]:
 def without_cors() -> Iterator[None]:
     """Create apps without Gradio's CORS middleware within this context.
 
-    Gradio's middleware would let other sites read the page's answers.
+    Gradio's middleware would let other sites read the answers of the page.
 
-    If Gradio's middleware were removed after the start, all middleware would be built a second
-    time. The second version would not know the streams and requests that the first version counted.
+    If it were removed after the start, all middleware would be built again and lose its counts of
+    streams and requests.
     """
     from gradio import routes
 

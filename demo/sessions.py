@@ -75,7 +75,7 @@ class Sessions(StateHolder):
         self._origins: dict[str, _Origin] = {}
 
     def __getitem__(self, session_id: str) -> SessionState:
-        """Return the session with a name; create it if necessary; count the call as a use of it."""
+        """Return the session with a name; create it if necessary, and record its use."""
         with self.lock:
             if session_id not in self.session_data:
                 cookie, address = ASKER.get()
@@ -97,7 +97,7 @@ class Sessions(StateHolder):
     def _make_room(self, address: str) -> None:
         """If an address has too many sessions, remove one, preferably that of an absent visitor.
 
-        If no visitor is absent, one session of the visitor who has most sessions is removed.
+        If no visitor is absent, the removed session belongs to the visitor with most sessions.
         """
         origins = {k: origin for k, origin in self._origins.items() if origin.address == address}
         if len(origins) < ADDRESS:

@@ -19,7 +19,7 @@ from phy124.schema.section import Section
 from .room import Room
 
 SLACK = 64_000
-"""Number of bytes by which a request may exceed the size limit of the upload that it contains."""
+"""Number of bytes by which a request may exceed the size limit of its upload."""
 PREFIX = "PHY124_"
 ALIASES = (("host", "GRADIO_SERVER_NAME"), ("port", "GRADIO_SERVER_PORT"))
 """Environment variables that Gradio itself reads. Variables with the prefix PHY124_ take
@@ -151,7 +151,7 @@ class Settings(Section):
             if PREFIX + name.upper() in environment
         }
         if "SPACE_ID" in environment:
-            # A Hugging Face Space connects to the page from outside the page's container.
+            # A Hugging Face Space connects to the page from outside the container.
             values.setdefault("host", "0.0.0.0")
         try:
             return cls.model_validate(values)

@@ -41,7 +41,7 @@ class Cutout:
     picture: str
     """The uploaded picture in a format that browsers can show."""
     doubts: tuple[str, ...] = ()
-    """Reasons to doubt the cut-out. These reasons are shown only once."""
+    """Reasons why the cut-out may be wrong, which are shown only once."""
     by: str = ""
     """Title of the method that made the cut-out."""
     pick: Point | None = None
@@ -88,7 +88,7 @@ def is_there(source: Source | None) -> bool:
 
 
 def missing(source: Source | None) -> InputError:
-    """Return the error for a request without a picture, or with a picture that was deleted."""
+    """Return the error for a request whose picture is missing or was deleted."""
     if source is None:
         return InputError("image", "none", "There is no picture yet.", "Choose one first.")
     limit = "The server no longer has your picture."
@@ -112,7 +112,7 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
 
     Args:
         path: The file to read.
-        out: The folder to create. The folder receives the kept Gaussians and the pictures of the
+        out: The folder to create for the Gaussians that are kept and the pictures of the
             orientations.
         count: Largest number of Gaussians to keep.
         deadline: Time at which reading is stopped.

@@ -24,8 +24,10 @@ class Level(BaseModel):
     seconds: float
     """Time of the simulation and of the Gaussians' shapes [s]."""
     error: float | None
-    """Error as a fraction of the object's size. None if the grids do not converge, or if the object
-    may be torn on this grid."""
+    """Error as a fraction of the object's size.
+
+    None if the grids do not converge, or if the object may have torn on this grid.
+    """
     torn: bool
 
     @property
@@ -35,7 +37,7 @@ class Level(BaseModel):
 
 
 class Measurement(BaseModel):
-    """Errors of several grids for a scene; they do not depend on the scene's own grid."""
+    """Errors of a scene on several grids, independent of the grid set in the scene."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -64,7 +66,7 @@ class Measurement(BaseModel):
         )
 
     def promise(self, cells: int) -> Promise:
-        """Return the error on a grid, or an error message if the object may be torn on any grid."""
+        """Return the error on a grid, or a message if the object may have torn on any grid."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.refuse_promise(f"{promises.torn(torn)}.")
@@ -98,7 +100,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 def on_grid(scene: Scene, cells: int) -> Scene:
     """Return the scene on another grid, with the same solver of elastic objects.
 
-    The returned scene is computed in single precision, which does not affect the error
+    The scene is computed in single precision, which does not affect the error
     (docs/lab/accuracy.md).
     """
     changes = {"cells": cells, "precision": "float32", "solver": scene.solver}

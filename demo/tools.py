@@ -1,9 +1,8 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
-The tools call the functions of the endpoints. The checks and limits of the endpoints therefore
-apply. Gradio's own
-MCP server is not used for three reasons: it stores pictures of any size before they are checked,
-all agents share one session, and /render cannot use a run of /generate. Source of the protocol:
+The tools call the functions of the endpoints, so the same checks and limits apply. Gradio's MCP
+server is not used, because it stores pictures of any size before they are checked, all agents share
+one session, and /render cannot use a run of /generate. Source of the protocol:
 modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without sessions.
 """
 
@@ -69,7 +68,7 @@ DESCRIPTIONS = {
     "elevation": "Elevation of the camera above the horizon [degrees].",
     **dict.fromkeys(("second", "third", "fourth"), f"Picture of a further object. {FILE}"),
 }
-"""Descriptions of arguments that are not options, so no section declares them."""
+"""Descriptions of arguments that are not declared as options of a section."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,7 @@ def _describe(tool: str, name: str, files: set[str]) -> str:
 class ToolServer:
     """Answers agents.
 
-    Each call of generate, or of measure without a run, begins a new visit.
+    Each call of generate, or of measure without a run, creates a new visitor.
     """
 
     def __init__(self, page: gr.Blocks, studio: Studio) -> None:
@@ -186,9 +185,9 @@ class ToolServer:
         self.server.call_tool()(self._call)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request; a tool that is running ends when the agent disconnects."""
+        """Answer a request; a running tool is stopped when the agent disconnects."""
         if scope["method"] != "POST":
-            # The server offers no endless streams and has no sessions to delete.
+            # The server has no streams to read and no sessions to delete.
             answer = PlainTextResponse("This is an MCP server: POST JSON-RPC.", 405)
             return await answer(scope, receive, send)
         manager = StreamableHTTPSessionManager(
@@ -269,7 +268,7 @@ class ToolServer:
         return sent
 
     async def _finish(self, steps: Iterator[Any], name: str, context: Any) -> Any:
-        """Return the last answer of an endpoint; meanwhile, report the progress of its job."""
+        """Report the progress of an endpoint's job, and return the last answer."""
         token = context.meta.progressToken if context.meta else None
         last = None
         try:

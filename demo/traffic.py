@@ -1,7 +1,6 @@
 """Limit the traffic of each address: requests that compute, uploads, and open streams.
 
-A single request may take tenths of a second. Therefore only a few requests are processed in
-parallel.
+Only a few requests are processed in parallel, because a single request may take tenths of a second.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ TOOLS = "/gradio_api/mcp"
 TOOLS_EACH = 4
 """Largest number of tools that an address may use in parallel."""
 PRESENT = 64
-"""Largest number of unfinished requests per address. Further requests are refused."""
+"""Largest number of unfinished requests per address; further requests are refused."""
 LONGEST = 60.0
 """Longest time that a request may wait [s]."""
 TOO_MANY = "Too many requests from your address are waiting here. Try again in a minute."
@@ -44,7 +43,7 @@ STREAMED = re.compile(r"/gradio_api/(?:heartbeat|queue/data|call|upload_progress
 STREAMS_EACH, STREAMS_ADDRESS = 16, 64
 """Largest number of streams: per cookie, and per address. A page needs one or two streams."""
 LIFE = 7200.0
-"""Time after which a stream ends unless its page is open [s]. The page may connect again."""
+"""Time after which a stream ends unless its page is open [s]; a page may connect again."""
 TOO_MANY_STREAMS = "Too many streams are open here. Close some pages."
 
 
@@ -57,7 +56,7 @@ class _Address:
 
 
 class Turns:
-    """Lets requests wait in a queue; requests from the same address also wait for each other."""
+    """A queue of requests; limits the number of parallel requests in total and per address."""
 
     def __init__(
         self,
@@ -70,7 +69,7 @@ class Turns:
 
         Args:
             app: The application to wrap.
-            at: URLs of the requests that wait in the queue. Other requests are passed on
+            at: URLs of the requests that wait in the queue; other requests are passed on
                 immediately.
             together: Largest number of requests that are processed in parallel.
             each: Largest number of requests per address that are processed in parallel.
@@ -92,7 +91,7 @@ class Turns:
 
     @asynccontextmanager
     async def _turn(self, name: str) -> AsyncIterator[bool]:
-        """Wait until a request of an address may proceed; yield whether this happened in time."""
+        """Wait until a request of an address may proceed; yield False at the time limit."""
         address = self._addresses.setdefault(name, _Address(anyio.Semaphore(self.each)))
         if address.present >= PRESENT:
             yield False
@@ -126,7 +125,7 @@ class Streams:
         """Open streams, with the oldest stream first."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on; if a cookie has too many streams, end the oldest of them.
+        """Pass a request on; if a cookie has too many streams, end its oldest stream.
 
         If another limit is exceeded, answer with status 429.
         """

@@ -1,4 +1,4 @@
-"""Lay out the page: picture, scene and buttons on one side, stage and results on the other."""
+"""Lay out the page: picture, scene and buttons on one side, viewer and results on the other."""
 
 from __future__ import annotations
 
@@ -25,10 +25,13 @@ QUIET: dict[str, Any] = {
     "show_progress": "hidden",
     "api_visibility": "private",
 }
-"""Options of events that are answered immediately. Gradio drops further events until the first
-event is answered. A button that is pressed twice therefore acts only once."""
+"""Options of events that are answered immediately.
+
+Gradio ignores further events until the first event is answered, so a button that is pressed twice
+acts only once.
+"""
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
-"""Options of events that must not be dropped, because each has different data."""
+"""Options of events that must not be ignored, because each event has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
 """Options of events without data. Only the last event needs an answer, because it shows the latest
 state."""
@@ -127,8 +130,8 @@ def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras
 
 
 def _wire_forecast(studio: Studio, asked: list[Any], cut: Any, forecast: Any) -> None:
-    # Gradio reports no change of a state after an event that bypasses its queue. Therefore the
-    # cut-out event is named.
+    # The event of the cut-out is used, because Gradio reports no change of a state after an event
+    # that bypasses its queue.
     changes = [*(component.change for component in asked), cut.then]
     sent = [*asked, forecast]
     for change in changes:

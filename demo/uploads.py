@@ -1,6 +1,6 @@
 """Store uploads (pictures, videos, files of Gaussians) in the folder of their visitor.
 
-This route replaces Gradio's route for uploads, whose uploads belong to no visitor.
+This route replaces Gradio's route, which does not assign uploads to visitors.
 """
 
 from __future__ import annotations

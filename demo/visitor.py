@@ -38,7 +38,7 @@ class Visitor:
         self.jobs: dict[str, Job] = {}
         """The latest jobs by name, in the order in which they started."""
         self.shared: dict[str, Path] = {}
-        """Files that anyone with a link may see, by the token in the link."""
+        """Files with a public link, by the token in the link."""
         for stage in ("uploads", *STAGES):
             (folder / stage).mkdir(parents=True, exist_ok=True)
 
@@ -92,10 +92,7 @@ class Visitor:
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
-        """Return the token of a link to a file.
-
-        Each file has one token, which cannot be guessed.
-        """
+        """Return the token, which cannot be guessed, of the link to a file."""
         for token, known in self.shared.items():
             if known == path:
                 return token
@@ -106,7 +103,7 @@ class Visitor:
     def new_stop_file(self) -> Path:
         """Return the path of a file whose existence tells a job to stop.
 
-        A file is used because the job may run in another process (on ZeroGPU).
+        On ZeroGPU, the job runs in another process.
         """
         return self.folder / f"stop-{secrets.token_hex(8)}"
 
@@ -116,10 +113,10 @@ class Visitor:
         return self.used
 
     def trim(self, room: Room) -> None:
-        """Remove all but the latest results of each stage; if disk space is short, remove more."""
+        """Remove all but the latest results of each stage, and more if disk space is short."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
-            # A clip may have films of several views. Cut-outs and uploads are small.
+            # A clip may have videos of several views. Cut-outs and uploads are small.
             keep = {"uploads": UPLOADS, "clips": room.clips}.get(stage, 3 * room.clips)
             for entry in entries[keep:]:
                 remove(entry)
@@ -131,8 +128,8 @@ class Visitor:
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
         """Remove exports and then results, the oldest first, until at most `most` bytes are left.
 
-        The latest result of each stage and the paths in `keep` are not removed. Return whether the
-        removal suffices.
+        The latest result of each stage and the paths in `keep` are not removed. Return whether at
+        most `most` bytes are left.
         """
         for path in self._oldest():
             if self.measure() <= most:

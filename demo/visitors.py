@@ -1,9 +1,8 @@
 """Files of visitors: each visitor has a folder whose name cannot be guessed.
 
 
-The folder caches results: the result of a stage is stored under a key of all its inputs. A stage
-therefore runs again exactly when an input has changed. Each line names a path and the inputs of its
-key:
+The folder caches results: the result of a stage is stored under a key of all inputs. A stage
+therefore runs again only if an input has changed. Each line shows a path and the inputs of its key:
 
     uploads/NAME                  pictures, videos and files of Gaussians, as sent
     cutouts/KEY.png               picture, brush strokes
@@ -46,8 +45,7 @@ AWAY = 150.0
 """Time without requests after which a page counts as closed [s]. An open page sends a request every
 minute."""
 UNUSED = 16
-"""Largest number of idle visitors per address. If there are more, the visitor who has been idle
-longest is removed."""
+"""Largest number of idle visitors per address; further ones are removed, the longest idle first."""
 UNFINISHED = 3
 """Largest number of unfinished jobs per visitor."""
 FULL = "Too many visitors use this server at the moment."
@@ -77,14 +75,11 @@ class Visitors:
             return visitor
 
     def has(self, name: str) -> bool:
-        """Return whether a visitor with this name is known.
-
-        A call of this function does not count as a request of the visitor.
-        """
+        """Return whether a visitor with this name is known; this does not count as a request."""
         return name in self._known
 
     def is_here(self, name: str | None) -> bool:
-        """Return whether a visitor's page is open; this call does not count as a request."""
+        """Return whether a visitor's page is open; this does not count as a request."""
         visitor = self._known.get(name or "")
         return visitor is not None and visitor.silence < AWAY
 
@@ -98,7 +93,7 @@ class Visitors:
             return visitor.jobs[name]
 
     def find_shared(self, token: str) -> Path | None:
-        """Return the file that a link shows, or None; does not count as a visitor's request."""
+        """Return the file of a public link, or None; this does not count as a request."""
         with self._lock:
             paths = (v.shared[token] for v in self._known.values() if token in v.shared)
             path = next(paths, None)
@@ -157,7 +152,7 @@ class Visitors:
             try:
                 _write(path, file)
             except FileNotFoundError:
-                # The folder was removed meanwhile, to free disk space for another visitor.
+                # The folder was removed in the meantime to free disk space for another visitor.
                 raise _full(len(self)) from None
         return path
 
@@ -191,7 +186,7 @@ class Visitors:
                 visitor.promised -= size
 
     def find_upload(self, name: str, requested: Any) -> Path:
-        """Return the visitor's upload at a path that a request names.
+        """Return the upload of a visitor at a requested path.
 
         Raises:
             InputError: The path is not an upload of the visitor. The message does not reveal
@@ -200,8 +195,7 @@ class Visitors:
         visitor = self.get(name)
         path = visitor.folder / "uploads" / Path(str(requested)).name
         if str(requested) == str(self.arrivals.folder / path.name):
-            # The first request that names an upload moves the upload to this path. Later requests
-            # find it there.
+            # The first request that names an upload moves the upload to this path.
             with self._lock:
                 visitor.used += self.arrivals.hand_over(path)
         elif str(requested) != str(path):
@@ -253,7 +247,7 @@ class Visitors:
             remove(visitor.folder)
 
     def sweep(self) -> None:
-        """Remove idle visitors and unclaimed files, and measure the remaining visitors' files."""
+        """Remove idle visitors and unclaimed files, and measure the files of all other visitors."""
         with self._lock:
             silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
         for name in silent:
@@ -276,9 +270,7 @@ class Visitors:
         remove(self.root)
 
     def _admit(self, address: str) -> None:
-        """Make space for a new visitor.
-
-        If necessary, an idle visitor is removed.
+        """Make space for a new visitor; if necessary, remove an idle visitor.
 
         Raises:
             InputError: The limit of visitors is reached, in total or for this address, and no

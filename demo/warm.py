@@ -1,6 +1,4 @@
-"""Warm up before the first visitor: load every kernel that the presets use, to avoid a wait, and
-measure this machine, for an accurate first forecast.
-"""
+"""Prepare for the first visitor: load the kernels of all presets, and measure this machine."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ def warm_up(device: str) -> None:
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Return report and scene of a run with hardly any work, which shows the fixed costs."""
+    """Return the report and the scene of a minimal run, which shows the fixed costs."""
     few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:

@@ -1,9 +1,9 @@
 """Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the predicted time.
 
-ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (anonymous
-visitors have about 120 s a day). ZeroGPU ends a job that takes longer than declared. Each job
-therefore declares its predicted time, which is also the job's limit. Source:
-huggingface.co/docs/hub/spaces-zerogpu and the package `spaces` 0.51.
+ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (about 120 s a
+day for anonymous visitors), and ends a job that takes longer than declared. Each job therefore
+declares its predicted time, which is also its limit. Source: huggingface.co/docs/hub/spaces-zerogpu
+and the package `spaces` 0.51.
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ MARGIN = 1.5
 """Declared time as a multiple of the predicted time. After 70 % of the declared time, no further
 frame is simulated."""
 SHORTEST = 15
-"""Shortest time that a job declares, which includes the start of the forked process [s]."""
+"""Shortest declared time of a job, which includes the start of the forked process [s]."""
 COMPILING = 20
-"""Additional time that is declared until the first job has ended, for the compilation of CUDA
-kernels [s]."""
+"""Additional declared time for compiling CUDA kernels, until the first job has ended [s]."""
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 
 Work = Callable[[Order], Iterator[Any]]
 
 
 class Durations:
-    """Declares to ZeroGPU how long each job will take."""
+    """Declares the duration of each job to ZeroGPU."""
 
     def __init__(self, longest: float) -> None:
         self.longest = longest
@@ -41,14 +40,14 @@ class Durations:
         """Whether a job has ended. After that, all kernels are probably compiled."""
 
     def __call__(self, order: Order) -> int:
-        """Return the time that a job declares [s]."""
+        """Return the declared time of a job [s]."""
         compiling = 0 if self.compiled else COMPILING
         asked = max(MARGIN * order.expected, SHORTEST) + compiling
         return math.ceil(min(asked, self.longest))
 
 
 def work_on_gpu(longest: float) -> Work:
-    """Return the function that carries out orders: `steps` or, on ZeroGPU, `steps` with a GPU.
+    """Return the function that executes orders: `steps`, wrapped to request a GPU on ZeroGPU.
 
     Args:
         longest: Longest time of a job [s].

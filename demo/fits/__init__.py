@@ -1,4 +1,4 @@
-"""Fits: estimate the material's stiffness for a finished result from a visitor's video.
+"""Estimate the stiffness of the material in a finished result from a visitor's video.
 
     upload -> video.py (decodes the video in a process) -> search.py (`phy124.studies.fit`, in a
     process)

@@ -1,4 +1,4 @@
-"""Jobs that fit a result to a video: one per visitor at a time, and a limited number in total."""
+"""Jobs that fit a result to a video: one at a time for each visitor, limited in total."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Fits:
         self.line = Line("fit", workers=settings.max_fits, most=settings.max_queue)
 
     def offer(self, done: Done | None) -> dict[str, Any]:
-        """Predict how long a fit takes; return a sentence, and the range of time budgets [s].
+        """Predict the time of a fit; return a sentence, and the range of time budgets [s].
 
         Raises:
             InputError: The result cannot be fitted on this page.
@@ -106,7 +106,7 @@ class Fits:
         return self._submit(visitor, job, self.line, work)
 
     def _upload(self, name: str, video: Any) -> Path:
-        """Return the visitor's upload that a request names; raise InputError if there is none."""
+        """Return the visitor's upload that a request names; raise InputError if it is missing."""
         if not video:
             raise InputError("video", "none", "There is no video yet.", "Choose one first.")
         try:
@@ -132,21 +132,18 @@ class Fits:
 
 
 def _watch(job: Job, out: Path) -> None:
-    """Report the progress of a search; raises Cancelled if the visitor stopped the job."""
+    """Report the progress of a search; raise Cancelled if the visitor stopped the job."""
     job.check()
     state = progress(out)
     if state is None:
         return
     made, runs, seconds = state
     job.progress.expected = STARTING + seconds
-    # The number of expected runs is an estimate. The number of finished runs may exceed it.
+    # The number of finished runs may exceed the estimated number of runs.
     job.tell(Step("fit", min(made, runs - 1), runs, f"{made} runs, about {runs} expected"))
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """Return the folder of a fit.
-
-    The same video always leads to the same folder, so an interrupted fit can continue.
-    """
+    """Return the folder of a fit, which depends on the video; an interrupted fit can continue."""
     options = asked.model_dump(exclude={"seconds"})
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

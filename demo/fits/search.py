@@ -31,7 +31,7 @@ GAUSSIANS = 4000
 """Number of Gaussians from which the outlines of the object are computed."""
 NAME = "material.E"
 TIMES = 10.0
-"""Largest factor by which the result may be stiffer, or softer, than the filmed object."""
+"""Largest factor between the stiffnesses of the result and of the filmed object."""
 SOFTEST, STIFFEST = 1e3, 1e10
 """Range of stiffnesses on the page's slider [Pa]."""
 PLAN, REPORT = "plan.json", "fit.json"
@@ -102,8 +102,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
             "target": str(seen.folder),
             "object": str(done.clip / "clip.safetensors"),
             "find": {NAME: {"log_uniform": (low, high)}},
-            # `fps` refers to filmed time. The run may have been filmed from other sides than the
-            # video.
+            # `fps` refers to real time. The videos of the run may show other sides than this video.
             "set": {"view.speed": 1.0, "view.views": [asked.side]},
             "fps": seen.fps,
             "side": asked.side,
@@ -117,7 +116,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
 
 
 def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
-    """Make the fit in a separate process; reuse the runs that the folder already contains.
+    """Make the fit in a separate process; reuse stored runs in the folder.
 
     Raises:
         InputError: The stiffness cannot be determined, or the time budget is exceeded.
@@ -151,7 +150,7 @@ def _search(wanted: Fit, out: Path) -> dict[str, Any]:
 
 
 def in_words(error: InputError) -> InputError:
-    """Reword an error of `phy124 fit` for visitors of the page."""
+    """Convert an error of `phy124 fit` to a message for visitors of the page."""
     if isinstance(error, Undecided):
         limit = f"The softness cannot be determined from this video, because {error.limit}"
         return InputError("video", "unclear", limit, f"This would determine it: {error.tell}.")

@@ -39,7 +39,7 @@ class Seen:
     folder: Path
     """Folder of the pictures that fall within the scene's duration."""
     fps: float | None
-    """Pictures per second of filmed time; None if this rate is unknown."""
+    """Pictures per second of real time; None if this rate is unknown."""
     count: int
     whole: int
     """Number of pictures in the whole video."""
@@ -92,10 +92,10 @@ def read_video(path: Path, out: Path, seconds: float, speed: float, deadline: De
 
 
 def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: float) -> Seen:
-    """Decode a video in this process, whose CPU time is limited from now on.
+    """Decode a video in this process, and limit the CPU time of the process.
 
-    The decoder inherits the limits on memory and CPU time. The decoder therefore ends even if this
-    process is killed.
+    The decoder inherits the limits on memory and CPU time, so that it ends even if this process is
+    killed.
     """
     if resource is not None:
         most = math.ceil(processor) + 1
@@ -103,7 +103,7 @@ def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: 
     film = read_film(path)
     fps = film.fps and film.fps / speed
     whole = len(film.pictures)
-    # Rounding errors must not exclude the last picture of the scene's duration.
+    # The last picture must not be excluded by rounding errors.
     count = whole if fps is None else min(whole, math.floor(seconds * fps + 1e-3) + 1)
     if count < 2:
         limit = f"The scene lasts {seconds:.2f} s; the video has only {count} picture in this time."
@@ -138,7 +138,7 @@ def fit_options_of(data: Any, settings: Settings) -> FitOptions:
     most = settings.max_fit_seconds
     values = {"seconds": min(FitOptions.model_fields["seconds"].default, most)}
     values |= {name: data[name] for name in FitOptions.model_fields if data.get(name) is not None}
-    # Check the server's time limit first, then the declared bounds.
+    # The time limit of the server is checked before the declared bounds.
     if isinstance(values["seconds"], int | float) and values["seconds"] > most:
         limit = f"A fit may take at most {most:g} s on this page."
         raise InputError("seconds", shorten(values["seconds"]), limit, "Choose a shorter duration.")

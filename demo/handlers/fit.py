@@ -24,7 +24,7 @@ DIGITS = 3
 
 
 def on_result_shown(studio: Studio) -> Handler:
-    """Handle a new result on the page: offer a fit of the result, or show its latest fit."""
+    """Show the latest fit of a new result on the page, or offer a fit."""
 
     def offer(done: Done | None, request: gr.Request) -> dict[str, Any]:
         return _panel(studio, done, studio.visitors.find(visitor_of(request)))
@@ -33,7 +33,7 @@ def on_result_shown(studio: Studio) -> Handler:
 
 
 def on_fit_begin(studio: Studio) -> Handler:
-    """Handle "begin" of the fit panel: start a fit to an uploaded video, or refuse the request."""
+    """Handle the event "begin" of the fit panel: start a fit to an uploaded video."""
 
     def start(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
@@ -49,7 +49,7 @@ def on_fit_begin(studio: Studio) -> Handler:
 
 
 def on_fit_stop(studio: Studio) -> Handler:
-    """Handle "stop" of the fit panel: cancel the fit of this visitor, but no other job."""
+    """Handle the event "stop" of the fit panel: cancel the fit, but no other job."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.find(visitor_of(request))
@@ -61,7 +61,7 @@ def on_fit_stop(studio: Studio) -> Handler:
 
 
 def on_fit_end(studio: Studio) -> Handler:
-    """Handle "ended" of the fit panel: show the fit with its files, or why the fit failed."""
+    """Handle the event "ended" of the fit panel: show the fit, or the reason why it failed."""
 
     def show(done: Done | None, event: gr.EventData, request: gr.Request) -> tuple[Any, Any]:
         visitor, job = studio.visitors.find(visitor_of(request)), job_of(studio, request, event)
@@ -76,7 +76,7 @@ def on_fit_end(studio: Studio) -> Handler:
 
 
 def _panel(studio: Studio, done: Done | None, visitor: Visitor | None) -> dict[str, Any]:
-    """Return the value to which the fit panel is set for a result."""
+    """Return the value of the fit panel for a result."""
     try:
         offer = studio.fits.offer(done)
     except InputError as error:
@@ -98,7 +98,7 @@ def _is_of(job: Job, done: Done) -> bool:
 
 
 def _show_result(result: FitResult) -> dict[str, Any]:
-    """Return the panel's value for a finished fit: summary, figure, film and fitted material."""
+    """Return the panel's value for a finished fit: summary, figure, video and fitted material."""
     report = result.report
     return {
         "sentences": summarise(report),

@@ -1,4 +1,4 @@
-"""Handles the picture panel: choosing a picture, correcting its cut-out, showing the cut-out.
+"""Handles the picture panel: choosing a picture, and showing and correcting the cut-out.
 
 Instead of a picture, a visitor may send a file of Gaussians. The page then shows the object in all
 possible orientations.
@@ -28,7 +28,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def on_choose(studio: Studio) -> Handler:
-    """Handle "choose" of the picture panel: start to cut out a picture, or to read a file."""
+    """Handle the event "choose" of the picture panel: start to cut out a picture or read a file."""
 
     def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any, Any]:
         path, example = data_of(event).get("upload"), data_of(event).get("example")
@@ -47,7 +47,7 @@ def on_choose(studio: Studio) -> Handler:
 
 
 def on_correct(studio: Studio) -> Handler:
-    """Handle "correct" of the picture panel (strokes or a click): start to correct the cut-out."""
+    """Handle the event "correct" of the picture panel: start to correct the cut-out."""
 
     def correct(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> Any:
         made = source if isinstance(source, Cutout) else None
@@ -64,13 +64,13 @@ def on_correct(studio: Studio) -> Handler:
 
 
 def on_cut_end(studio: Studio) -> Handler:
-    """Handle "cut" of the picture panel: show the finished cut-out, or why it failed."""
+    """Handle the event "cut" of the picture panel: show the cut-out, or the reason of a failure."""
 
     def show(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
         job = job_of(studio, request, event)
         if job is None or not job.over:
-            # An answer is always necessary, because the panel sends no other event until it
-            # arrives.
+            # An answer is always necessary, because the panel waits for it before it sends other
+            # events.
             return {**table_of(shown), "job": None, "message": FORGOTTEN}, source, gr.skip()
         made = job.progress.result
         if made is None:
@@ -87,7 +87,7 @@ def on_cut_end(studio: Studio) -> Handler:
 
 
 def show_source(made: Source) -> dict[str, Any]:
-    """Return the value to which the picture panel is set for the object's source."""
+    """Return the value of the picture panel for the object's source."""
     picture = file_of(Path(made.picture))
     if isinstance(made, Cutout):
         return {"picture": picture, "cutout": file_of(Path(made.path))}
@@ -96,7 +96,7 @@ def show_source(made: Source) -> dict[str, Any]:
 
 
 def _doubts(made: Cutout) -> dict[str, str]:
-    """Return the warning about a cut-out, and the reasons, which the page shows on request."""
+    """Return a warning about a cut-out, and its reasons, which are shown on request."""
     return {"warning": "".join(made.doubts[:1]), "doubts": " ".join(made.doubts[1:])}
 
 
@@ -135,7 +135,7 @@ def _sent_example(studio: Studio, visitor: str, name: Any) -> str:
 
 
 def on_choose_view(studio: Studio) -> Handler:
-    """Handle "choose" of the extras panel: start to cut out a view, or check a depth map."""
+    """Handle the event "choose" of the extras panel: cut out a view, or check a depth map."""
 
     def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
         option, path = str(data_of(event).get("option")), data_of(event).get("upload")
@@ -152,7 +152,7 @@ def on_choose_view(studio: Studio) -> Handler:
 
 
 def on_choose_object(studio: Studio) -> Handler:
-    """Handle "choose" of the objects panel: start to cut out a further object."""
+    """Handle the event "choose" of the objects panel: start to cut out a further object."""
 
     def choose(event: gr.EventData, request: gr.Request) -> dict[str, Any]:
         path = data_of(event).get("upload")
@@ -166,7 +166,7 @@ def on_choose_object(studio: Studio) -> Handler:
 
 
 def on_view_cut(studio: Studio) -> Handler:
-    """Handle "view" of the extras and objects panels: show the cut-out or an error message."""
+    """Handle the event "view" of two panels: show a cut-out or an error message."""
 
     def show(event: gr.EventData, request: gr.Request) -> Any:
         job = job_of(studio, request, event)
@@ -181,6 +181,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Answer an event and name its option, so that the panel can ignore outdated answers."""
+    """Answer an event with the name of its option, so that the panel can ignore old answers."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

@@ -41,7 +41,7 @@ from .run import (
 )
 
 NOT_SHOWN = [gr.skip()] * 4
-"""Leaves the result panels unchanged."""
+"""Values that leave the result panels unchanged."""
 SHARE = "share"
 """Value of the field `kind` in an event that asks for a link instead of a file format."""
 REPORT, TAKEAWAY = 1, 2
@@ -55,7 +55,7 @@ FILES = {
     "scene.toml": ("Scene", "Every setting, to run it again", "experts", "scene"),
     "report.json": ("Report", "Times, effects, stability", "experts", "report"),
 }
-"""Files of a result. Each has a name, a hint, its group in the download panel, and a short name."""
+"""Name, hint, group in the download panel, and short name of each file of a result."""
 
 FITTED = {
     "comparison.mp4": ("Fit: video and simulation", "Side by side, MP4"),
@@ -80,7 +80,7 @@ def on_job_end(studio: Studio) -> Handler:
         request: gr.Request,
     ) -> tuple[Any, ...]:
         name, job = visitor_of(request), job_of(studio, request, event)
-        # If an earlier result is shown, the buttons of a run in progress must not change.
+        # An earlier result must not change the buttons of a run in progress.
         buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
             html = forecast_of(studio, name, source, scene, extras, opened=True)
@@ -89,8 +89,8 @@ def on_job_end(studio: Studio) -> Handler:
         if job is None and not _is_there(shown):
             return gr.skip(), None, *buttons, *NOT_SHOWN[:TAKEAWAY], *FORGOTTEN
         if job is None or not job.over or not _is_there(job.progress.result):
-            # An answer is always necessary, because the history sends no other event until it
-            # arrives.
+            # An answer is always necessary, because the history waits for it before it sends other
+            # events.
             runs = {"runs": _earlier(studio, name, shown)}
             return gr.skip(), gr.skip(), *buttons, *NOT_SHOWN[:-1], runs
         return gr.skip(), job.progress.result, *buttons, *results(studio, name, job)
@@ -109,7 +109,7 @@ def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
 
 
 def _is_there(done: Any) -> bool:
-    """Return whether a result is complete; its clip may be removed before its films."""
+    """Return whether a result is complete; the clip may have been removed before the videos."""
     if not isinstance(done, Done):
         return False
     return (done.films / "report.json").exists() and (done.clip / "clip.safetensors").exists()
@@ -171,7 +171,7 @@ def results(studio: Studio, name: str, job: Job) -> list[Any]:
 def report_of(studio: Studio, job: Job) -> dict[str, Any]:
     """Return the report panel's value for a finished run, with the measured errors of its scene.
 
-    The value contains three sentences for a visitor, the cost of a finer run, and tables for
+    The value contains three sentences for visitors, the cost of a finer run, and tables for
     experts.
     """
     done: Done = job.progress.result
@@ -231,7 +231,7 @@ def _films(done: Done) -> list[Path]:
 
 
 def on_prepare(studio: Studio) -> Handler:
-    """Handle "prepare" of the download panel: create a file in another format, or a link."""
+    """Handle the event "prepare" of the download panel: create a file or a link."""
 
     def prepare(
         done: Done | None, shown: Any, event: gr.EventData, request: gr.Request
@@ -261,8 +261,8 @@ def on_prepare(studio: Studio) -> Handler:
 def takeaway_of(done: Done) -> dict[str, Any]:
     """Return the download panel's value: files of a result, and formats created on request.
 
-    Handlers store the request under the key "asked". The panel ignores answers for a result that it
-    no longer shows.
+    Handlers store the request under the key "asked", so that the panel can ignore answers for a
+    result that it no longer shows.
     """
     files, offers = [], []
     frames, gaussians = read_shape(done.clip / "clip.safetensors")

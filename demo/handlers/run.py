@@ -43,7 +43,7 @@ def on_scene_changed(studio: Studio) -> Handler:
 
 
 def answer_change(change: Any, html: str | None) -> dict[str, Any]:
-    """Return the forecast panel's value; the panel ignores answers to earlier changes of the scene.
+    """Return the value of the forecast panel, which ignores answers to earlier changes.
 
     Args:
         change: Number of the change of the scene, counted by the page.
@@ -79,7 +79,7 @@ def forecast_of(
 
 
 def show_refusal(error: InputError) -> str:
-    """Format the reason why a run is refused; the page shows it in place of a forecast."""
+    """Format the reason why a run is refused, which is shown instead of a forecast."""
     return f'<p class="refused">{escape(api_message(error))}</p>'
 
 
@@ -93,7 +93,7 @@ def with_stops(
     *,
     opened: bool = False,
 ) -> str:
-    """Format a forecast as its time; a click on the time opens a panel with error and accuracies.
+    """Format a forecast as HTML: the time, and a pop-up panel with the error and the accuracies.
 
     Args:
         studio: The state shared by all visitors.
@@ -137,7 +137,7 @@ def _error_line(
     extras: Any,
     promise: Promise,
 ) -> str:
-    """Format the measured error of a scene; without an error, add a button that measures it."""
+    """Format the measured error of a scene, or a button that measures the error."""
     kind = ' class="measured"' if promise.of_scene else ""
     line = f"<p{kind}>{describe_error(promise, 'Off')}</p>"
     if not promise.missing or promise.of_scene:
@@ -150,7 +150,7 @@ def _error_line(
 
 
 def on_refine(studio: Studio) -> Handler:
-    """Handle the end of a series of changes: if possible, forecast by a short trial run."""
+    """Handle the end of a series of changes: make a forecast by a short trial run, if possible."""
 
     def refine(
         source: Source | None, scene: Any, extras: Any, change: Any, request: gr.Request
@@ -160,8 +160,8 @@ def on_refine(studio: Studio) -> Handler:
         name = visitor_of(request)
         try:
             estimate = studio.refine(name, source, scene, extras)
-            # An answer is always necessary, because the page may meanwhile show the forecast of an
-            # older scene.
+            # An answer is always necessary, because the page may show the forecast of an older
+            # scene.
             estimate = estimate or studio.forecast(name, source, scene, extras)
             html = with_stops(studio, name, source, scene, extras, estimate)
         except InputError as error:
@@ -172,7 +172,7 @@ def on_refine(studio: Studio) -> Handler:
 
 
 def on_generate(studio: Studio) -> Handler:
-    """Handle Generate: start a run, whose progress the progress panel shows, or refuse it."""
+    """Handle the button "Generate": start a run and show its progress, or refuse the run."""
 
     def start(
         source: Source | None, scene: Any, extras: Any, request: gr.Request
@@ -188,7 +188,7 @@ def on_generate(studio: Studio) -> Handler:
 
 
 def on_finer(studio: Studio) -> Handler:
-    """Handle "finer" of the report panel: run the displayed motion at the next finer accuracy."""
+    """Handle the button "finer": run the displayed motion at the next finer accuracy."""
 
     def start(done: Done | None, request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))
@@ -212,7 +212,7 @@ def next_accuracy(data: Any) -> str | None:
 
 
 def on_measure(studio: Studio) -> Handler:
-    """Handle Measure: start to measure the scene's error, or refuse to do so."""
+    """Handle the button "Measure": start to measure the scene's error, or refuse to do so."""
 
     def start_study(
         source: Source | None, scene: Any, extras: Any, request: gr.Request
@@ -227,7 +227,7 @@ def on_measure(studio: Studio) -> Handler:
 
 
 def follow_job(job: Job) -> dict[str, Any]:
-    """Return the progress panel's value for a job, whose progress the panel then shows."""
+    """Return the progress panel's value with which the panel shows the progress of a job."""
     return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 
@@ -242,7 +242,7 @@ def busy_buttons() -> tuple[Any, Any]:
 
 
 def on_cancel(studio: Studio) -> Handler:
-    """Handle Cancel: stop the jobs of this visitor."""
+    """Handle the button "Cancel": stop the jobs of this visitor."""
 
     def stop(request: gr.Request) -> None:
         visitor = studio.visitors.find(visitor_of(request))
@@ -253,7 +253,7 @@ def on_cancel(studio: Studio) -> Handler:
 
 
 def on_touch(studio: Studio) -> Handler:
-    """Handle Touch: return a ticket (permission) for a live run, or an error message."""
+    """Handle the button "Touch": return the ID of a permitted live run, or an error message."""
 
     def touch(source: Any, scene: Any, extras: Any, request: gr.Request) -> dict[str, Any]:
         name = visitor_of(request)
@@ -269,7 +269,7 @@ def on_touch(studio: Studio) -> Handler:
 
 
 def on_save(studio: Studio) -> Handler:
-    """Handle "save" of the touch panel: start a run that repeats the session of the live run."""
+    """Handle the button "save" of the touch panel: start a run that repeats the live session."""
 
     def save(source: Any, extras: Any, request: gr.Request) -> tuple[Any, ...]:
         name = visitor_of(request)

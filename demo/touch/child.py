@@ -1,4 +1,4 @@
-"""The process of a live run; it is started by the path of this file, and ends when its pipe closes.
+"""The process of a live run, which runs this file and ends when its pipe is closed.
 
 Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
 function reads the lines from a `Line`, and answers by messages: a letter, the length (uint32,
@@ -16,7 +16,7 @@ import threading
 from collections import deque
 
 WAITING = 256
-"""Largest number of unread lines. When it is exceeded, the oldest lines are dropped."""
+"""Largest number of unread lines; if there are more, the oldest lines are discarded."""
 
 
 class Line:
@@ -52,10 +52,10 @@ class Line:
 
 def main() -> None:
     """Call the function that the server sends."""
-    # Ctrl-C signals the whole process group, but only the server should end this process.
+    # Ctrl-C is sent to the whole process group, but only the server should end this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.dup(1)
-    os.dup2(2, 1)  # output that libraries print goes to standard error
+    os.dup2(2, 1)  # libraries print to standard error instead
     sys.path[:] = pickle.load(sys.stdin.buffer)
     function, arguments = pickle.load(sys.stdin.buffer)
     line = Line(answers)

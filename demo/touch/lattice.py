@@ -1,4 +1,4 @@
-"""Encode a live run for the browser: the binding once, lattice and walls in each frame.
+"""Encode a live run for the browser: first the binding, then lattice and walls in each frame.
 
 A binding contains the constant data of each Gaussian. A frame contains the data of each node. Both
 are little-endian and planar (array after array):
@@ -24,9 +24,9 @@ from phy124.motion.binding import find_carriers
 from phy124.rendering.stage.solids import floor_heights, place_walls
 
 MOST = 5000
-"""Largest number of nodes. At 24 frames per second, this number needs 2.9 MB/s."""
+"""Largest number of nodes, which needs 2.9 MB/s at 24 frames per second."""
 REACH = 8.0
-"""Largest magnitude of an entry of F. Entries with a larger magnitude are clipped."""
+"""Largest magnitude of an entry of F; larger entries are clipped."""
 
 
 class Lattice:
@@ -43,7 +43,7 @@ class Lattice:
         self._stretch = np.minimum(stretch[order], 1e6)
         self.nodes, near, self.weights = _bound(self.gaussians, rest, most)
         self.neighbours = near.astype("<u2")
-        # Gaussians that do not move are bound to no node.
+        # Gaussians that do not move are not bound to nodes.
         self.weights[~moves] = 0
         self.rest = rest[self.nodes]
         self._live = live

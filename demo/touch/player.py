@@ -29,8 +29,11 @@ REST = 0.25
 PREPARING = 120.0
 """Time limit for cutting out other views of the object [s]."""
 RATE = 1.6
-"""Real-time factor that the grid must reach. The factor is above 1, because a browser on the same
-machine needs time, too. The chosen grid is therefore a tenth coarser."""
+"""Real-time factor that the grid must reach.
+
+The factor is above 1, because a browser on the same machine also needs time. The chosen grid is
+therefore a tenth coarser.
+"""
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
 """First letters of the kinds of messages: plain data for the page, a binding, a frame, a
 session.
@@ -73,7 +76,7 @@ class Player:
         """
         self._line, self._what = line, what
         order = what.order
-        # The browser deforms the Gaussians. If it runs on this machine, it needs a core.
+        # The browser, which deforms the Gaussians, needs a core if it runs on this machine.
         context = RunContext(device=pick_device(order.device), threads=1)
         _say(line, kind="doing", text="Making the 3D object …")
         order.cut_views(Deadline(PREPARING))
@@ -173,7 +176,7 @@ class Player:
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """Return the messages in order; if targets follow each other, keep only the last of them."""
+    """Return the messages in order; of several targets in a row, keep only the last one."""
     messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
         if messages and message["do"] == "to" == messages[-1]["do"]:

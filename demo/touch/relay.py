@@ -1,7 +1,7 @@
 """Relay messages between a browser and the process of the browser's live run, within limits.
 
-A browser acknowledges each frame that it has rendered. Up to two frames are in transit. If more
-frames arrive, only the newest is kept, so a slow browser skips frames.
+A browser acknowledges each frame that it has rendered. Up to two frames may be unacknowledged. If
+more frames arrive, only the newest frame is kept, so that a slow browser skips frames.
 """
 
 from __future__ import annotations
@@ -36,14 +36,11 @@ CHILD = Path(__file__).with_name("child.py")
 ON_THE_WAY = 2
 """Largest number of frames that are sent but not yet acknowledged."""
 PENDING = 1 << 16
-"""Largest total size of messages that the process has not read [bytes]. Above this size, new
-messages are dropped."""
+"""Largest total size of unread messages [bytes]; further messages are discarded."""
 LARGEST = 1 << 26
 """Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""Largest number of sentences that wait to be sent. Above this number, new sentences are
-dropped.
-"""
+"""Largest number of unsent sentences; further sentences are discarded."""
 PARTING = 10.0
 """Time limit for sending the last sentence to a browser [s]."""
 BROKEN = "The live run failed. Start it again."
@@ -51,12 +48,14 @@ IDLE = "The live run ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."
 REPLACED = "The live run ended, because you started another one."
 GONE = 4404
-"""Code with which a socket is closed if it has no live run."""
+"""Code for closing a socket that has no live run."""
 WORDS = ("grab", "to", "release", "gravity", "soften", "speed", "pause", "reset", "save", "seen")
 """Allowed values of the field `do` of a message."""
 PER_SECOND, AT_ONCE = 150.0, 300.0
-"""Largest number of messages per second, and of messages in a burst. A pointer sends a message per
-screen refresh."""
+"""Largest number of messages per second, and in a burst.
+
+A pointer sends one message per screen refresh.
+"""
 LARGEST_MESSAGE = 1024
 """Largest length of a message from the browser [bytes]."""
 NOT_UNDERSTOOD = "The page sent an invalid message. Reload it."
@@ -89,7 +88,7 @@ async def _part(socket: WebSocket, text: str) -> None:
 
 
 def _call(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
-    """Call a function in an event loop from any thread; do nothing if the loop has ended."""
+    """Call a function in an event loop from any thread, unless the loop has ended."""
     with suppress(RuntimeError):
         loop.call_soon_threadsafe(act)
 
@@ -119,7 +118,7 @@ class Relay:
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> None:
-        """Relay messages until the browser or the process disconnects, or the time is over."""
+        """Relay messages until the browser or the process disconnects, or the time is up."""
         loop = asyncio.get_running_loop()
         self._ticket.end = partial(_call, loop, partial(self._end, REPLACED))
         pipe = asyncio.subprocess.PIPE
@@ -159,14 +158,14 @@ class Relay:
             self._end(BROKEN)
 
     async def _goodbye(self, text: str) -> None:
-        """Send the browser the reason why the run ended, if the browser is still connected."""
+        """Send the reason why the run ended to the browser, if it is still connected."""
         if self._socket.application_state is not WebSocketState.CONNECTED:
             return
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError, OSError):
             await asyncio.wait_for(_part(self._socket, text), PARTING)
 
     async def _hear(self, process: asyncio.subprocess.Process) -> str:
-        """Receive messages from the process; of the frames not yet sent, keep only the newest."""
+        """Receive messages from the process; keep only the newest of the unsent frames."""
         assert process.stdin is not None and process.stdout is not None
         order = self._ticket.order
         gaussians = order.gaussians * len(order.scene.names)
@@ -209,7 +208,7 @@ class Relay:
                 await self._socket.send_bytes(FRAME + frame)
 
     async def _listen(self, process: asyncio.subprocess.Process) -> str:
-        """Receive messages from the browser; answer an invalid message with a sentence."""
+        """Receive messages from the browser; answer invalid messages with an error message."""
         assert process.stdin is not None
         while True:
             received = await self._socket.receive()

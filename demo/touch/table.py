@@ -1,7 +1,7 @@
-"""Tickets, which limit the number of live runs per visitor and in total; limits of saved sessions.
+"""Permissions for live runs (tickets), and the limits of saved sessions.
 
-A ticket is the permission for a live run. A ticket counts as a live run as soon as a page presents
-the ticket. A ticket that is never presented does not count.
+The tickets limit the number of live runs per visitor and in total. A ticket counts as a live run
+when a page has presented it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,16 @@ FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Two fractions that limit a saved clip. The size of the clip with the viewer's file is at most the
-first fraction of a visitor's disk space. The duration of the clip is at most the second fraction of
-a run's time limit."""
+"""Two fractions that limit a saved clip.
+
+The first is the size of the clip with the viewer's file, relative to a visitor's disk space. The
+second is the duration of the clip, relative to the time limit of a run.
+"""
 FORCES = 64
-"""Number of forces and boundaries that is always allowed, because each grab and each change of
-gravity needs one."""
+"""Number of forces and boundaries that is always allowed.
+
+Each grab and each change of gravity needs one of them.
+"""
 
 
 def nothing() -> None:
@@ -49,7 +53,7 @@ class Ticket:
     """Name of the ticket, which cannot be guessed."""
     created: float = field(default_factory=time.monotonic)
     taken: bool = False
-    """Whether a page has presented the ticket."""
+    """Whether a page has presented this permission."""
     end: Callable[[], None] = nothing
     """Function that ends the run. Any thread may call it."""
     session: dict[str, Any] | None = None
@@ -57,7 +61,7 @@ class Ticket:
 
     @property
     def lost(self) -> bool:
-        """Whether the ticket has expired because no page has presented it in time."""
+        """Whether the permission has expired because no page presented it in time."""
         return not self.taken and time.monotonic() - self.created > WAITS
 
 
@@ -89,12 +93,12 @@ class Table:
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """Start to count a visitor's ticket as a live run.
+        """Start to count a visitor's ticket as a live run; return the ticket.
 
-        Return the ticket, or None if the ticket is unknown or was already presented.
+        None if the ticket is unknown or was presented before.
 
         Raises:
-            InputError: The limit of live runs has been reached since the ticket was made.
+            InputError: The limit of live runs was reached after the ticket was created.
         """
         with self._lock:
             ticket = self._tickets.get(visitor or "")
@@ -105,7 +109,7 @@ class Table:
             return ticket
 
     def _refuse_more(self) -> None:
-        """Raise InputError if the limit of live runs is reached."""
+        """Raise InputError if the limit of live runs has been reached."""
         taken = sum(ticket.taken for ticket in self._tickets.values())
         if taken >= self.most:
             raise InputError("touch", taken, FULL, "Try again in a few minutes.")
@@ -144,7 +148,7 @@ def limits_of(settings: Settings, gaussians: int) -> Settings:
 
 
 def shorten_session(scene: Scene, most: Settings) -> Scene:
-    """Shorten a session to its limits; remove forces that would begin after the new end."""
+    """Shorten a session to the limits; remove forces that would begin after the new end."""
     begun = sorted(_start(force) for force in scene.forces)
     spare = most.max_forces - len(scene.boundaries)
     frames = min(scene.time.frames, most.max_frames)

@@ -1,6 +1,6 @@
-"""The job that Generate starts: cut-out -> Gaussians -> clip -> films; finished stages are skipped.
+"""The job that Generate starts: cut-out -> Gaussians -> clip -> videos; skips finished stages.
 
-If an order (the request for a run) has grids, its job is: cut-out -> Gaussians -> error of the
+If an `Order` (the request for a run) has grids, the job is: cut-out -> Gaussians -> error of the
 scene. `steps` runs a job in a thread and yields events. When a job is requested to stop, it raises
 `Cancelled` within a substep or a rendered frame. Orders and events can be pickled, because on
 ZeroGPU the job runs in a forked process.
@@ -51,7 +51,7 @@ __all__ = [
 
 
 def steps(order: Order) -> Iterator[Event | None]:
-    """Carry out an order; yield its events, and None whenever `BEAT` seconds pass without an event.
+    """Execute an order; yield its events, and None whenever `BEAT` seconds pass without an event.
 
     Raises:
         Cancelled: The stop file exists.
@@ -78,7 +78,7 @@ def steps(order: Order) -> Iterator[Event | None]:
 
 
 def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
-    """Carry out the order in this thread; the last event is the result or the exception."""
+    """Execute the order in this thread; the last event is the result or the exception."""
     try:
         order = replace(order, device=pick_device(order.device))
         with hold_device(order):

@@ -1,4 +1,4 @@
-"""Film a clip: videos, the player's pack, an animated picture, the film in the photograph."""
+"""Render a clip: videos, the player's pack, an animated picture, the video in the photograph."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the stages of the clip and of its films; add the times of stages that both have."""
+    """Return the stages of the clip and of its videos; add the times of common stages."""
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]
@@ -94,7 +94,7 @@ def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> l
 def _videos(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> list[str]:
-    """Write the videos one after the other; return the sides for which no time was left."""
+    """Write the videos one by one; return the sides for which no time was left."""
     left_out = []
     for number, side in enumerate(view.sides):
         if number and limits.spent > FILMING:
@@ -119,9 +119,9 @@ def _videos(
 def _in_photograph(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> dict[str, Any]:
-    """Write the film in the photograph if it is requested and time is left.
+    """Write the video in the photograph if it is requested and time is left.
 
-    Return the film's entry in the report; it is empty if there is no film.
+    Return its entry in the report, or an empty entry.
     """
     if order.photograph is None or limits.spent > FILMING:
         return {}
@@ -130,7 +130,7 @@ def _in_photograph(
         limits.tell(Step("render", done, total, "composed"))
 
     with watch.stage("compose"):
-        # The film must not be larger than the other videos.
+        # This video must not be larger than the other videos.
         with order.picture() as cutout, open_image(order.photograph) as opened:
             opened.thumbnail(view.size)
             photograph = Photograph.of(opened, cutout)

@@ -15,14 +15,17 @@ from ..progress import Event
 from .order import Order
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Fractions of the time limit. After the first, no further frame is simulated. After the second, no
-further video is started. At the third, the run fails."""
+"""Fractions of the time limit.
+
+After the first fraction, no further frame is simulated. After the second, no further video is
+started. At the third, the run fails.
+"""
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and number of frames. If a scene's values are below, no reduction is suggested."""
+"""Stiffness [Pa] and number of frames below which no reduction is suggested."""
 DEVICE = threading.Lock()
 """Lock that a job holds while it uses the device."""
 BEAT = 0.2
-"""Longest interval between two events [s]. A generator of events can be closed at each event."""
+"""Longest interval between two events [s]; a generator of events can be closed at each event."""
 
 
 class Limits:
@@ -76,7 +79,7 @@ def easier(scene: Scene) -> str:
 
 @contextmanager
 def hold_device(order: Order) -> Iterator[None]:
-    """Hold the device; raise Cancelled if the job is requested to stop while it waits."""
+    """Hold the lock of the device; raise Cancelled if the job must stop while it waits."""
     while not DEVICE.acquire(timeout=BEAT):
         if order.stop.exists():
             raise Cancelled

@@ -98,7 +98,7 @@ def simulate(
 
 
 def _hide_folders(out: Path, order: Order) -> None:
-    """Remove the server's folder from the paths of uploads in the scene."""
+    """Remove the folder of the server from the paths of uploads in the scene."""
     place, scene = f"{order.folder / 'uploads'}/", out / "scene.toml"
     text = scene.read_text("utf-8")
     if place not in text:

@@ -1,4 +1,4 @@
-"""An order is the request for a run that a click on the page creates; it names the run's files."""
+"""An order is the request for a run, created by a click on the page, with the run's files."""
 
 from __future__ import annotations
 
@@ -28,18 +28,23 @@ VIEWED = ("view", "accuracy", "description")
 VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
 """Bytes per Gaussian: for a vector, for a frame in the viewer, and for the object at rest."""
 BYTES_MOVED = 8
-"""Bytes per frame and particle that a clip takes for the motion of particles that carry Gaussians.
-A swung object takes 7 bytes, and has fewer such particles than Gaussians (docs/lab/sizes.md)."""
+"""Bytes per frame and particle of a clip that stores particles instead of Gaussians.
+
+A swung object needs 7 bytes, and has fewer such particles than Gaussians (docs/lab/sizes.md).
+"""
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Cost of matching camera and colours to a photograph: the number of pictures that would take as
-long to render, and an additional number of rendered pixels per Gaussian."""
+"""Cost of matching camera and colours to a photograph.
+
+The first number is a number of rendered pictures, the second a number of rendered pixels per
+Gaussian.
+"""
 
 
 @dataclass(frozen=True)
 class Order:
-    """Everything that a job must know after a click on the page."""
+    """All inputs of a job that a click on the page starts."""
 
     folder: Path
     """The folder of the visitor."""
@@ -62,15 +67,14 @@ class Order:
     others: tuple[Other, ...] = ()
     """Further objects that are made from pictures."""
     photograph: Path | None = None
-    """Picture in which the object is also filmed, in a format that browsers can show."""
+    """Picture in which the object is also rendered, in a format that browsers can show."""
     device: str = "auto"
     threads: int | None = None
     """Number of CPU threads; if None, one thread per free core."""
     about: tuple[tuple[str, str], ...] = ()
     """Further entries of the report."""
     levels: tuple[int, ...] = ()
-    """Grids of an error study [number of cells across the object]. If there are none, the scene is
-    filmed."""
+    """Grids of an error study [number of cells across the object]; empty to render videos."""
 
     def picture(self) -> Image.Image:
         """Open the cut-out; without a cut-out, return an empty picture."""
@@ -93,9 +97,9 @@ def folders(order: Order) -> tuple[Path, Path]:
 
 
 def stages_done(order: Order) -> dict[str, Any]:
-    """Return which stages of an order are done, as arguments of the forecast.
+    """Return the finished stages of an order, as arguments of the forecast.
 
-    `composed` is the cost of filming in the photograph, expressed as a number of rendered pixels.
+    `composed` is the cost of rendering in the photograph, expressed as a number of rendered pixels.
     """
     clips, films = ((folder / "report.json").exists() for folder in folders(order))
     pictures = (order.cutout is not None) + len(order.others)
@@ -137,7 +141,7 @@ def made_by(order: Order) -> tuple[Path, ...]:
 
 
 def bytes_of(scene: Scene, gaussians: int) -> float:
-    """Estimate the size of a run's clip, films and frames for the viewer [bytes].
+    """Estimate the size of a run's clip, videos and frames for the viewer [bytes].
 
     `gaussians` is the number of Gaussians of all objects.
     """
@@ -170,7 +174,7 @@ def study_file(order: Order) -> Path:
 def order_of(
     visitor: Visitor, source: Source, scene: Scene, extras: ExtraInputs, limits: Settings
 ) -> Order:
-    """Create the order (the request for a run) from a visitor's request; it has no stop file yet.
+    """Create the order for a visitor's request, without a stop file.
 
     Args:
         visitor: The visitor.

@@ -27,8 +27,7 @@ class Other:
     picture: Path
     """The uploaded picture."""
     cutout: Path
-    """The cut-out, which `make_cutout` creates. The name of the cut-out's file identifies the
-    content."""
+    """The cut-out, which `make_cutout` creates; its file name identifies the content."""
 
     def make_cutout(self, deadline: Deadline) -> None:
         """Create the cut-out, unless it already exists.
