@@ -5,5 +5,4 @@ Each sink imports its own library when it is opened.
 """
 
 PROGRAM = "python -m bridge" if __name__ == "bridge" else "phy124-bridge"
-"""The command that starts the bridge. The command differs between a checkout and an installed
-`phy124_bridge`."""
+"""The command that starts the bridge, in a checkout or from an installed `phy124_bridge`."""

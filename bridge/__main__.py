@@ -17,8 +17,7 @@ ALWAYS = ("SIGINT",)
 SIGINT."""
 
 
-# The imports above must be light modules only, because Ctrl-C shows a traceback until `importing`
-# runs.
+# Only light modules are imported above, because Ctrl-C shows a traceback until `importing` runs.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
     """Let Ctrl-C or SIGTERM end the process immediately, with a status and a text, in this context.

@@ -1,4 +1,4 @@
-"""Backends that publish frames live: rclpy if ROS 2 is installed, else DDS; Foxglove on request.
+"""Backends that publish frames live: rclpy if ROS 2 is installed, otherwise DDS; or Foxglove.
 
 A package adds a backend by an entry point in the group `phy124.sinks`
 (docs/guide/extending-files.md).
@@ -32,11 +32,12 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
     "foxglove": require_foxglove,
     "mcap": require_mcap,
 }
-"""Outlets (kinds of output). Each has a function that raises InputError if the package that the
-outlet needs is missing."""
+"""Functions that raise InputError if the package for an outlet (kind of output) is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends that `auto` tries in this order. `auto` uses only one backend, because with two backends
-each frame would arrive twice."""
+"""Backends that `auto` tries in this order.
+
+Only one is used, because frames would otherwise arrive twice.
+"""
 
 
 def sink_names() -> list[str]:
@@ -92,7 +93,7 @@ def open_sink(
         backend: rclpy, dds, foxglove, or the name of a registered sink.
         options: Options that define how frames become messages.
         duration: Length of the clip [s]; None for a running simulation.
-        network: For all backends except rclpy: whether to reach other machines, too.
+        network: For all backends except rclpy: whether to publish also to other machines.
         clock: For rclpy: whether to publish /clock.
         port: For Foxglove and registered sinks: the port to use.
         ros_args: For rclpy: `--ros-args` and the arguments after it.
@@ -141,7 +142,7 @@ def _registered_sink(backend: str, options: Options, **how: Any) -> LiveSink:
     except InputError:
         raise
     except Exception as error:
-        # Foreign code may raise any exception. The user can only correct or remove the package.
+        # Code of other packages may raise any exception.
         limit = f"the sink registered under this name cannot be created ({error})."
         raise InputError("backend", backend, limit, remedy) from error
     needed = ("__enter__", "__exit__", "write", "monotonic", "listen", "show", "audience")

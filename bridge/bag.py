@@ -105,7 +105,7 @@ def _listed_files(bag: Path) -> list[Path]:
 
 
 def register(writer: Writer, topic: Topic) -> int:
-    """Announce a topic in an MCAP file; return the id of its channel."""
+    """Add a topic to an MCAP file; return the id of the topic's channel."""
     schema = writer.register_schema(topic.type, "ros2msg", messages.definition(topic.type).encode())
     about = {
         "offered_qos_profiles": _qos(topic, numbers=True),
@@ -128,7 +128,7 @@ def metadata_yaml(file: str, counts: Counts) -> str:
 
 
 def describe(writer: Writer, file: str, counts: Counts) -> None:
-    """Write the same metadata into the .mcap file; ROS 2 can then read it without metadata.yaml."""
+    """Write the metadata also into the .mcap file, so that ROS 2 does not need metadata.yaml."""
     writer.add_metadata(OWN_RECORD, {"serialized_metadata": _information(file, counts)})
 
 
@@ -163,7 +163,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a YAML list with one QoS profile, in numbers (channels) or words (metadata.yaml)."""
+    """Return a YAML list of one QoS profile, as numbers (channels) or words (metadata.yaml)."""
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

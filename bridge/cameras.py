@@ -1,8 +1,7 @@
 """Renders the pictures of the cameras of a clip or a running simulation, for `camera_messages`.
 
-The pictures equal those of `phy124 render`: they have the same camera positions, size, stage and
-gloss. In a running simulation, the later frames are unknown. The cameras therefore stand at
-`view.distance` from the object at rest, and the background is plain.
+The pictures equal those of `phy124 render`. In a running simulation, however, later frames are
+unknown, so the cameras are at `view.distance` from the object at rest, and the background is plain.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ class SeenFrame(Frame):
 
 
 class Cameras:
-    """Adds the pictures of all chosen cameras to frames; without cameras, frames are unchanged."""
+    """Adds the pictures of all chosen cameras to frames; if there are none, frames are kept."""
 
     def __init__(
         self, options: Options, scene: Mapping[str, Any], clip: Clip | None = None
@@ -76,7 +75,7 @@ class Cameras:
             return
         import warp
 
-        # This hides the messages that Warp prints during compilation.
+        # Hides the messages that Warp prints during compilation.
         warp.config.log_level = warp.LOG_ERROR
         from phy124.io.video import refuse_missing_encoder
         from phy124.scene import Scene
@@ -147,8 +146,8 @@ class Cameras:
                 place.video = self._stack.enter_context(video)
             self._places.append(place)
         count = min(cores(), len(self._draws) * len(self._places))
-        # Warp cannot load kernels from several threads at once. Therefore this renderer loads them
-        # first.
+        # This renderer loads the kernels, because Warp cannot load kernels in several threads at
+        # once.
         first = Renderer(device=device, filter=view.filter)
         count = 1 if first.device.is_cuda else count
         self._renderers: SimpleQueue[Renderer] = SimpleQueue()
@@ -209,9 +208,9 @@ class _Place:
 
     name: str
     path: list[Camera]
-    """The camera in each frame of the clip, whose length the scene defines."""
+    """The camera in each frame of the clip."""
     circles: bool
-    """Whether the camera repeats its path. If not, it stays at the end of the path."""
+    """Whether the camera repeats its path instead of stopping at the end."""
     video: H264Encoder | None = None
     before: tuple[Frame, Camera] | None = None
     """The previous frame, and the camera in that frame."""
@@ -261,7 +260,7 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of the scene's length in which the object has the same state in all frames."""
+    """Return a clip of the scene's length in which the object is the same in all frames."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

@@ -1,9 +1,8 @@
 """CDR: the bytes of ROS 2 messages, little-endian XCDR version 1 (OMG DDS-XTypes 1.3, 7.4.1).
 
-All outlets share this encoder, which uses the definitions in `messages`. A message is a mapping
-from member names to values. Missing members are zero, empty or false, as in ROS. If all members of
-a message have the same primitive type (points, quaternions, colours), the message may also be a
-plain sequence.
+All sinks use this encoder, which is based on the definitions in `messages`. A message is a mapping
+from member names to values. Missing members are zero, empty or false, as in ROS. A message whose
+members all have the same primitive type (points, quaternions, colours) may also be a sequence.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ def time(nanoseconds: int) -> dict[str, int]:
 
 
 class _Body:
-    """The payload so far, as a list of parts; bulk data is copied once, when they are joined."""
+    """The payload so far, as a list of parts; large data is copied only once, at the end."""
 
     def __init__(self) -> None:
         self.parts: list[Any] = []
@@ -130,7 +129,7 @@ def _member(member: Field) -> Encoder:
 
 
 def _numbers(member: Field) -> Encoder:
-    """Return the encoder of a sequence or array of primitives; it copies all primitives at once."""
+    """Return the encoder of a sequence or array of primitives, which copies all values at once."""
     dtype = np.dtype("<" + PRIMITIVES[member.base])
 
     def encode_numbers(body: _Body, value: Any) -> None:

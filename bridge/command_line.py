@@ -48,7 +48,7 @@ def split_ros_arguments(arguments: list[str]) -> tuple[list[str], list[str]]:
     Return the other arguments first, then the ROS arguments.
 
     A `--` that does not close `--ros-args` ends the options. After such a `--`, `--ros-args` is an
-    ordinary word.
+    ordinary argument.
     """
     program: list[str] = []
     ros: list[str] = []

@@ -1,4 +1,4 @@
-"""One class per command of the command line: its fields are its options, `run` does the work."""
+"""Classes for the commands: the fields are the options, and the method `run` does the work."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ STOPPED_EARLY = 3
 """Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
 Say = Callable[[str], None]
-"""Prints the results, one per line; problems go to the log."""
+"""Function that prints the results, one per line; problems are logged."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
 Backend = Annotated[
     str,
@@ -60,8 +60,10 @@ class Record:
     suffix is removed."""
     messages: Messages = field(default_factory=Options)
     compression: Compression = "none"
-    """Compression of the chunks. Compression hardly reduces the size of recordings with moving
-    Gaussians."""
+    """Compression of the chunks.
+
+    Compression hardly reduces the size of recordings with moving Gaussians.
+    """
     overwrite: bool = False
     """Replace an existing recording."""
     simulated: Simulated = field(default_factory=LiveOptions)
@@ -71,7 +73,7 @@ class Record:
         self.simulated.check()
         if self.simulated.live:
             run = LiveRun(self.source, self.simulated)
-            self._sink().check()  # this check precedes the computation of the object
+            self._sink().check()  # checked before the object is computed
             run.prepare()
             scene = run.scene.data()
             with Cameras(self.messages, scene) as cameras:
@@ -187,10 +189,7 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Open the live sink and the recordings within this context.
-
-        Each recording stores the metadata `about`.
-        """
+        """Open the live sink and the recordings within this context; recordings store `about`."""
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
@@ -276,7 +275,7 @@ class Steer:
             McapSink(self.record, messages, overwrite=self.overwrite).check()
         recorded = (
             self.record is not None and messages.profile is None
-        )  # these exist only in the profile `full`
+        )  # only the profile `full` has velocities
         velocities = messages.profile == "full" or recorded
         try:
             live, accuracy = make_live(

@@ -1,7 +1,7 @@
 """Send frames no faster than subscribers acknowledge them, and wait for the last frames.
 
-Writers keep the last few frames. A subscriber loses a frame if a newer frame displaces the frame
-before the subscriber has acknowledged it. A frame is also lost if the publisher ends before that.
+Writers keep the last few frames. A subscriber loses a frame if a newer frame replaces it, or if the
+publisher ends, before the subscriber has acknowledged the frame.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ import time
 from collections.abc import Callable, Iterable
 
 LONGEST_WAIT = 1.0
-"""Longest time that a frame waits before it displaces an unacknowledged frame [s]."""
+"""Longest time that a frame waits before it replaces an unacknowledged frame [s]."""
 FAREWELL = 2.0
-"""Longest time that a publisher waits at its end until the last frames are acknowledged [s]."""
+"""Longest time that a publisher waits at the end for acknowledgements of the last frames [s]."""
 STEP = 0.02
-"""Longest wait between two updates of the clock [s]. Ctrl-C is noticed only after such a wait."""
+"""Longest wait between two updates of the clock and checks for Ctrl-C [s]."""
 IN_BUFFERS = 1 << 20
-"""Amount of unacknowledged data that is assumed to have arrived [bytes]. Acknowledgements may take
-100 ms (Cyclone's heartbeat), and this amount fits into the default buffers of a subscriber."""
+"""Amount of unacknowledged data that is assumed to have arrived [bytes].
+
+Acknowledgements may take 100 ms (Cyclone's heartbeat), but this amount of data fits into the
+default buffers of a subscriber.
+"""
 log = logging.getLogger(__name__)
 
 
@@ -26,7 +29,7 @@ def wait_for_topics(acknowledged: Callable[[str, float], bool], topics: Iterable
     """Wait for up to `FAREWELL` in total until the last messages of all topics have arrived.
 
     Args:
-        acknowledged: Function that waits up to this number of seconds for the messages of a topic.
+        acknowledged: Function that waits up to a number of seconds for the messages of a topic.
         topics: Names of the topics.
     """
     until = time.monotonic() + FAREWELL
@@ -45,26 +48,24 @@ class Delivery:
         *,
         patient: bool = True,
     ) -> None:
-        """Prepare the count, while no frame has been sent yet.
+        """Prepare the count; no frame has been sent yet.
 
         Args:
-            acknowledged: Function that waits up to this number of seconds and returns whether all
-                frames are acknowledged. The function returns true if there are no reliable
-                subscribers.
+            acknowledged: Function that waits up to a number of seconds and returns whether all
+                frames are acknowledged; true if there are no reliable subscribers.
             depth: Number of frames that the writer keeps.
             meanwhile: Function that is called repeatedly while waiting.
-            patient: Whether a frame waits before it displaces another frame.
+            patient: Whether a frame waits before it replaces another frame.
         """
         self.lost = 0
         """Number of frames that at least one subscriber may not have received."""
         self._acknowledged, self._depth, self._meanwhile = acknowledged, depth, meanwhile
-        # These variables count frames, bytes and losses since the last time that all frames were
-        # acknowledged.
+        # Frames, bytes and losses since all frames were last acknowledged.
         self._open = self._bytes = self._missed = 0
         self._patient, self._stuck = patient, not patient
 
     def before_frame(self, size: int) -> None:
-        """Wait if the new frame would displace an unacknowledged frame.
+        """Wait if the new frame would replace an unacknowledged frame.
 
         A subscriber that no longer answers delays only one frame.
 

@@ -1,10 +1,9 @@
 """Translate ROS 2's environment variables for discovery into settings of Cyclone DDS.
 
 ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_STATIC_PEERS and ROS_DOMAIN_ID have the same meaning as for a ROS
-2 node ("improved dynamic discovery", ROS 2 Iron and later). In the range SUBNET the publisher is
-stricter than a node: without `network` it does not reach other machines. The older
-ROS_LOCALHOST_ONLY is used with a warning, as nodes of Jazzy and Kilted do. Lyrical removed this
-variable.
+2 node ("improved dynamic discovery", ROS 2 Iron and later). In the range SUBNET, the publisher is
+stricter than a node: it reaches other machines only if `network` is set. The older variable
+ROS_LOCALHOST_ONLY is used with a warning, as in Jazzy and Kilted; Lyrical ignores it.
 """
 
 from __future__ import annotations
@@ -29,15 +28,16 @@ RANGE, PEERS, LOCALHOST_ONLY, DOMAIN = (
 URI = "CYCLONEDDS_URI"
 """Environment variable with the settings of Cyclone DDS: XML text, or the address of a file."""
 LAST_DOMAIN = 232
-"""Largest DDS domain number. The largest number follows from the range of port numbers."""
-# Only `max` is set: with `min`, the publisher would not start on hosts with a small rmem_max. A
-# heartbeat requests acknowledgements, and its default interval of 100 ms is too long for 30 Hz.
+"""Largest DDS domain number, which follows from the range of port numbers."""
+# Only `max` is set, because with `min` the publisher would not start on hosts with a small
+# rmem_max. Heartbeats request acknowledgements; their default interval of 100 ms is too long for 30
+# Hz.
 BUFFERS = (
     '<Internal><SocketReceiveBufferSize max="4MB"/>'
     "<HeartbeatInterval>10 ms</HeartbeatInterval></Internal>"
 )
-# Cyclone DDS 11 rejects type objects of Fast DDS (vendor 1.15), and then does not connect with it.
-# Without type objects, types are matched by name. Cyclone DDS 0.10, which Jazzy uses, lacks this
+# Cyclone DDS 11 rejects type objects of Fast DDS (vendor 1.15) and then does not connect. Without
+# type objects, types are matched by name. Cyclone DDS 0.10, which Jazzy uses, does not have this
 # setting.
 FAST_DDS = "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 LOOPBACK = '<NetworkInterface address="127.0.0.1" multicast="false"/>'
@@ -47,7 +47,7 @@ ON_THIS_MACHINE = (
     "<AllowMulticast>spdp</AllowMulticast><MulticastTimeToLive>0</MulticastTimeToLive>"
 )
 NO_MULTICAST = "<AllowMulticast>false</AllowMulticast>"
-# The value is that of rmw_cyclonedds_cpp. The index limits the number of processes that can find
+# The same value as in rmw_cyclonedds_cpp. The index limits the number of processes that can find
 # each other.
 INDEX = (
     "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
@@ -89,7 +89,7 @@ class Discovery:
         return cls(reach, peers, domain_id(), network)
 
     def configurations(self) -> tuple[str, ...]:
-        """Return Cyclone's XML, and a second XML for machines whose only network is loopback."""
+        """Return Cyclone's XML, and another XML for machines whose only network is loopback."""
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(FAST_DDS),)
         if self.range == "OFF":

@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class FrameEncoder:
-    """Encodes frames as messages by `options`; unless `quiet`, warns once about omitted data."""
+    """Encodes frames as messages; unless `quiet` is set, warns once about omitted data."""
 
     def __init__(self, options: Options, *, quiet: bool = False) -> None:
         if options.draco:
@@ -39,7 +39,7 @@ class FrameEncoder:
 
     @cached_property
     def start(self) -> float:
-        """Time at which the clip starts [s since 1970]; by default, the time of the first use."""
+        """Time at which the clip starts [s since 1970]; by default, the time of the first call."""
         return time.time() if self.options.epoch is None else self.options.epoch
 
     @property
@@ -49,7 +49,7 @@ class FrameEncoder:
 
     @property
     def topics(self) -> list[Topic]:
-        """Topics that will be published, with the static transform first."""
+        """Topics that will be published; the static transform is first."""
         cameras = list_topics(self.options)
         static = [TF_STATIC] if self.options.parent_frame or cameras else []
         markers = [ELLIPSOIDS] if self.options.ellipsoids else []
@@ -62,7 +62,7 @@ class FrameEncoder:
         return SPLATS if self._profile == "splats" else POINTS
 
     def stamp(self, seconds: float) -> int:
-        """Return the time stamp [ns since 1970] that belongs to a time in the clip [s]."""
+        """Return the time stamp [ns since 1970] of a time in the clip [s]."""
         return self.epoch + round(seconds * cdr.NANO)
 
     def limit(self, points: int | None) -> None:
@@ -70,10 +70,9 @@ class FrameEncoder:
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """Return the static transforms: those of the world and of all fixed cameras used so far.
+        """Return the static transforms of the world and of all fixed cameras so far.
 
-        Static transforms are sent before all frames. When a camera is added, all of them are sent
-        again.
+        They are sent before all frames, and again when a camera is added.
         """
         world = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},
@@ -87,7 +86,7 @@ class FrameEncoder:
         return [_message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
 
     def encode(self, frame: Frame) -> list[Message]:
-        """Return the messages of a frame, whose time counts from the epoch (the clip's start)."""
+        """Return the messages of a frame, with time stamps relative to the start of the clip."""
         stamp = self.stamp(frame.time)
         header = {"stamp": cdr.time(stamp), "frame_id": self.options.frame_id}
         shown = self._thin(frame)
@@ -100,7 +99,7 @@ class FrameEncoder:
         return messages + self._pictures(frame, stamp)
 
     def _pictures(self, frame: Frame, stamp: int) -> list[Message]:
-        """Return the messages of the frame's cameras, with the cameras' transforms first."""
+        """Return the messages of the frame's cameras; the transforms are first."""
         pictures = frame.pictures if isinstance(frame, SeenFrame) else ()
         links = {p.name: transform_of(p, self.options, stamp) for p in pictures if not p.fixed}
         messages = [_message(TF, stamp, {"transforms": [*links.values()]})] if links else []

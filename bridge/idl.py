@@ -33,19 +33,18 @@ LATER: dict[str, dict[str, Any]] = {
         "set_acceleration": bool,
     }
 }
-"""Members that version 2 of a request's package (in Lyrical) adds after all other members of the
-request."""
+"""Members that version 2 of a package (in Lyrical) appends to requests."""
 
 
 @cache
 def idl_type(name: str) -> type[IdlStruct]:
-    """Return the final, keyless DDS type of a ROS message; ROS 2's name identifies the type."""
+    """Return the final, keyless DDS type of a ROS message, with the name that ROS 2 uses."""
     return _struct(name, {})
 
 
 @cache
 def service_type(name: str) -> type[IdlStruct]:
-    """Return a service's request or response type, which begins with rmw_cyclonedds_cpp's header.
+    """Return a service's request or response type, with the header of rmw_cyclonedds_cpp.
 
     Requests may also contain the flags in `LATER`.
     """
@@ -57,7 +56,7 @@ def service_type(name: str) -> type[IdlStruct]:
         def deserialize(data: bytes, *args: Any, **options: Any) -> Any:
             try:
                 return later.deserialize(data, *args, **options)
-            except struct.error:  # The message ends before these flags.
+            except struct.error:  # The message does not contain these flags.
                 return only_earlier(data, *args, **options)
 
         setattr(kind, "deserialize", staticmethod(deserialize))  # noqa: B010
@@ -80,8 +79,7 @@ def encoded_type(name: str) -> type[IdlStruct]:
     The type of a service's response begins with the header of the request.
     """
     kind = (service_type if name.endswith("_Response") else idl_type).__wrapped__(name)
-    # DataWriter.write calls serialize(). This method avoids the encoder of single fields, which is
-    # slow.
+    # DataWriter.write calls serialize(), which here avoids the slow encoder of single fields.
     setattr(kind, "serialize", _payload)  # noqa: B010
     return kind
 

@@ -23,8 +23,7 @@ from .topics import MAIN
 WANTED_BUFFER = 4 << 20
 """Receive buffer that can store a frame of 65,536 points of 60 bytes each [bytes]."""
 SHARED = (("NumPy", "numpy", 2), ("OpenCV", "cv2", 4))
-"""Packages that phy124 and ROS 2 share, each with its name, its module, and the newest major
-version that Lyrical accepts."""
+"""Packages that phy124 and ROS 2 share: name, module, newest major version for Lyrical."""
 NUMPY_1 = ("humble", "jazzy", "kilted")
 """Distributions of ROS 2 whose packages are built for NumPy 1."""
 OPTIONAL = {
@@ -121,7 +120,7 @@ def describe_recording(path: Path) -> list[str]:
 
 
 def diagnose() -> list[str]:
-    """List what this machine can do, and what it needs for the rest."""
+    """List the outlets that work on this machine, and the requirements of the others."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
     for outlet in dict.fromkeys([*REQUIREMENTS, *sink_names()]):
         error = missing(outlet)
@@ -146,7 +145,7 @@ def _optional(package: str, lacking: str) -> str:
 
 
 def _beside_ros(name: str, module: str, newest: int) -> str:
-    """Describe which version of a package nodes import, and whether ROS 2's packages accept it."""
+    """Describe the version of a package that nodes import, and whether ROS 2 accepts it."""
     spec = find_spec(module)
     if spec is None or spec.origin is None:
         return f"{name}: not installed"

@@ -69,9 +69,9 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, Any]:
     """Return the CompressedPointCloud2 of `viz`, in a form for draco_point_cloud_transport.
 
-    The decoder of that package writes attribute i of the Draco data at the offset of field i. In
-    this message attribute 0 has all three coordinates and attribute 1 the four bytes of `rgb`, so
-    `rgb` is the second field. Points that are not finite are removed.
+    The decoder of that package writes attribute i of the Draco data at the offset of field i.
+    Attribute 0 contains the three coordinates, and attribute 1 the four bytes of `rgb`, so `rgb` is
+    the second field. Points that are not finite are removed.
 
     Args:
         frame: The frame.
@@ -84,7 +84,7 @@ def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, An
     finite = np.isfinite(means).all(axis=1)
     table = points(frame, "viz")[finite]
     colours = table["rgb"].copy().view(np.uint8).reshape(-1, 4)
-    # Draco must preserve the order: otherwise these points take more bytes and more time.
+    # With another order of the points, Draco would need more bytes and more time.
     how = {"quantization_bits": bits, "preserve_order": True}
     # DracoPy cannot encode an empty cloud.
     data = DracoPy.encode(means[finite], colors=colours, **how) if len(table) else b""
@@ -173,7 +173,7 @@ def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
     """Return the indices of at most `limit` of `count` Gaussians; None means no limit.
 
-    The indices are evenly spaced. The choice is therefore the same in every frame and every run.
+    The indices are evenly spaced, so they are the same in every frame and every run.
     """
     if limit is None or count <= limit:
         return None
@@ -205,8 +205,8 @@ def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
     """Return the offset of each splat in the message modulo 8, which is 0 or 4."""
     phases = np.full(count, FIRST)
     if (FIRST + sizes[FIRST]) % 8 == 0:
-        # The second splat begins at a multiple of 8. Later splats have the offset (modulo 8) of the
-        # first or of the second splat.
+        # The second splat begins at a multiple of 8. The offset of later splats, modulo 8, is that
+        # of the first or the second splat.
         phases[1 :: 2 if sizes[0] % 8 else 1] = 0
     return phases
 

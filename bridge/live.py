@@ -27,7 +27,7 @@ SLOW = (
     "profile small or a lower rate help."
 )
 WORDS = ("play", "pause", "toggle", "next", "restart")
-"""Commands that have no value. Each is a method of `Player`."""
+"""Commands without a value, each of which is a method of `Player`."""
 KNOWN = f"{', '.join(WORDS)}, seek SECONDS, speed FACTOR, rate HZ, loop on|off"
 log = logging.getLogger(__name__)
 
@@ -84,11 +84,11 @@ def follow(
     speed: float = 1.0,
     clock: Clock = time.monotonic,
 ) -> None:
-    """Send each frame of a running simulation as soon as it is computed and due.
+    """Send each frame of a running simulation when it is computed and due.
 
     A simulation that is faster than `speed` is slowed down. A pause also pauses the simulation,
     after the current frame. A separate thread receives commands at all times. Commands that seek or
-    restart need a finished clip, so they are refused.
+    restart are refused, because they need a finished clip.
 
     Args:
         frames: The frames, in the order in which they are computed.
@@ -148,7 +148,7 @@ class Pacer:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """A running simulation shows each frame once and drops none."""
+    """In a running simulation, each frame is shown once."""
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
@@ -168,19 +168,19 @@ class Pacer:
 
     def _wait(self, time: float, now: float) -> float:
         if self.paused:
-            # When playback continues, the next frame is due immediately.
+            # After a pause, the next frame is due immediately.
             self._anchor = None
             return math.inf
         start, first = self._anchor = self._anchor or (now, time)
         ahead = (time - first) / self.speed - (now - start)
         if ahead < 0:
-            # The simulation is slower than playback. Shift later due times, so that playback does
-            # not try to catch up.
+            # The simulation is slower than playback. Later due times are shifted, so that playback
+            # does not try to catch up.
             self._anchor = now, time
         return max(ahead, 0.0)
 
     def note(self, frame: Frame) -> None:
-        """Record that a frame is now shown, and count it."""
+        """Count a frame that is shown now."""
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
@@ -238,7 +238,7 @@ def number(text: str, values: list[str], known: str = KNOWN) -> float:
 
     Args:
         text: The command.
-        values: Its words after the first.
+        values: The words of the command after its name.
         known: Description of the known commands, for the error message.
 
     Raises:
@@ -276,7 +276,7 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop listening; if nothing else failed, raise the error that ended the listening."""
+        """Stop listening; raise the error that ended it, unless another error was raised."""
         self._over.set()
         self._thread.join()
         if error is None:
@@ -285,8 +285,8 @@ class Listener:
     def wait(self, seconds: float) -> None:
         """Wait up to `seconds` for a command.
 
-        If an error has ended the listening, this method raises the error. An example is the
-        KeyboardInterrupt of a sink whose peer has disconnected.
+        If an error has ended the listening, such as a KeyboardInterrupt of a sink, raise this
+        error.
         """
         self._heard.wait(min(seconds, LONGEST_WAIT))
         self._heard.clear()

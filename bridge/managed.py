@@ -4,8 +4,8 @@
     ros2 lifecycle set /phy124/player configure
 
 `configure` opens the clip and offers topics and services, `activate` plays, `deactivate` pauses,
-and `cleanup` closes the clip. If a parameter cannot change while the plain player runs, the next
-`configure` reads it.
+and `cleanup` closes the clip. Parameters that cannot be changed while the node runs are read by the
+next `configure`.
 """
 
 # rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
@@ -42,9 +42,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 class Work:
-    """The work of a managed node: callbacks change its state, and `run` acts according to the
-    state.
-    """
+    """The work of a managed node: callbacks change the state, and `run` acts according to it."""
 
     def __init__(self, node: Any) -> None:
         """Declare the parameters of a node; raise InputError if a value is invalid."""

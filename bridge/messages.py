@@ -15,7 +15,7 @@ from functools import cache
 SEPARATOR = "=" * 80
 
 NOTHING = "uint8 structure_needs_at_least_one_member"
-"""The content of a ROS 2 message that has no members."""
+"""The content of a ROS 2 message without members."""
 RESULT = "simulation_interfaces/Result result"
 
 DEFINITIONS: dict[str, str] = {
@@ -124,7 +124,7 @@ DEFINITIONS: dict[str, str] = {
     "simulation_interfaces/srv/GetEntityState_Response": (
         f"{RESULT}\nsimulation_interfaces/EntityState state"
     ),
-    # This is version 1.5, which Jazzy uses. Version 2.1 has additional flags.
+    # Version 1.5, which Jazzy uses. Version 2.1 has additional flags.
     "simulation_interfaces/srv/SetEntityState_Request": (
         "string entity\nsimulation_interfaces/EntityState state"
     ),
@@ -291,7 +291,7 @@ HASHES: dict[str, str] = {
         "RIHS01_718428121e0f1755720878d3c28f1688da7581ee5a5d56d26d10d941a28a50a0"
     ),
 }
-"""Hash (REP-2011) of each type of a topic, or of a service's request or response."""
+"""Hash (REP-2011) of the type of each topic, request and response."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +314,7 @@ _LINE = re.compile(
 
 @cache
 def fields(name: str) -> tuple[Field, ...]:
-    """Return the members of `package/msg/Name` in wire order; raise KeyError if it is unknown."""
+    """Return the members of `package/msg/Name` in wire order; raise KeyError for unknown types."""
     return tuple(_field(line) for line in DEFINITIONS[name].splitlines())
 
 

@@ -1,4 +1,4 @@
-"""The ROS 2 nodes `player` and `simulate`: read the parameters, run, and shut down.
+"""Runs the ROS 2 nodes `player` and `simulate`, from reading the parameters to the shutdown.
 
 `start` imports this module in a context in which Ctrl-C ends the process cleanly.
 """
@@ -141,7 +141,7 @@ def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
     try:
         work(node)
     except Exception as error:
-        # The error message names the remedy. A traceback would hide it.
+        # The error message names the remedy, which a traceback would hide.
         refused = failure(error).sentence
         node.get_logger().fatal(refused)
         return refused
@@ -158,7 +158,7 @@ def _require(name: str, value: str, example: str) -> None:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """Return the options of the messages; a parameter that is 0 stands for None."""
+    """Return the options of the messages; a parameter of 0 means None."""
     optional = {
         name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras", "draco")
     }

@@ -15,15 +15,15 @@ from .layout import Profile
 
 LIVE_PROFILE: Profile = "viz"
 LIVE_POINTS = 32_768
-"""Number of Gaussians per frame that subscribers with default settings receive at 30 Hz (see
-docs/guide/ros2-messages.md)."""
+"""Number of Gaussians per frame that subscribers with default settings receive at 30 Hz.
+
+See docs/guide/ros2-messages.md.
+"""
 LIVE_SPLATS = 8_192
 """Largest number of Gaussians per frame in the profile `splats`, in which each takes 384 bytes."""
 Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
 LAST_SECOND = 2**31 - 1
-"""Largest time [s]. The time is limited because `builtin_interfaces/msg/Time` counts seconds in an
-int32.
-"""
+"""Largest time [s]; `builtin_interfaces/msg/Time` stores seconds as int32."""
 
 
 class Options(Section):
@@ -146,7 +146,7 @@ class Options(Section):
 
     @property
     def camera_names(self) -> tuple[str, ...]:
-        """Names of the cameras in topics, in a form without hyphens and dots, which ROS forbids.
+        """Names of the cameras in topics, without hyphens and dots, which ROS forbids.
 
         Raises:
             InputError: The file of cameras cannot be read.
@@ -164,9 +164,8 @@ class Options(Section):
         return tuple(map(camera_name, sides))
 
     def live(self) -> Options:
-        """Return the options with the defaults of live sinks.
-
-        The defaults of live sinks limit the points to the number that arrives at 30 Hz.
+        """Return the options with the defaults of live sinks, which limit points to arrive at 30
+        Hz.
         """
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
@@ -175,7 +174,7 @@ class Options(Section):
         return self.model_copy(update=chosen)
 
     def for_recording(self) -> Options:
-        """Return the options with the defaults of recordings, which omit nothing."""
+        """Return the options with the defaults of recordings, in which no points are omitted."""
         return self.model_copy(update={"profile": self.profile or "full"})
 
 

@@ -1,8 +1,8 @@
 """The options as ROS parameters of a node; four of them can be changed while the node runs.
 
-All parameters are declared with dynamic typing, because `-p speed:=2` is an integer for ROS but a
-float for the bridge. The node then stores the float. A value of the wrong type is refused with an
-error message, both at the start and by `ros2 param set`.
+All parameters are declared with dynamic typing, because `-p speed:=2` is an integer in ROS but a
+float in the bridge. The node stores the float. A value of the wrong type is refused with an error
+message, both at the start and by `ros2 param set`.
 """
 
 # rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
@@ -82,7 +82,7 @@ Each field of a section is a parameter.
 
 
 def _start(field: FieldInfo) -> Any:
-    """Return the initial value of a field's parameter; 0 or "" stands for None, which ROS lacks."""
+    """Return the initial value of a field's parameter; 0 or "" means None, which ROS lacks."""
     if field.default is None:
         kinds = get_args(field.annotation)
         return 0 if int in kinds else 0.0 if float in kinds else ""
@@ -123,7 +123,7 @@ def message_options() -> dict[str, Parameter]:
     fields = {n: field for n, field in Options.model_fields.items() if n not in RUNNING}
     return {
         name: Parameter(
-            # ROS parameters cannot be None, so another value stands for None.
+            # ROS parameters cannot be None, so another value means None.
             absent[name] if field.default is None else TEXTS.get(name, field.default),
             field.description or "",
         )
@@ -148,8 +148,7 @@ def declare(
     for name, parameter in parameters.items():
         default = parameter.default
         start = list(default) if isinstance(default, tuple) else default
-        # The limits are set after the declaration, so that an invalid value gets the bridge's error
-        # message, not that of ROS.
+        # Limits are set after the declaration, so that the bridge, not ROS, reports invalid values.
         value = node.declare_parameter(name, start, ParameterDescriptor(dynamic_typing=True)).value
         values[name] = convert(name, value, parameter)
         if isinstance(default, (float, tuple)):
@@ -201,7 +200,7 @@ def convert(name: str, value: Any, parameter: Parameter) -> Any:
 
 
 class Running:
-    """Parameters that can be changed during playback; they also show the state of playback."""
+    """Parameters that can be changed during playback and show the state of playback."""
 
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
@@ -288,8 +287,10 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
     tuple: ("a list of numbers", _numbers),
     list: ("a list of texts", _texts),
 }
-"""For each type of the default: the name of the type in messages, and the conversion to the type.
-The conversion returns None for a value of another type."""
+"""Name in messages, and conversion function, for each type.
+
+The function returns None for values of other types.
+"""
 
 
 def _example(default: Any) -> str:

@@ -18,8 +18,11 @@ SPEEDS = (0.01, 100.0)
 RATES = (0.0, 1000.0)
 """Smallest and largest number of frames per second. 0 or None means that every frame is shown."""
 LATENESS = 0.15
-"""Largest delay at which a frame is still sent [s]. Frames within this delay are sent in a burst.
-At 30 Hz, a burst has at most 5 frames, which is the number that subscribers keep."""
+"""Largest delay at which a frame is still sent [s].
+
+Delayed frames are sent in a burst. At 30 Hz, a burst has at most 5 frames, which is the number that
+subscribers keep.
+"""
 
 
 @dataclass(frozen=True)
@@ -31,11 +34,11 @@ class Tick:
     time: float
     """Time of the frame in the clip [s]."""
     stamp: float
-    """Seconds of the clip played so far. This time always increases, even at loops and seeks."""
+    """Seconds of the clip played so far, which increase even at loops and seeks."""
 
 
 class Player:
-    """Plays frames at `times [T]` [s] in order; drops and counts frames that are too late."""
+    """Plays frames at the times [T] in order; counts and omits frames that are too late."""
 
     def __init__(
         self,
@@ -97,9 +100,9 @@ class Player:
         return max(self._due_at(self._next, now) - now, 0.0)
 
     def due(self, now: float) -> Tick | None:
-        """Return the next frame if it is due, else None; drop frames that are too late.
+        """Return the next frame if it is due, otherwise None; omit frames that are too late.
 
-        The newest due frame is never dropped, however late it is.
+        The newest due frame is never omitted.
         """
         if self.wait(now) > 0:
             return None
@@ -175,7 +178,7 @@ class Player:
         self.rate = _checked_rate(rate)
 
     def stamp_at(self, now: float) -> float:
-        """Return how many seconds of the clip are played by `now`; constant while paused."""
+        """Return the number of seconds of the clip played until `now`; constant while paused."""
         self._clock = max(self._clock, self._stamp or 0.0)
         if not self.paused and not self.finished and self._start is not None:
             next_one = float(self.times[self._next])
@@ -195,8 +198,8 @@ class Player:
         return now - self._due_at(self._next, now) > self.lateness
 
     def _too_soon(self, time: float) -> bool:
-        # The tolerance is 0.5 %, so that with a limit of 30 Hz no frame of a 30 Hz clip is skipped
-        # by rounding.
+        # The tolerance is 0.5 %, so that rounding does not skip frames of a 30 Hz clip with a limit
+        # of 30 Hz.
         return self.rate is not None and time - self._shown_at < 0.995 * self.speed / self.rate
 
     def _show(self, index: int) -> Tick | None:
@@ -223,7 +226,7 @@ class Player:
         first, last = float(self.times[0]), float(self.times[-1])
         period = last - first + self.interval
         again = self._due_at(len(self.times) - 1, now) + self.interval / self.speed
-        # Whole loops that passed during a long delay are not repeated. They count as dropped.
+        # Whole loops that passed during a long delay are counted as dropped.
         missed = max(int((now - again) * self.speed // period), 0)
         self.dropped += missed * len(self.times)
         self._stamp = self._offset + last + missed * period
@@ -232,7 +235,7 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """After a jump of the clip's time, set the next time stamp one interval after the last."""
+        """After a jump in the clip, make the next time stamp one interval later than the last."""
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

@@ -1,7 +1,7 @@
 """Repair a recording whose writer was killed or whose disk was full.
 
-An MCAP file without its footer has no index, and readers refuse it. All complete records are copied
-into a new file. The new file then replaces the old file.
+An MCAP file without a footer has no index and is refused by readers. All complete records are
+copied into a new file, which then replaces the old file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Recovery:
     frames: int
     """Number of frames in the recording."""
     repaired: bool
-    """False if the recording was already complete and therefore was not changed."""
+    """Whether the recording was damaged and has been repaired."""
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
@@ -85,8 +85,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 def records(file: Path) -> Iterator[Any]:
     """Yield all complete records of an MCAP file in order, including those inside chunks.
 
-    For a damaged chunk, None is yielded instead of its records. A truncated record ends the
-    iteration.
+    For a damaged chunk, None is yielded. A truncated record ends the iteration.
     """
     from mcap.exceptions import McapError
     from mcap.records import Chunk
@@ -180,8 +179,8 @@ def _copy_records(source: Path, writer: Writer) -> bag.Counts:
     from mcap.records import Channel, Message, Metadata
 
     counts = bag.Counts()
-    # The summary of a finished file repeats the channels. The channels are read from the summary in
-    # case their first chunk is damaged.
+    # Channels are read from the summary of a finished file, because their first chunk may be
+    # damaged.
     names = {record.id: record.topic for record in records(source) if isinstance(record, Channel)}
     known = {number: find_recorded(name) for number, name in names.items()}
     topics = {number: topic for number, topic in known.items() if topic is not None}

@@ -27,7 +27,7 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """Number of subscribers, of frames they may not have received, and of nodes with this name."""
+    """Numbers of subscribers, of frames that may be lost, and of nodes with the same name."""
 
     subscribers: int
     lost: int
@@ -37,7 +37,7 @@ class Audience:
 
 
 class Reports:
-    """Publishes the state of playback at each change, diagnostics every second, and the clock."""
+    """Publishes each change of the state of playback, diagnostics every second, and the clock."""
 
     def __init__(
         self,
@@ -59,7 +59,7 @@ class Reports:
             node: Full name of the node.
             clock: Whether to publish /clock.
             values: Function that returns additional entries of /diagnostics.
-            now: The clock that playback uses [s].
+            now: Function that returns the time on the clock of playback [s].
         """
         self._encoder, self._send, self._audience = encoder, send, audience
         self._node, self._now = node, now

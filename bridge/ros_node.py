@@ -35,7 +35,7 @@ def ros_node(
     from rclpy.signals import SignalHandlerOptions
 
     try:
-        # ROS's own signal handlers would end its context before the last frames have arrived.
+        # ROS's signal handlers would end its context before the last frames have arrived.
         no_handlers = SignalHandlerOptions.NO
         with tuned_cyclone():
             _start(lambda: rclpy.init(args=args, signal_handler_options=no_handlers))
@@ -103,7 +103,7 @@ class RosHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Log a record.
 
-        Each level has its own call, because rclpy allows one level per line of code.
+        Each level has a separate call, because rclpy allows one level per line of code.
         """
         text = self.format(record)
         if record.levelno >= logging.CRITICAL:

@@ -1,7 +1,7 @@
 """Services of a ROS 2 node: triggers, and the standard services of players and simulators.
 
-The thread that spins the node serves the requests. An action computes its steps between other
-callbacks, so that it can be cancelled.
+The thread that spins the node serves the requests. The steps of an action are computed between
+other callbacks, so that it can be cancelled.
 """
 
 # rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.
@@ -34,7 +34,7 @@ FALLBACK = {"step": "next", "reset": "restart"}
 
 
 class Services:
-    """Offers services; `ask(command)` carries out a command; it returns why it refuses, or None."""
+    """Offers services; `ask(command)` executes a command and returns the reason of a refusal."""
 
     def __init__(
         self, node: Any, ask: Callable[[str], str | None], playback: Callable[[], Playback | None]
@@ -75,7 +75,7 @@ class Services:
         return response
 
     def _set_rate(self, request: Any, response: Any) -> Any:
-        # The "rate" of rosbag2 is the playback speed here: seconds of the clip per real second.
+        # The "rate" of rosbag2 is the playback speed: seconds of the clip per real second.
         response.success = self._ask(f"speed {request.rate!r}") is None
         return response
 

@@ -14,8 +14,8 @@ PACKAGE = ElementTree.parse(Path(__file__).with_name("package.xml")).getroot()
 NAME, VERSION, DESCRIPTION, LICENSE, MAINTAINER = (
     PACKAGE.findtext(tag, "") for tag in ("name", "version", "description", "license", "maintainer")
 )
-# This folder is itself the package. `colcon build --symlink-install` cannot link ".", so the path
-# names the folder starting from its parent folder.
+# This folder is the package. The path starts from the parent folder, because `colcon build
+# --symlink-install` cannot link ".".
 HERE = f"../{Path(__file__).resolve().parent.name}"
 EXECUTABLES = {
     "player": (f"{NAME}.start", "player", 0),
@@ -24,7 +24,7 @@ EXECUTABLES = {
     "live": (f"{NAME}.start", "live", 130),
     "bridge": (f"{NAME}.__main__", "main", 130),
 }
-"""Scripts by name, each with its module, its function, and its exit status after Ctrl-C."""
+"""Module, function, and exit status after Ctrl-C of each script."""
 SCRIPT = """{interpreter}
 try:
     from {module} import {function}
@@ -38,7 +38,7 @@ except KeyboardInterrupt:
 def quick(command):
     """Return a setuptools command that writes `SCRIPT` for the executables of this package.
 
-    The scripts of setuptools first look up the package. During this time, Ctrl-C would show a
+    The scripts of setuptools look up the package first; pressing Ctrl-C during this time shows a
     traceback.
     """
 

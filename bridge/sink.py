@@ -1,8 +1,8 @@
 """Protocols: a sink receives frames; a playback holds the state that the sinks display.
 
 A sink is a context manager with the method `write(frame)`. A live sink also receives the commands
-of `live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing. An
-entry point in the group `phy124.sinks` registers the plug-in.
+of `live.command`. A plug-in may inherit from `Sink` or `LiveSink`, whose methods do nothing, and is
+registered by an entry point in the group `phy124.sinks`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 Obey = Callable[[str], "str | None"]
-"""Function that carries out a command; it returns the reason of a refusal, or None."""
+"""Function that executes a command and returns the reason of a refusal, or None."""
 LONGEST_WAIT = 0.2
-"""Longest wait in `listen` [s]. Ctrl-C and the end of playback are noticed after this time."""
+"""Longest wait in `listen` [s], after which Ctrl-C and the end of playback are noticed."""
 
 
 class Sink(Protocol):
@@ -42,11 +42,11 @@ class Sink(Protocol):
         """Close the sink."""
 
     def write(self, frame: Frame) -> None:
-        """Receive a frame; its `time` [s] is sent as the time since the start."""
+        """Receive a frame, whose `time` [s] is sent as the time since the start."""
 
 
 class Recorder(Sink, Protocol):
-    """A sink that also receives messages that belong to no frame."""
+    """A sink that also receives messages without a frame."""
 
     def send(self, message: Message) -> None:
         """Receive a message."""
@@ -56,13 +56,13 @@ class LiveSink(Sink, Protocol):
     """A sink whose viewers can send commands."""
 
     monotonic: bool = True
-    """True if time must not decrease. If false, time jumps at each loop and seek."""
+    """Whether time must not decrease; if false, time jumps at each loop and seek."""
 
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait up to `seconds` for a command, and pass the command to `obey`.
 
-        This method may run in another thread than `write`. The other methods may not. Return True
-        if a command was read and more may be waiting.
+        This is the only method that may run in another thread than `write`. Return True if a
+        command was read and more may be waiting.
         """
         del obey
         time.sleep(seconds)
@@ -73,7 +73,7 @@ class LiveSink(Sink, Protocol):
         return 0.0
 
     def show(self, playback: Playback) -> None:
-        """Publish the state of playback; called at the start and at each change of the state."""
+        """Publish the state of playback; called at the start and after each change of the state."""
 
     def send(self, message: Message) -> None:
         """Publish a message on one of the topics in the sink's `Controls`."""
@@ -108,5 +108,5 @@ class Playback(Protocol):
     """Time in the clip of the last frame shown [s]."""
 
     def stamp_at(self, now: float) -> float:
-        """Return the seconds of the clip played when the clock reads `now` [s]; never decreases."""
+        """Return the seconds of the clip played until `now` [s]; the value never decreases."""
         ...

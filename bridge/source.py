@@ -68,7 +68,7 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not store its frames, which together may exceed the memory."""
+    """A simulation that does not store its frames, because together they may exceed the memory."""
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.
@@ -87,13 +87,13 @@ class LiveRun:
         self._source, self._options, self._progress = source, options, progress
         self._simulation: Simulation | None = None
         self.stopped: str | None = None
-        """Reason why the simulation ended early; empty if it did not."""
+        """Reason why the simulation ended early, or None."""
 
     def __len__(self) -> int:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames as they are computed; after an early end, `stopped` is the reason."""
+        """Yield the frames when they are computed; `stopped` is the reason of an early end."""
         from phy124.simulation import Stopped
 
         try:
@@ -119,7 +119,7 @@ class LiveRun:
         warp.config.log_level = warp.LOG_ERROR
         made = make_object(self._source, self._options, self.scene, device, self._progress)
         self.scene = made.scene
-        # Sinks receive each frame. If all frames were stored, memory would limit the length of the
+        # Frames are passed to sinks and not stored, so that memory does not limit the length of the
         # run.
         context = RunContext(device=device, progress=self._progress)
         setup = prepare(made.gaussians, made.scene, context, crop=made.crop, keep=False)

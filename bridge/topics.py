@@ -1,9 +1,9 @@
 """Topics of the bridge with their quality of service, and types of a node's services.
 
-Topics are reliable and transient local by default. Every subscriber is therefore compatible, and a
-late subscriber gets the last messages (REP-2003 asks publishers of sensor data to be reliable if
-possible). To add a topic, declare it here (also in `RECORDED`, if recordings have it). Send it
-where its content is computed: `encoder`, `reports` or `steering/loop`.
+Topics are reliable and transient local by default, as recommended in REP-2003 for sensor data.
+Every subscriber is therefore compatible, and a late subscriber gets the last messages. To add a
+topic, declare it here (and in `RECORDED`, if recordings contain it). Then send its messages in the
+module that computes the content: `encoder`, `reports` or `steering/loop`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Message(NamedTuple):
 POINTS = Topic("/phy124/points", "sensor_msgs/msg/PointCloud2", depth=5)
 ELLIPSOIDS = Topic("/phy124/ellipsoids", "visualization_msgs/msg/MarkerArray", depth=1)
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", depth=1)
-# Subscribers expect the clock to be best effort and volatile, as ROS publishes it.
+# Subscribers expect the clock to be best effort and volatile, as in ROS.
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", depth=1, reliable=False, transient_local=False)
 STATUS = Topic("~/status", "diagnostic_msgs/msg/DiagnosticStatus", depth=1)
 DIAGNOSTICS = Topic(
@@ -73,13 +73,15 @@ CAMERA = {
     "jpeg": ("image_raw/compressed", "sensor_msgs/msg/CompressedImage"),
     "h264": ("video", "foxglove_msgs/msg/CompressedVideo"),
 }
-"""Kinds of data that a camera sends, each with the end of the topic's name and the message type."""
+"""Kinds of camera data: end of the topic's name, and message type."""
 DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", depth=5)
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the two topics of Gaussians. Every frame is published on one of them."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
-"""Topics in recordings, in addition to those of `contact`. The clock is not recorded, because it
-would conflict with the clock of `ros2 bag play --clock`."""
+"""Topics in recordings, in addition to the topics of `contact`.
+
+The clock is not recorded, because it would conflict with the clock of `ros2 bag play --clock`.
+"""
 
 
 def contact(at: str) -> Topic:
@@ -116,19 +118,18 @@ def full_name(name: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Service:
-    """A service; the thread that calls the sink's `listen` serves its requests."""
+    """A service, whose requests are served by the thread that calls the sink's `listen`."""
 
     name: str
     type: str
     """`package/srv/Name`."""
     serve: Callable[[Any], dict[str, Any]]
-    """Function that receives the request, whose members are attributes, and returns the members of
-    the response."""
+    """Function that maps a request (with members as attributes) to the members of the response."""
 
 
 @dataclass(frozen=True)
 class Controls:
-    """Topics and services that a sink offers besides frames; by default those of a player."""
+    """Topics and services that a sink offers besides frames; by default, those of a player."""
 
     node: str = PLAYER
     published: tuple[Topic, ...] = ()
@@ -136,17 +137,12 @@ class Controls:
     heard: Mapping[Topic, Hear] = field(default_factory=dict)
     services: tuple[Service, ...] = ()
     steps: Callable[[int], Any] | None = None
-    """Function that computes N steps. The function returns an iterator that yields once per
-    step.
-    """
+    """Function that computes N steps; it returns an iterator that yields once per step."""
     refused: Callable[[str], object] = lambda sentence: None
     """Function that receives the message of a refusal."""
     clock: bool = False
     """Whether /clock is published."""
     patient: bool = True
-    """Whether frames wait for slow subscribers. If frames wait, the program that computes the
-    frames is delayed, too."""
+    """Whether frames wait for slow subscribers, which also delays the computation of frames."""
     values: Callable[[], Mapping[str, Any]] = dict
-    """Function that returns values that the diagnostics show in addition to the state of
-    playback.
-    """
+    """Function that returns additional values for the diagnostics."""

@@ -1,7 +1,7 @@
 """H.264 video as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
-ffmpeg encodes without look-ahead. The output of ffmpeg is an AVI stream, whose chunks state their
-length. The bytes of a picture are therefore complete before the next picture is sent.
+ffmpeg encodes without look-ahead. Its output is an AVI stream. Since the chunks of the stream state
+their length, the bytes of a picture are complete before the next picture is sent.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LISTS = (b"RIFF", b"LIST")
 
 
 class H264Encoder:
-    """Encodes pictures one by one; a key frame with its parameter sets is sent once a second."""
+    """Encodes pictures one by one; a key frame with parameter sets is sent once a second."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
         """Start the encoder.

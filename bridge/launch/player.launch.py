@@ -1,8 +1,8 @@
 """Start the player, or a running simulation, and RViz.
 
 `ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`, or with `source:=` a
-picture and `scene:=` its scene. The module launch comes with ROS 2 and is in no package index, so
-type checkers do not find it.
+picture and `scene:=` its scene. Type checkers do not find the module launch, which comes with ROS 2
+and is in no package index.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
@@ -35,7 +35,7 @@ SIMULATED = ("source", "scene", "profile", "frame_id", "speed")
 
 
 def generate_launch_description():
-    """Return the launch description; its user must set either `clip` or `source`."""
+    """Return the launch description; users must set either `clip` or `source`."""
     config = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "player.yaml"])
     return LaunchDescription(
         [
@@ -92,7 +92,7 @@ def _nodes(context):
 
 
 def _end(event, context):
-    """End RViz, too; if the node's exit status is nonzero, launch has a nonzero exit status."""
+    """End RViz as well; launch exits with a nonzero status if the node did."""
     del context
     if event.returncode:
         raise RuntimeError(f"The {PACKAGE} node has ended with exit status {event.returncode}.")

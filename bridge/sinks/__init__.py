@@ -1,1 +1,1 @@
-"""The sinks: one file per outlet, each of which implements `bridge.sink.Sink`."""
+"""The sinks: one file for each kind of output, which implements `bridge.sink.Sink`."""

@@ -1,7 +1,7 @@
 """Background: runs another sink in a separate thread, so that recording never delays playback.
 
-Frames wait in a short queue. When the queue is full, new frames are not recorded. Such frames are
-counted and reported, and playback continues.
+Frames wait in a short queue. While the queue is full, new frames are not recorded, but counted and
+reported, and playback continues.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Background:
             self._drop()
 
     def send(self, message: Message) -> None:
-        """Append a message to the queue without waiting; if the queue is full, drop the message."""
+        """Append a message to the queue without waiting; discard it if the queue is full."""
         with suppress(queue.Full):
             self._queue.put_nowait(message)
 
@@ -76,7 +76,8 @@ class Background:
                 else:
                     self.sink.write(what)
             except Exception as error:
-                # The error is raised when the sink is closed, because playback must not stop.
+                # The error is raised later, when the sink is closed, because playback must not
+                # stop.
                 log.error("Recording failed, playback goes on. %s", failure(error).sentence)
                 self._error = error
 

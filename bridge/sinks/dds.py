@@ -1,6 +1,6 @@
 """DdsSink: ROS 2 topics without ROS 2, through the pip package cyclonedds.
 
-ROS 2 nodes accept this sink for four reasons: its mangled topic and type names, XCDR version 1, the
+To be compatible with ROS 2 nodes, this sink uses mangled topic and type names, XCDR version 1, the
 type hash in the user data of the endpoints, and a sample on `ros_discovery_info` that names the
 node (Jazzy's rmw_dds_common). `DdsServices` offers the services.
 """
@@ -34,12 +34,9 @@ MANY = 1000
 log = logging.getLogger(__name__)
 DEPTH = 10
 AT_ONCE = 16
-"""Largest number of messages or requests that are read from a topic before the next topic is
-read.
-"""
+"""Largest number of messages or requests that are read from a topic at a time."""
 HEADER = struct.Struct("<Qq")
-"""Client identity and request number. The two together have 16 bytes, so that the following members
-stay aligned."""
+"""Client identity and request number, together 16 bytes, so that later members are aligned."""
 
 
 class DdsSink:
@@ -58,9 +55,10 @@ class DdsSink:
 
         Args:
             options: Options that define how frames become messages.
-            network: Whether to reach other machines, too. A CYCLONEDDS_URI overrides this argument
+            network: Whether to reach also other machines. CYCLONEDDS_URI overrides this argument
                 and ROS's variables.
-            controls: Inputs, topics and services in addition to frames. If None, those of a player.
+            controls: Inputs, topics and services in addition to frames; by default, those of a
+                player.
 
         Raises:
             InputError: cyclonedds is missing, or a ROS variable has an invalid value.
@@ -104,10 +102,10 @@ class DdsSink:
         """Wait until subscribers have received the last frames, then leave the domain."""
         try:
             self._delivery.farewell()
-            # In a short run, these messages may be acknowledged later than the frames.
+            # In a short run, these messages may be acknowledged after the frames.
             wait_for_topics(self._acknowledged_on, self._writers)
         finally:
-            # A DDS entity is deleted with its last reference. Children must be deleted before their
+            # A DDS entity is deleted with its last reference; children must be deleted before
             # parents.
             self._writers.clear()
             self._heard.clear()
@@ -152,7 +150,7 @@ class DdsSink:
             samples = reader.take(AT_ONCE)
             more = more or len(samples) == AT_ONCE
             for sample in samples:
-                # An invalid sample means that a publisher has left.
+                # An invalid sample means that a publisher has disconnected.
                 if sample.sample_info.valid_data:
                     hear(sample)
         self._services.serve()
@@ -241,7 +239,7 @@ class DdsSink:
         self.send(Message(DISCOVERY, 0, encode(DISCOVERY.type, info)))
 
     def _namesakes(self) -> int:
-        """Return how many other participants have a node with this name."""
+        """Return the number of other participants that have a node with this name."""
         identity = self._participant.guid.bytes
         for sample in self._nodes.take(MANY):
             if hasattr(sample, "gid") and bytes(sample.gid.data) != identity:
@@ -268,7 +266,7 @@ def require_cyclonedds() -> None:
 
 
 def _domain(domain: int, discovery: Discovery) -> Any:
-    """Create a DDS domain with the first configuration that works; the last requires the least."""
+    """Create a DDS domain with the first configuration that works."""
     from cyclonedds.core import DDSException
     from cyclonedds.domain import Domain
 
@@ -340,7 +338,7 @@ def _offer(participant: Any, service: Service, node: str) -> _Offered:
 
     name = full_name(service.name, node)
     asked, answered = f"{service.type}_Request", f"{service.type}_Response"
-    # The identity tells a waiting client which reader and writer belong together.
+    # A waiting client uses this identity to match the reader and the writer.
     identity = ".".join(f"{byte:x}" for byte in participant.guid.bytes[:12])
     topics = {kind: Topic(name, kind, DEPTH, transient_local=False) for kind in (asked, answered)}
     qos = {kind: quality(topic, also=f"serviceid={identity};") for kind, topic in topics.items()}

@@ -1,8 +1,8 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-The messages (CDR) and schemas (ros2msg) are the same as in the other sinks. Foxglove's package
-foxglove-sdk sends them. `foxglove_clients` receives the messages and service calls that steer a
-run.
+The messages (CDR) and schemas (ros2msg) are the same as in the other sinks. They are sent by
+Foxglove's package foxglove-sdk. Messages and service calls that steer a run are received by
+`foxglove_clients`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class FoxgloveSink:
                 None for a running simulation.
             host: Address to listen on. By default, only this machine can connect.
             port: Port to listen on. If it is 0, a free port is chosen.
-            controls: Inputs, topics and services in addition to frames. If None, those of a player.
+            controls: Inputs, topics and services in addition to frames; by default, those of a
+                player.
 
         Raises:
             InputError: foxglove-sdk is missing, or the port number is invalid.
@@ -175,7 +176,7 @@ class FoxgloveSink:
         )
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
-        """Carry out a viewer's use of the playback controls; a server thread calls this method.
+        """Execute a viewer's use of the playback controls; a server thread calls this method.
 
         Args:
             playing: True to play, False to pause.

@@ -1,7 +1,7 @@
 """Messages and service calls that viewers send over Foxglove's websocket, as JSON.
 
-The threads of the server receive messages and calls. The thread that calls `listen` carries them
-out.
+Messages and calls are received in the threads of the server, and executed in the thread that calls
+`listen`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..topics import COMMAND, Controls, Hear, Service, Topic, full_name
 
 ENCODING = "json"
 BACKLOG = 100
-"""Largest number of waiting messages. When it is exceeded, the oldest messages are dropped."""
+"""Largest number of waiting messages; if there are more, the oldest messages are discarded."""
 FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} are kept."
 OFTEN = 0.2
 """Interval between two checks whether the sink was closed [s]."""
@@ -56,7 +56,7 @@ class Clients:
         """Whether calls are no longer answered."""
 
     def advertise(self, client: int, channel: int, topic: str, encoding: str) -> None:
-        """Record that a viewer is going to publish on a topic.
+        """Record that a viewer will publish on a topic.
 
         Args:
             client: Number of the viewer.
@@ -147,18 +147,14 @@ class Clients:
 
 
 def _wake(obey: Obey) -> None:
-    """Do nothing.
-
-    Append a job that does nothing, which wakes the waiting thread; the thread then reads the
-    messages.
-    """
+    """Do nothing; a job that calls this function wakes the waiting thread."""
     del obey
 
 
 def from_json(name: str, data: bytes) -> Any:
     """Parse a message; its members are attributes, and missing members are zero, empty or false.
 
-    NaN and Infinity, which JSON lacks, are accepted in the form that Python writes.
+    NaN and Infinity, which JSON lacks, are accepted as Python writes them.
 
     Raises:
         InputError: The data is not JSON, or a member is unknown or of the wrong type.

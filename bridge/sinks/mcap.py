@@ -1,8 +1,8 @@
 """McapSink: writes frames to an MCAP file that ROS 2 plays as a bag.
 
-When `write` returns, the operating system has the frame. A killed process therefore loses at most
-the frame that is being written. `recover` repairs a file that a killed process left. metadata.yaml
-is written last.
+When `write` returns, the frame has been passed to the operating system, so a killed process loses
+at most the frame that is being written. `recover` repairs the file of a killed process.
+metadata.yaml is written last.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..topics import PLAYER, Message, Topic, full_name
 
 Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
-"""Size of a chunk [bytes]. A larger frame gets a chunk of its own."""
+"""Size of a chunk [bytes]; a larger frame is stored in a separate chunk."""
 OLDER = ".old"
 """Suffix of an existing recording in a bag folder until the recording that replaces it is
 complete.
@@ -58,9 +58,9 @@ class McapSink:
             compression: Compression of the chunks. Compression hardly makes files with moving
                 Gaussians smaller, and `none` is fastest.
             scene: The complete scene as plain data, to be stored in the file.
-            report: Function that is called at the end. The result is stored in the file.
+            report: Function that is called at the end, and whose result is stored in the file.
             overwrite: Whether to replace an existing bag.
-            topics: Additional topics. The messages of these topics arrive by `send`.
+            topics: Additional topics, whose messages are passed to `send`.
             node: Node to which the names of topics are relative.
 
         Raises:
@@ -78,7 +78,7 @@ class McapSink:
         self._topics = {t.name: replace(t, name=full_name(t.name, node)) for t in announced}
         self._counts = bag.Counts()
         self._single = self.path.suffix == bag.SUFFIX
-        # A complete single file gets its final name. A bag is complete when it contains
+        # A single file is renamed when it is complete. A bag is complete when it contains
         # metadata.yaml.
         self.file = (
             self.path.with_name(self.path.name + bag.PART)
@@ -127,7 +127,7 @@ class McapSink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Complete the file; after a disk error, the file stays as `write` left it."""
+        """Complete the file; after a disk error, leave the file unchanged."""
         if self._stream.closed:
             return
         try:
@@ -136,7 +136,7 @@ class McapSink:
             failure = self._failure()
             if kind is None:
                 raise failure from error
-            # Another error came first. That error is raised.
+            # An earlier error is raised instead.
             log.error(str(failure))
 
     def write(self, frame: Frame) -> None:
@@ -154,7 +154,7 @@ class McapSink:
         self.frames += 1
 
     def send(self, message: Message) -> None:
-        """Append a message of an announced topic; the message is flushed with the next frame.
+        """Append a message of a declared topic; the message is flushed with the next frame.
 
         Raises:
             Incomplete: The disk is full or was removed. The frames written so far stay in the file.
@@ -167,7 +167,7 @@ class McapSink:
             raise self._failure() from error
 
     def _put_aside(self) -> None:
-        """Rename the existing recording, which is kept until the new recording is complete."""
+        """Rename the existing recording, which is removed when the new recording is complete."""
         sweep_parts(self.file.parent)
         if self._single:
             return  # the new file has a temporary name until it is complete
@@ -228,7 +228,8 @@ class McapSink:
         try:
             self._stream.close()
         except OSError:
-            # Closing flushes the data again. This fails again, but the file is closed nevertheless.
+            # Closing flushes the data again, which fails again, but the file is closed
+            # nevertheless.
             assert self._stream.closed
         kept = f"{self.frames} frames are safe in {self.file}"
         if not self._single and self._older.exists():

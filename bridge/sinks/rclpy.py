@@ -49,12 +49,14 @@ class RclpySink:
 
         Args:
             options: Options that define how frames become messages.
-            clock: Whether to publish /clock. If so, no other node may publish it.
+            clock: Whether to publish /clock, which no other node may then publish.
             node: The node to use, with its executor if it has one. If None, create a node that ends
                 with the sink.
             args: `--ros-args` and the arguments after it, for the created node.
-            running: Parameters that can be changed during playback. Missing ones are declared.
-            controls: Inputs, topics and services in addition to frames. If None, those of a player.
+            running: Parameters that can be changed during playback; missing parameters are
+                declared.
+            controls: Inputs, topics and services in addition to frames; by default, those of a
+                player.
 
         Raises:
             InputError: rclpy cannot be imported.
@@ -125,7 +127,7 @@ class RclpySink:
         return self._encoder.start
 
     def audience(self) -> str:
-        """Return a line that names the node, and who receives the frames."""
+        """Return a line that names the node and the receivers of the frames."""
         return (
             f"Node {self._name}; ROS 2's environment variables determine which "
             "machines receive its topics (ros2 node list)."
@@ -176,7 +178,7 @@ class RclpySink:
             self._apply(name, value)
 
     def _apply(self, name: str, value: Any) -> None:
-        """Carry out the change of a parameter."""
+        """Apply the change of a parameter."""
         if name == "max_points":
             self._encoder.limit(live_points(self._encoder.options.profile, value))
         elif value != self._values[name]:
@@ -221,7 +223,7 @@ class RclpySink:
         """Wait for the last frames, unless ROS has already been shut down."""
         if self._node.context.ok():
             self._delivery.farewell()
-            # In a short run, these messages may be acknowledged later than the frames.
+            # In a short run, these messages may be acknowledged after the frames.
             wait_for_topics(self._acknowledged_on, self._publishers)
 
     def _audience(self) -> Audience:

@@ -1,1 +1,1 @@
-"""A live run; other programs push, hold, pause, step and reset it by messages and services."""
+"""A live run that other programs push, hold, pause, step and reset by messages and services."""

@@ -1,8 +1,7 @@
 """Receives messages that push or grab the object, and applies them between two frames.
 
-Of all messages that arrive between two frames, only two kinds are applied: the newest wrench in
-each coordinate frame, and the newest
-grab. The work therefore does not depend on the number of messages.
+If several messages arrive between two frames, only the newest wrench in each coordinate frame and
+the newest grab are applied. The work therefore does not depend on the number of messages.
 """
 
 from __future__ import annotations
@@ -92,7 +91,7 @@ class Inputs:
 
     @property
     def heard(self) -> Mapping[Topic, Hear]:
-        """Functions that receive the messages, by the topics to subscribe to."""
+        """Functions that receive messages, by topic."""
         static = Topic(TF_STATIC.name, TF_STATIC.type, depth=READER_DEPTH)
         return {PUSH: self.push, GRAB: self.grab, TF: self.transform, static: self.transform}
 
@@ -120,7 +119,7 @@ class Inputs:
         """Return whether a message is recent, by simulated or by system time."""
         stamp = message.header.stamp.sec + message.header.stamp.nanosec / cdr.NANO
         simulated, system = self._now(), time.time()
-        # Simulated time usually trails the system's time, and no simulated stamp is ahead of it.
+        # Simulated time usually lags behind the system's time, and is never ahead of it.
         age = system - stamp if stamp > simulated else min(simulated, system) - stamp
         if stamp == 0 or age <= self._oldest:
             return True

@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from phy124.live import Live
 
 IDLE = 3
-"""Number of reads without a message after which no message is assumed to be waiting."""
+"""Number of reads without a message after which the queue is assumed to be empty."""
 READING, SHARE = 0.02, 0.25
-"""Two limits of the time spent on reading before a frame, of which the longer applies: a time [s],
-and a fraction of the time since the last reading. A slower run has more messages to read."""
+"""The time for reading before a frame is limited to the larger of two values.
+
+The first is a time [s]; the second is a fraction of the time since the last reading, because a
+slower run has more messages to read.
+"""
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 
 
@@ -78,7 +81,7 @@ def steer(
         options: Options that define how frames become messages, with an epoch (time of the start).
         records: Recordings of the frames and wrenches.
         look: Adds the pictures of cameras to a frame.
-        frames: Number of frames after which the run ends. If None, there is no limit.
+        frames: Number of frames after which the run ends, or None.
     """
     from phy124.live import RealTime
 
@@ -119,7 +122,7 @@ class _Outlets:
 
 
 class _Listening:
-    """Reads inputs from the sink, and carries out text commands."""
+    """Reads inputs from the sink, and executes text commands."""
 
     def __init__(self, run: SteeredRun, sink: LiveSink) -> None:
         self._run, self._sink = run, sink
@@ -130,7 +133,7 @@ class _Listening:
         return bool(self._sink.listen(seconds, self._obey))
 
     def briefly(self) -> None:
-        """Read the inputs that have already arrived, for a limited time."""
+        """Read the inputs that have arrived, for a limited time."""
         inputs, idle = self._run.inputs, 0
         before, start = inputs.wrenches, time.perf_counter()
         until = start + max(READING, SHARE * (start - self._last))
@@ -156,7 +159,7 @@ class _Listening:
 
 
 def contact_messages(live: Live, options: Options, seconds: float) -> list[Message]:
-    """Return messages with the force and torque on walls and between objects, with their frames.
+    """Return messages with the forces and torques on walls and between objects.
 
     Torques on a wall are about the centre of mass of all objects. Torques on an object are about
     that object's centre of mass. The header names the coordinate frame.
@@ -189,7 +192,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
 
 
 def _standing(at: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the transform to a position [3], m; its axes are those of the world."""
+    """Return the transform to a position [3], m, with the axes of the world."""
     return {"translation": at.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
 
 

@@ -1,8 +1,8 @@
 """A live run whose state peers steer.
 
-The class is not thread-safe: sinks call it from `listen`, on the thread that also computes the
-frames. Requests act from the next frame on. If the same requests arrive at the same frames, the
-results are identical in every byte.
+The class is not thread-safe: sinks call it from `listen`, in the thread that computes the frames.
+Requests take effect in the next frame. If the same requests arrive at the same frames, the results
+are identical in every byte.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ def checked_duration(name: str, seconds: float) -> float:
 
 
 class SteeredRun:
-    """A live run; other programs push, pause, step and reset it.
+    """A live run that other programs push, pause, step and reset.
 
-    Sinks show the run like a playback.
+    Sinks show it like a playback.
     """
 
     rate: float | None = None
     loop, dropped = False, 0
-    """Each frame is shown once, and none is dropped."""
+    """Each frame is shown exactly once."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class SteeredRun:
             live: The run.
             options: Options that define how frames become messages.
             push_seconds: Time for which a wrench acts, unless a new wrench replaces it [s].
-            grab_seconds: Time after which a grab ends, unless a new message moves it [s].
+            grab_seconds: Time after which a grab ends, unless a new message moves the grab [s].
             oldest_stamp: Largest age of a message, determined from its time stamp [s].
             speed: Simulated seconds per real second.
             paused: Whether the run starts paused.
@@ -98,12 +98,14 @@ class SteeredRun:
         )
         self.state = State.PAUSED if paused else State.PLAYING
         self.stopped: str | None = None
-        """Reason why the run ended early; empty if it did not."""
+        """Reason why the run ended early, or None."""
         self.speed = checked_speed(speed)
         self.shown, self.position = 0, 0.0
         self.show: Callable[[Frame], object] = lambda frame: None
-        """Function that receives each frame. The frame's time counts from the start or from the
-        last reset of time."""
+        """Function that receives each frame.
+
+        The time of the frame counts from the start or the last reset.
+        """
         self.changed: Callable[[], object] = lambda: None
         """Function that is called when the state or the speed has changed."""
         self._ticks, self._note = 0, ""

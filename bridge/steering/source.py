@@ -43,10 +43,10 @@ class SteeredOptions(LiveOptions):
 def make_live(
     source: Path, options: SteeredOptions, messages: Options, *, speed: float, velocities: bool
 ) -> tuple[Live, str]:
-    """Create a live run; return it with a sentence about its accuracy.
+    """Create a live run; return the run and a sentence about its accuracy.
 
-    Unless the options set an accuracy, the grid is chosen for the speed of this machine, which also
-    draws cameras and encodes messages.
+    Unless the options set an accuracy, the grid is chosen for the speed of this machine, which must
+    also draw cameras and encode messages.
 
     Args:
         source: A picture, a file of Gaussians or a clip.
@@ -68,7 +68,7 @@ def make_live(
     from phy124.simulation.bodies import proportions_of
 
     refuse_unopened(source)
-    # This hides the messages that Warp prints during compilation.
+    # Hides the messages that Warp prints during compilation.
     warp.config.log_level = warp.LOG_ERROR
     device = pick_device(options.device)
     gaussians, scene = _object(source, options, device)

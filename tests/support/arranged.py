@@ -1,4 +1,4 @@
-"""Glass solids in the order into which the device sorts them for a camera."""
+"""Sorts glass solids for a camera with the kernel of the renderer."""
 
 from typing import NamedTuple
 

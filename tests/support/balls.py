@@ -1,8 +1,9 @@
 """Two equal balls that are pressed together or collide, computed by particles and by finite
 elements.
 
-Finite elements (phy124/studies/validation/experiments/elastic_ball.py) give the force of a ball
-between two plates, which by symmetry is the force between two balls.
+The force of a ball between two plates is computed by finite elements
+(phy124/studies/validation/experiments/elastic_ball.py). By symmetry, it equals the force between
+two balls.
 """
 
 import math
@@ -99,9 +100,9 @@ COURANT = 0.3
 def collision(radius, approach, *, E, nu, density, fine=6):
     """Return the largest force [N] between colliding neo-Hookean balls, and its duration [s].
 
-    Explicit central differences of the mesh of `experiments.elastic_ball`; nodes beyond the plate
-    are put back on it. Lengths are in units of the radius and stresses in units of E; the force is
-    averaged over 5 ms.
+    The mesh of `experiments.elastic_ball` is integrated by explicit central differences; nodes
+    beyond the plate are moved back to the plate. Lengths are in units of the radius and stresses in
+    units of E. The force is averaged over 5 ms.
 
     Args:
         approach: Speed of one ball towards the other [m/s].

@@ -27,7 +27,7 @@ def pulled(fraction: np.ndarray | None) -> np.ndarray:
     x = bar()
     ends = [Region(upper=(9, 9, 2 * DX)), Region(lower=(-9, -9, 1 - 2 * DX))]
     pull = [TotalForce(f=(0, 0, f), region=at) for f, at in zip((-PULL, PULL), ends, strict=True)]
-    # First what damps: it would take its fraction of a kick that was just given.
+    # Damping comes first, because it would otherwise reduce the kick of the same substep.
     forces = [Wind(v=(0, 0, 0), rate=15.0), *pull]
     volume = np.full(len(x), (DX / 2) ** 3)
     law = [NeoHookean(E=E, nu=0.0)]
@@ -39,13 +39,13 @@ def pulled(fraction: np.ndarray | None) -> np.ndarray:
 
 
 def stretch(fraction: np.ndarray) -> np.ndarray:
-    """mu (s - 1/s) = force over area, with mu = share E / 2 as nu is 0."""
+    """Return the stretch s: mu (s - 1/s) = force / area, where mu = fraction * E / 2 (nu = 0)."""
     load = PULL / WIDTH**2 / (fraction * E)
     return load + np.sqrt(load**2 + 1)
 
 
 def length(fraction) -> float:
-    """Return the distance of the marks in equilibrium, which is the integral of the stretch."""
+    """Return the distance of the marks in equilibrium: the integral of the stretch."""
     z = np.linspace(*AT, 20_001)
     s = stretch(fraction(z))
     return float(((s[1:] + s[:-1]) / 2 * np.diff(z)).sum())

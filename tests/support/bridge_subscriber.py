@@ -1,6 +1,6 @@
 """A subscriber in a separate process, which prints one JSON line per message received over DDS.
 
-Independent of the bridge's encoder: types come from cyclonedds, decoding from rosbags.
+It does not use the bridge's encoder: types come from cyclonedds, and rosbags decodes messages.
 """
 
 import argparse

@@ -1,5 +1,4 @@
-"""Synthetic captures of a small place, like those of 3DGS training: any unit and orientation, with
-floaters."""
+"""Synthetic captures of a small scene with floaters, in any unit and orientation."""
 
 from typing import NamedTuple
 
@@ -27,21 +26,21 @@ class Place(NamedTuple):
     """Position, in the file, of the place's origin, which is on the floor under the ball."""
 
     def in_file(self, points) -> np.ndarray:
-        """Points of the upright place [N,3] in the file's axes and units."""
+        """Convert points of the upright scene [N,3] to the file's axes and units."""
         return self.scale * np.atleast_2d(points) @ self.rotation.T + self.offset
 
 
 def captured(seed: int, *, floor: int = 6000, floaters: int = 80, noise: float = 0.004) -> Place:
-    """A ball of 1 m on a chequered floor of 4 m."""
+    """Return a capture of a ball of 1 m on a chequered floor of 4 m."""
     rng = np.random.default_rng(seed)
     turn = rotation_matrices(rng.normal(size=(1, 4)))[0]
     scale, shift = float(np.exp(rng.uniform(-3, 3))), rng.normal(size=3) * 5
-    # Of what touches the floor nothing is seen.
+    # The part of the ball at the floor is not visible.
     shell = ball(3000).transform(1.0, np.array([0, 0, 0.5]))
     shell = shell.select(shell.means[:, 2] > 0.02)
     upright = join([shell, _floor(rng, floor, noise), _floaters(rng, floaters)])
     kind = np.repeat([0, 1, 2], [len(shell), floor, floaters])
-    to_file = orientation().T  # what write_ply does to our axes
+    to_file = orientation().T  # the rotation that write_ply applies
     return Place(
         rotate_gaussians(upright, turn).transform(scale, shift),
         kind,

@@ -1,10 +1,9 @@
-"""Resources that a kernel needs on a GPU, read from its machine code; the kernel is compiled but
-not run.
+"""Reads the resources that a kernel needs on a GPU from the machine code, without running it.
 
-NVRTC, which comes with Warp, generates the same code that a GPU of this generation would run. The
-ELF section .nv.info of the code states the registers and the bytes of stack per thread. The stack
-contains arrays with computed indices, which the PTX declares, and spilled registers: all bytes
-beyond the declared arrays are spilled.
+NVRTC, which comes with Warp, generates the machine code for a GPU generation. The ELF section
+.nv.info of the code states the registers and the bytes of stack per thread. The stack contains
+arrays with computed indices, which are declared in the PTX. All other bytes of the stack are
+spilled registers.
 """
 
 import re
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 ARCHITECTURES = {75: "Turing", 80: "A100", 86: "A40, RTX 30", 90: "H100", 120: "RTX 50"}
-"""Compute capability -> cards that have it."""
+"""Cards by compute capability."""
 REGISTERS, STACK = 0x2F, 0x11
 """Attributes of a function in .nv.info."""
 

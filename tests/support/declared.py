@@ -1,4 +1,4 @@
-"""All values that a scene declares, collected from the schema, so that new fields are included."""
+"""Collects all values that a scene declares from the schema, so that new fields are included."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from phy124.schema.declaration import Declaration, Node
 Wrap = Callable[[Any], Any]
 DECLARED = Declaration(Scene)
 ODD = [None, True, "text", "", [], {}, [1], math.nan, math.inf, -math.inf, 10**400, object()]
-"""Values that are tried for every field, whatever its type."""
+"""Values that are tried for fields of every type."""
 HUGE = [0.0, 1e-300, 1e9, 1e308, -1e308]
 PICKED = {"region": {}}
 """The fields without which a part is invalid."""
@@ -95,7 +95,7 @@ def legal(node: Node) -> list[Any]:
 
 
 def beyond(node: Node) -> list[Any]:
-    """Return values most of which are invalid for a leaf."""
+    """Return values that are mostly invalid for a leaf."""
     result = [*ODD, *HUGE]
     for key in ("minimum", "exclusiveMinimum", "maximum", "exclusiveMaximum"):
         if key in node:

@@ -1,4 +1,4 @@
-"""The duck pressed on the page, and a video of a stiffer duck."""
+"""A run of the page in which a duck is pressed, and a video of a stiffer duck."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ GROUND = (0.35, 0.5, 0.62)
 
 
 CELLS = 28
-"""Cells across the object on the grid of the film, which is finer than the grids of a fit."""
+"""Cells across the object in the video, whose grid is finer than the grids of a fit."""
 
 
 def video(folder: Path, truth: float, cells: int = CELLS) -> Path:
-    """Make a video of the pressed duck, with a finer grid and other particles than those of a
-    fit."""
+    """Make a video of the pressed duck, with a finer grid and other particles than in a fit."""
     folder.mkdir(exist_ok=True)
     scene = Scene.named("press").replaced({"material.E": truth})
     clip: Clip = twin(make_gaussians(DUCK, Scene(), count=5000).gaussians, scene, cells)

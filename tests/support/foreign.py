@@ -1,13 +1,14 @@
 """Readers of Gaussians from other projects, which check the files that phy124 writes.
 
-None of them is part of the test extra: numba behind gsply is large, and one needs Node.js.
+They are not part of the test extra, because gsply needs numba, which is large, and one needs
+Node.js.
 
     pip install gsply imagecodecs gaussforge
     npm install --prefix FOLDER @playcanvas/splat-transform
     PHY124_NODE_MODULES=FOLDER/node_modules python -m pytest -m slow tests/test_formats_foreign.py
 
-npm's spz-js cannot be used as a reader: it reads only version 2, and phy124 writes 3 and 4. Files
-that spz-js wrote are read in tests/test_formats.py.
+spz-js of npm cannot be used, because it reads only version 2, and phy124 writes versions 3 and 4.
+Files that spz-js wrote are read in tests/test_formats.py.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Judge:
     read: Callable[[Path], Gaussians]
     """The Gaussians in the axes of the file."""
     missing: Callable[[], str]
-    """Return why this program cannot be used here; an empty text if it can."""
+    """Return the reason why this program cannot be used, or an empty text."""
 
 
 def _node(path: str) -> Callable[[], str]:

@@ -14,7 +14,7 @@ from reference.physgaussian import Recording
 
 
 class Exact(HalfSpace):
-    """A plane as in PhysGaussian: it acts on all nodes behind it, wherever the material is."""
+    """A plane as in PhysGaussian, which acts on all nodes behind it."""
 
     kind: Literal["exact"] = "exact"  # type: ignore[assignment]
     shape: ClassVar[str] = "half_space"
@@ -36,13 +36,14 @@ def material_of(params: dict) -> Material:
     """Return the phy124 material for a material of PhysGaussian."""
     common = {"density": params["density"]}
     if params["material"] == "fluid":
-        # Its p = -K (J^-1.1 - 1) is our Tait pressure with K' = 1.1 K and gamma = 1.1.
+        # PhysGaussian's p = -K (J^-1.1 - 1) is the Tait pressure with K' = 1.1 K and gamma = 1.1.
         return Undamped(bulk_modulus=1.1 * params["bulk_modulus"], gamma=1.1, **common)
     common |= {"E": params["E"], "nu": params["nu"]}
     if params["material"] == "sand":
         return Sand(friction_angle=params["friction_angle"], **common)
     if params["material"] in ("metal", "plasticine"):
-        # Its yield_stress is the norm of the deviatoric stress, ours the uniaxial stress.
+        # PhysGaussian's yield_stress is the norm of the deviatoric stress; phy124's is the uniaxial
+        # stress.
         uniaxial = np.sqrt(1.5) * params["yield_stress"]
         if params["material"] == "metal":
             return Metal(yield_stress=uniaxial, **common)
@@ -87,6 +88,6 @@ def solver_of(recording: Recording, **options) -> Solver:
 
 
 def run(solver: Solver, dt: float, steps: int) -> None:
-    """Advance by symplectic Euler as PhysGaussian does: kick and drift have the same length."""
+    """Advance by symplectic Euler as PhysGaussian does, with equal lengths of kick and drift."""
     for _ in range(steps):
         solver.step(dt, dt)

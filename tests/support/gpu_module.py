@@ -1,11 +1,11 @@
-"""Test files for running only the GPU tests, on a machine without some packages."""
+"""Skips test files whose packages are missing when only the GPU tests are run."""
 
 from collections.abc import Iterable
 
 import pytest
 
 OURS = {"phy124", "demo", "bridge", "reference", "support", "conftest"}
-"""Packages of the checkout, whose absence is an error."""
+"""Packages of the checkout; it is an error if they are missing."""
 
 
 class GpuModule(pytest.Module):

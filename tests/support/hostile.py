@@ -21,7 +21,7 @@ def bomb(side: int) -> bytes:
 
 
 def png_claiming(width: int, height: int) -> bytes:
-    """A small PNG whose header claims another size."""
+    """Return a small PNG whose header states another size."""
     return _png(width, height, zlib.compress(bytes(64)))
 
 
@@ -36,19 +36,19 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def heic_claiming(width: int, height: int) -> bytes:
-    """A photograph in HEIC with another size in its header."""
+    """Return a HEIC photograph whose header states another size."""
     said, data = b"ispe" + bytes(4) + struct.pack(">II", 256, 320), PHONE.read_bytes()
     assert said in data
     return data.replace(said, said[:8] + struct.pack(">II", width, height))
 
 
 def cut(data: bytes, rng: random.Random) -> bytes:
-    """Cut off the end."""
+    """Cut off the end of a file."""
     return data[: rng.randrange(len(data))]
 
 
 def flip(data: bytes, rng: random.Random) -> bytes:
-    """Change a few bytes."""
+    """Change a few bytes of a file."""
     damaged = bytearray(data)
     for _ in range(rng.choice([1, 4, 64])):
         damaged[rng.randrange(len(damaged))] = rng.randrange(256)

@@ -19,8 +19,7 @@ def clips_of(out: Path) -> dict[str, bytes]:
 
 
 def is_ours(process: int) -> bool:
-    """Return whether this process is an ancestor of another, since other programs may run sweeps,
-    too."""
+    """Return whether a process descends from this one; other programs may also run sweeps."""
     while process > 1 and process != os.getpid():
         status = Path(f"/proc/{process}/stat").read_text()
         process = int(status.rpartition(")")[2].split()[1])
@@ -31,7 +30,7 @@ def is_ours(process: int) -> bool:
 def killer(out: Path, every: float) -> Iterator[list[int]]:
     """Within this context, workers that make clips are killed at intervals.
 
-    On a machine that is so busy that no clip is made in between, it waits for one.
+    On a busy machine, it waits until a clip is made before the next kill.
     """
     killed: list[int] = []
     done = threading.Event()

@@ -23,7 +23,7 @@ def block(size, low=(0, 0, 0), per=2, dx=DX):
 
 
 def fork(*, prongs=2, thick=1.0, gap=0.4, root=2, long=10, wide=2, low=(0, 0, 0), per=10):
-    """Return prongs along x, one above the other, joined by a root; all lengths in cells."""
+    """Return prongs along x, one above the other, joined by a root; lengths are in cells."""
     count = [round(n * per) for n in (root + long, wide, 2 * thick + gap)]
     thick, step, start = round(thick * per), round((thick + gap) * per), round(root * per)
     count[2] = max(count[2], (prongs - 1) * step + thick)
@@ -34,7 +34,7 @@ def fork(*, prongs=2, thick=1.0, gap=0.4, root=2, long=10, wide=2, low=(0, 0, 0)
 
 
 def rod(thick, along, start, *, long=12, per=2):
-    """Return a round rod from two cells before `start` to `long` cells after it; all in cells."""
+    """Return a round rod from `start` - 2 to `start` + `long`; lengths are in cells."""
     along = np.array(along) / np.linalg.norm(along)
 
     def distance(x):

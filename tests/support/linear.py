@@ -45,7 +45,7 @@ class Statics:
         self.ties = sp.block_diag([motion] * 3, format="csr")
         self.free = np.tile(~light & ~held(lattice.x / DX), 3)
         K = self.ties.T @ B.T @ sp.diags(weight) @ B @ self.ties
-        # Balanced forces need no node that is held.
+        # No node must be held if the forces are balanced.
         self.K = (K + 1e-9 * K.diagonal().max() * sp.eye(K.shape[0])).tocsc()
 
     def solve(self, force):
@@ -56,12 +56,12 @@ class Statics:
         return np.stack([self.values @ part for part in np.split(self.ties @ u, 3)], axis=1)
 
     def push(self, where, force):
-        """Return forces [P,3] that push the points `where` with a force in all [N]."""
+        """Return forces [P,3] that push the points `where` with a total force [N]."""
         share = np.where(where, self.volume, 0)
         return np.outer(share / share.sum(), force)
 
 
 def product(along):
-    """Return the products [P,27] of the factors of three nodes along each axis, three of [P,3]."""
+    """Return the products [P,27] of the factors [P,3] of three nodes along each axis."""
     a, b, c = along
     return np.einsum("pi,pj,pk->pijk", a, b, c).reshape(len(a), 27)

@@ -16,7 +16,7 @@ TANK = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1e9)), contact="sli
 
 
 def block(low, high, cells: int, per_axis: int = 2) -> np.ndarray:
-    """Particles on a lattice between two corners [m]."""
+    """Return particles on a lattice between two corners [m]."""
     step = 1 / cells / per_axis
     axes = [
         np.arange(round((b - a) / step)) * step + a + step / 2
@@ -38,8 +38,7 @@ def liquid(
     pushes=(),
     **solids,
 ) -> LiquidSolver:
-    """Return the solver of a liquid between walls, with 8 particles per cell; the grid is shifted
-    by some cells."""
+    """Return the solver of a liquid between walls, with 8 particles per cell."""
     dx = 1 / cells
     volume = np.full(len(x), dx**3 / 8)
     origin = (-offset * dx,) * 3

@@ -37,7 +37,7 @@ def blocks() -> list[Block]:
 
 
 def paragraphs(text: str) -> Iterator[str]:
-    """Paragraphs and items of lists of a page, each in one line; no tables, no code."""
+    """Return the paragraphs and list items of a page, without tables and code, one per line."""
     for part in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )", BLOCK.sub("\n", text)):
         lines = part.strip().splitlines()
         if lines and not lines[0].lstrip().startswith(("|", "#", "<!--", "---")):

@@ -1,4 +1,4 @@
-"""Photographs as files: EXIF of any tag and type, colour profiles, several pictures in one file."""
+"""Makes files of photographs with EXIF tags, colour profiles, or several pictures."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Entry(NamedTuple):
 
 
 def upright(orientation: int) -> Entry:
-    """The tag that states an orientation."""
+    """Return the tag for an orientation."""
     return Entry(ORIENTATION, SHORT, 1, struct.pack("<H", orientation))
 
 
 def exif_of(entries: Iterable[Entry]) -> bytes:
-    """EXIF data with these tags, in little-endian order."""
+    """Return EXIF data with some tags, in little-endian order."""
     entries = sorted(entries)
     place = 8 + 2 + 12 * len(entries) + 4
     table, rest = struct.pack("<H", len(entries)), b""
@@ -40,7 +40,7 @@ def exif_of(entries: Iterable[Entry]) -> bytes:
 
 
 def file_of(picture: Image.Image, kind: str, **options: object) -> bytes:
-    """The bytes of a picture saved as PNG, JPEG, ..."""
+    """Return the bytes of a picture that was saved as PNG, JPEG, ..."""
     with io.BytesIO() as file:
         picture.save(file, kind, **options)
         return file.getvalue()
@@ -52,7 +52,7 @@ def with_segment(jpeg: bytes, marker: int, data: bytes) -> bytes:
 
 
 def tiff_of(grey: np.ndarray, *entries: Entry) -> bytes:
-    """A TIFF of grey levels [H,W], 8 bits, with more tags."""
+    """Return a TIFF of grey levels [H,W], 8 bits, with additional tags."""
     height, width = grey.shape
     said = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 278: height, 279: grey.size}
     plain = [Entry(tag, 4, 1, struct.pack("<I", value)) for tag, value in said.items()]
@@ -73,7 +73,7 @@ def fixed(value: float) -> bytes:
 
 
 def profile(space: str, tags: dict[str, bytes]) -> bytes:
-    """An ICC profile of version 2.4 of a display or, for CMYK, of a printer.
+    """Return an ICC profile (version 2.4) of a display or, for CMYK, of a printer.
 
     Args:
         space: "RGB ", "GRAY" or "CMYK".
@@ -92,7 +92,7 @@ def profile(space: str, tags: dict[str, bytes]) -> bytes:
 
 
 def curve(gamma: float) -> bytes:
-    """A tone curve that is a power."""
+    """Return a tone curve that is a power function."""
     return b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256))
 
 
@@ -103,7 +103,7 @@ DISPLAY_P3 = np.array(
 
 
 def display_p3() -> bytes:
-    """Display P3 with the tone curve of sRGB, as phones embed it."""
+    """Return the profile Display P3 with the tone curve of sRGB, as in files of phones."""
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
     count = int.from_bytes(srgb[128:132], "big")
     table = [struct.unpack(">4sII", srgb[132 + 12 * i : 144 + 12 * i]) for i in range(count)]
@@ -114,13 +114,13 @@ def display_p3() -> bytes:
 
 
 def grey_profile(gamma: float) -> bytes:
-    """A profile of grey whose tone curve is a power."""
+    """Return a grey profile whose tone curve is a power function."""
     white = b"XYZ " + bytes(4) + fixed(0.9642) + fixed(1.0) + fixed(0.8249)
     return profile("GRAY", {"kTRC": curve(gamma), "wtpt": white})
 
 
 def cmyk_profile() -> bytes:
-    """A profile of CMYK in which black ink alone darkens: L = 100 (1 - K)."""
+    """Return a CMYK profile in which only black ink darkens: L = 100 (1 - K)."""
     corners = [
         (0 if index & 1 else 255, 128, 128) for index in range(16)
     ]  # the last channel, K, varies fastest
@@ -132,7 +132,7 @@ def cmyk_profile() -> bytes:
 
 
 def heic_with(heic: bytes, profile: bytes, exif: bytes) -> bytes:
-    """The photograph of `support.hostile.PHONE` with a colour profile and other EXIF."""
+    """Return the photograph `support.hostile.PHONE` with a colour profile and other EXIF data."""
     old = heic.index(b"colrnclx") - 4
     size = int.from_bytes(heic[old : old + 4], "big")
     new = struct.pack(">I", 12 + len(profile)) + b"colrprof" + profile

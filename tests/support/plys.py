@@ -8,11 +8,11 @@ NAMES = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int", "u2": "ushor
 
 
 def ply_of(path: Path, columns: dict, *, kinds=None, ascii=False, comments=()) -> Path:
-    """A PLY of columns, each an array or one value for all rows.
+    """Write a PLY file with some columns; a column is an array or one value for all rows.
 
     Args:
-        columns: Name -> values.
-        kinds: Name -> type as in NumPy; default float32.
+        columns: Values by name.
+        kinds: NumPy types by name; the default is float32.
     """
     count = max(np.size(values) for values in columns.values())
     types = [(name, "<" + (kinds or {}).get(name, "f4")) for name in columns]

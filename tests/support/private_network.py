@@ -1,7 +1,7 @@
-"""A private network for a test: loopback and one interface like a LAN, invisible to other programs.
+"""Makes a private network for a test: loopback and a LAN interface that other programs cannot see.
 
-Run as a program it is the test's other half: it plays frames through DdsSink and lets stock ROS 2
-peers, each a process of its own, listen: `private_network.py RANGE PEER...`, one JSON line each.
+As a program, it sends frames through DdsSink to ROS 2 peers in separate processes, and prints one
+JSON line for each: `private_network.py RANGE PEER...`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ INDEX = (
 )
 ONE = "<CycloneDDS><Domain>{}<Discovery>" + INDEX + "{}</Discovery></Domain></CycloneDDS>"
 STOCK = {
-    # What rmw_cyclonedds_cpp of Jazzy gives Cyclone DDS for the two ranges, nothing else.
+    # The settings of rmw_cyclonedds_cpp in Jazzy for the two ranges.
     "SUBNET": ONE.format("", ""),
     "LOCALHOST": ONE.format(
         "<General><AllowMulticast>false</AllowMulticast></General>",
         '<Peers><Peer address="localhost"/></Peers>',
     ),
-    # Releases before it, and SYSTEM_DEFAULT: no fixed port to be found at.
+    # Older releases, and SYSTEM_DEFAULT: there is no fixed port for discovery.
     "SYSTEM_DEFAULT": "<CycloneDDS></CycloneDDS>",
 }
 
 
 def inside(command: list[str]) -> list[str]:
-    """The command that runs another command in a private network."""
+    """Return the command that runs another command in a private network."""
     script = f"{SETUP}; exec {shlex.join(command)}"
     return ["unshare", "--map-root-user", "--net", "sh", "-ec", script]
 

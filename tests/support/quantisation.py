@@ -47,9 +47,9 @@ class Errors:
 def smallest_three(step: float) -> float:
     """Return a bound on the angle [rad] by which rounding three components to `step / 2` rotates.
 
-    The three smaller components together are off by sqrt(3) step / 2. The largest follows from the
-    length 1 and is off by at most sqrt(3) times that, since no other component is larger. The
-    distance of two quaternions is half the angle between them.
+    The error of the three smaller components together is sqrt(3) step / 2. The largest component
+    follows from the unit length; its error is at most sqrt(3) times as large, since no other
+    component is larger. The distance of two quaternions is half the angle between them.
     """
     return 2 * np.sqrt(3) * step / 2 * np.sqrt(1 + 3)
 
@@ -60,13 +60,13 @@ def bound(name: str, g: Gaussians, data: bytes = b"") -> Errors:
     reach = float(np.abs(g.means).max())
     if name in ("ply", "glb"):
         return Errors(FLOAT * reach, 1e-6, FLOAT, 1e-6, FLOAT, FLOAT)
-    if name == "splat":  # 1 is written as 255, so a component may be off by a whole step
+    if name == "splat":  # 1 is written as 255, so the error of a component may be a whole step
         angle = 2 * 2 / 128
         return Errors(FLOAT * reach, angle, FLOAT, BYTE + 1e-6, BYTE / SH_C0 + FLOAT, 0)
     if name.startswith("spz"):
         bits = 12 if "foreign" in name else min(16, int(np.floor(np.log2((1 << 23) / reach))))
         angle = smallest_three(1 / (511 * np.sqrt(2)))
-        if "v2" in name:  # w is what x, y, z lack of 1, however small
+        if "v2" in name:  # w follows from x, y, z and the unit length, even if it is small
             angle = 4 * np.sqrt(2 * np.sqrt(3) * 0.5 / 127.5)
         return Errors(
             0.5 / 2**bits + FLOAT,
@@ -105,7 +105,7 @@ def _sog(g: Gaussians, data: bytes) -> Errors:
         0.5 * float(np.ptp(ends, axis=0).max()) / 65535 * (1 + far) + FLOAT,
         smallest_three(2 / 255 / np.sqrt(2)) + 1e-6,
         _nearest(codes["scales"], np.log(g.scales)) + FLOAT,
-        2 * BYTE,  # some cut where they could round
+        2 * BYTE,  # some programs truncate instead of rounding
         _nearest(codes["sh0"], g.sh[:, 0]) + FLOAT,
         rest + FLOAT,
     )
@@ -117,8 +117,7 @@ def _nearest(codes: NDArray, values: NDArray) -> float:
 
 
 def errors(result: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Errors:
-    """Return the largest differences; if a writer changes the order, Gaussians are matched by their
-    centres."""
+    """Return the largest differences; unless `ordered`, Gaussians are matched by their centres."""
     assert len(result) == len(wanted)
     if not ordered:
         result = result.select(cKDTree(result.means).query(wanted.means)[1])
@@ -136,8 +135,7 @@ def errors(result: Gaussians, wanted: Gaussians, *, ordered: bool = True) -> Err
 
 
 def many(rng: np.random.Generator, count: int, degree: int) -> Gaussians:
-    """Return Gaussians of all orientations and many sizes, whose colours and harmonics fit into
-    bytes."""
+    """Return Gaussians of many sizes and orientations, with colours that fit into bytes."""
     quats = rng.normal(size=(count, 4))
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.2
     return Gaussians(

@@ -1,4 +1,4 @@
-"""Decodes, by rosbags, the messages that the mock of rclpy was asked to publish."""
+"""Decodes the messages that the mock of rclpy published, with rosbags."""
 
 from rosbags.typesys import Stores, get_typestore
 

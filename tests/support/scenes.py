@@ -69,7 +69,7 @@ USUAL = "land_on_cushion"
 
 
 def each_preset() -> list:
-    """All presets; those of several objects are slow tests, except one."""
+    """Return all presets; presets of several objects, except one, are slow tests."""
     slow = pytest.mark.slow
     others = [name for name in preset_names() if name not in (*OF_ONE, USUAL)]
     return [*OF_ONE, USUAL, *(pytest.param(name, marks=slow) for name in others)]

@@ -70,7 +70,7 @@ class Server:
         return self._status("VmRSS")
 
     def said(self) -> str:
-        """The end of the server's log."""
+        """Return the end of the server's log."""
         return self.log.read_text(errors="replace")[-TAIL:]
 
     def check_running(self) -> None:
@@ -102,9 +102,9 @@ def serving(
 ) -> Iterator[Server]:
     """Serve until the block ends; settings are those of demo.settings.Settings.
 
-    `files` is how many files and connections the server may have open. If the server need not be
-    `warm`, it is used while it still loads kernels and measures the machine. `port` 0 stands for
-    any free port.
+    `files` is the largest number of open files and connections of the server. If `warm` is false,
+    the server is used while it loads kernels and measures the machine. `port` 0 means any free
+    port.
     """
     port = port or free_port()
     # After a native crash the log has the stack of each thread.

@@ -12,7 +12,7 @@ from phy124.studies.validation.bodies import surface_of_ball
 
 
 def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:
-    """A closed shell of flat Gaussians on a sphere, coloured by direction."""
+    """Return a closed shell of flat Gaussians on a sphere, coloured by direction."""
     return surface_of_ball(count, radius)
 
 
@@ -61,12 +61,12 @@ def splats(
     quats = rng.normal(size=(count, 4))
     scales = sizes * np.exp(0.7 * rng.normal(size=(count, 3)))
     sh = rng.normal(size=(count, (degree + 1) ** 2, 3)) * 0.8 / (1 + degree)
-    opacities = np.minimum(1, 1.2 * rng.beta(1.2, 1, count))  # a few are at the cap of alpha
+    opacities = np.minimum(1, 1.2 * rng.beta(1.2, 1, count))  # a few have the largest alpha
     return Gaussians(means, quats, scales, opacities, sh)
 
 
 def cloud(count: int, *, size: float, corner: float, dx: float) -> np.ndarray:
-    """Random particles [N,3] in a cube of edge `size` [m] from a corner on, sorted by cell."""
+    """Return random particles [N,3] in a cube with edge `size` [m] at a corner, sorted by cell."""
     x = np.random.default_rng(0).random((count, 3)) * size + corner
     return x[np.lexsort(np.floor(x / dx - 0.5).T[::-1])]
 

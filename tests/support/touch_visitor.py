@@ -25,7 +25,7 @@ class Visitor(WebSocket):
         return json.loads(payload)["text"]
 
     def tell(self, *texts: str) -> None:
-        """Several orders at once."""
+        """Send several messages at once."""
         self.send(*(text.encode() for text in texts))
 
     def vanish(self, way: str) -> None:

@@ -25,7 +25,7 @@ def flood(_: Any, line: Any) -> None:
 
 
 def flood_after_a_word(_: Any, line: Any) -> None:
-    """Send a text, then large frames without end."""
+    """Send a text, then an infinite sequence of large frames."""
     say(line, kind="said", text="ready")
     while True:
         line.tell(b"f", bytes(100_000))

@@ -1,4 +1,4 @@
-"""Twins: a motion computed on a finer grid with other particles, as a camera would track it."""
+"""Computes a motion on a finer grid with other particles, as a camera would track it."""
 
 import csv
 
@@ -13,11 +13,11 @@ from phy124.simulation import Simulation, prepare
 
 POINTS = 80
 ACROSS = 12
-"""Side of squares [pixels], in each of which only the nearest Gaussian is visible."""
+"""Side of squares, in each of which only the nearest Gaussian counts as visible [pixels]."""
 
 
 def twin(gaussians: Gaussians, scene: Scene, cells: int) -> Clip:
-    """Compute the motion with a grid and particles that no fit uses."""
+    """Compute the motion with a grid and particles that are not used in fits."""
     finer = {"accuracy.cells": cells, "accuracy.particles_per_axis": 2.3, "wrenches": True}
     made = scene.replaced({**finer, "view.fit": False, "grains": False})
     return Simulation(prepare(gaussians, made, RunContext(threads=1))).run().surface

@@ -15,7 +15,7 @@ def ffmpeg(*arguments, check: bool = True) -> subprocess.CompletedProcess:
 
 def stream(path: Path) -> str:
     """Return ffmpeg's description of the video stream."""
-    answer = ffmpeg("-i", path, check=False).stderr.decode()  # it complains of no output file
+    answer = ffmpeg("-i", path, check=False).stderr.decode()  # fails: no output file
     return next(line for line in answer.splitlines() if "Video:" in line)
 
 

@@ -10,11 +10,11 @@ import struct
 TEXT, BINARY = 1, 2
 """Kinds of messages."""
 PING, PONG = 9, 10
-"""Question of the server whether the connection is still open, and its answer."""
+"""The server's question whether the connection is open, and the answer."""
 
 
 class WebSocket:
-    """A connection, open as soon as it is made."""
+    """A connection, which is opened by the constructor."""
 
     def __init__(self, port: int, path: str, *headers: str) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
@@ -35,7 +35,7 @@ class WebSocket:
             pass
 
     def frame(self) -> tuple[int, bytes]:
-        """Kind and payload of the next message; pings are answered, as by browsers."""
+        """Return the kind and the payload of the next message; answer pings, as browsers do."""
         first, second = self.stream.read(2)
         length = second & 0x7F
         if length >= 126:

@@ -1,10 +1,10 @@
 """A recording mock of the parts of rclpy 7.1.3 (ROS 2 Jazzy) that the bridge uses.
 
-The mock is as strict as rclpy: parameters have a static type unless their
-descriptor says otherwise, ranges and read-only are enforced, one line of code logs at one level,
-`publish` takes the message class or bytes, and nothing works once the context is shut down. It also
-behaves as Jazzy did over Cyclone DDS: one callback per spin, queues of limited depth, and
-acknowledgements that wait for a heartbeat.
+The mock is as strict as rclpy. Parameters have a static type unless their descriptor states
+otherwise, ranges and read-only are enforced, a line of code logs at one level, `publish` takes the
+message class or bytes, and nothing works after the context is shut down. As in Jazzy over Cyclone
+DDS, there is one callback per spin, queues have a limited depth, and acknowledgements wait for a
+heartbeat.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ COST = 0.0003
 
 
 class Executor:
-    """Runs one callback per spin: a scripted one, or that of the longest queue of messages."""
+    """Runs one callback per spin: a scripted callback, or that of the longest queue of messages."""
 
     script: list
 

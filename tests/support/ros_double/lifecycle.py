@@ -1,4 +1,4 @@
-"""A node whose states a manager changes."""
+"""A mock of a node whose states are changed by a manager."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STATES = {
     "deactivate": ("active", "inactive", "active"),
     "cleanup": ("inactive", "unconfigured", "inactive"),
 }
-"""Transition -> state before, state after success, and state after failure."""
+"""State before each transition, after its success, and after its failure."""
 
 
 class LifecycleNode(Node):

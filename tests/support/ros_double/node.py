@@ -91,7 +91,7 @@ class Publisher:
     sent: list = field(default_factory=list)
     subscriptions: int = 0
     acked: bool = True
-    """False: a subscriber hangs."""
+    """Whether subscribers acknowledge messages."""
     waits: list = field(default_factory=list)
     _last: float = -math.inf
 
@@ -113,7 +113,7 @@ class Publisher:
         return wait <= timeout.seconds
 
     def _unacknowledged(self) -> float:
-        """Time until all messages are acknowledged [s]."""
+        """Return the time until all messages are acknowledged [s]."""
         if not self.acked:
             return math.inf
         if not (self.subscriptions and self.sent):
@@ -124,7 +124,7 @@ class Publisher:
 
 @dataclass
 class Subscription:
-    """rclpy.subscription.Subscription: its queue drops the oldest of too many messages."""
+    """rclpy.subscription.Subscription: if the queue is full, the oldest message is discarded."""
 
     kind: type
     callback: Callable[[Any], None]
@@ -262,7 +262,7 @@ class Node:
             raise InvalidParameterValueException(name, parameter.value, result.reason)
 
     def set_parameters(self, parameters: list[Parameter]) -> list[SetParametersResult]:
-        """Set parameters; `ros2 param set` ends in this call, too."""
+        """Set parameters; `ros2 param set` also calls this method."""
         for before in self._before:
             parameters = before(parameters)
         for parameter in parameters:
@@ -301,10 +301,10 @@ class Node:
             after([parameter])
         return SetParametersResult(True)
 
-    # What tests do, as another program would.
+    # Methods for tests, which act like another program.
 
     def hear(self, topic: str, *messages: Any) -> None:
-        """Let messages wait in the queue of a subscription."""
+        """Put messages into the queue of a subscription."""
         self.subscriptions[topic].waiting.extend(messages)
 
     def call(self, service: str, **request: Any) -> Any:

@@ -32,7 +32,7 @@ class Type(enum.Enum):
         if not isinstance(value, (list, tuple)):
             raise TypeError(f"The given value is not one of the allowed types '{value}'.")
         arrays = {
-            bytes: Type.BYTE_ARRAY,  # the empty list is one, too
+            bytes: Type.BYTE_ARRAY,  # an empty list also has this type
             bool: Type.BOOL_ARRAY,
             int: Type.INTEGER_ARRAY,
             float: Type.DOUBLE_ARRAY,

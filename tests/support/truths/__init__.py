@@ -1,8 +1,8 @@
 """Solids whose appearance from all sides is known, drawn by sphere tracing.
 
-`truth(name)` scales a solid so that the front camera of `relief` sees it exactly as large as
-`relief` will make it, and gives its picture, its silhouettes and pictures from `VIEWS`, its depth
-and its volume. Each is drawn once and kept in the temporary folder.
+`truth(name)` scales a solid to the size that `relief` will make it, and returns the front picture,
+pictures from `VIEWS`, the depth and the volume. The pictures are drawn once and stored in the
+temporary folder.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from phy124.camera import Camera
 from support.truths.objects import OBJECTS, Part
 
 DISTANCE = 2.0
-"""Distance of all cameras, in longest sides of the front silhouette."""
+"""Distance of all cameras, relative to the longest side of the front silhouette."""
 VIEWS = ((45, 0), (90, 0), (135, 20), (180, 0), (225, 0), (270, 20), (315, 0), (20, 60))
 """Azimuth and elevation of the views that are hidden from `relief` [degrees]."""
 FRONT, SMALL = 160, 112
@@ -28,9 +28,9 @@ FRONT, SMALL = 160, 112
 NARROW = 30
 """Field of view of the front picture, degrees."""
 WIDE = 38
-"""Field of view of the other pictures, into which a solid as deep as long fits at any angle."""
+"""Field of view of the other pictures, in which a solid is visible from all directions."""
 FINE = 2
-"""Rays per pixel and axis of the front picture; the others have one."""
+"""Rays per pixel and axis in the front picture; other pictures have one ray per pixel."""
 LIGHT = np.array([0.6, -0.45, 0.66])
 AMBIENT, DIFFUSE = 0.45, 0.6
 
@@ -56,13 +56,13 @@ class Truth:
 
 
 class Placed:
-    """Parts scaled by 1 / `scale` about `middle`."""
+    """Parts, scaled by 1 / `scale` about `middle`."""
 
     def __init__(self, parts: Sequence[Part], middle: NDArray, scale: float) -> None:
         self.parts, self.middle, self.scale = parts, middle, scale
 
     def all(self, p: NDArray) -> NDArray[np.float64]:
-        """Distances [K,N] of every part."""
+        """Return the distances [K,N] from every part."""
         local = p * self.scale + self.middle
         return np.stack([item.distance(local) for item in self.parts]) / self.scale
 
@@ -70,7 +70,7 @@ class Placed:
         return self.all(p).min(axis=0)
 
     def colour(self, p: NDArray) -> NDArray[np.float64]:
-        """Lit colours [N,3] at points of the surface."""
+        """Return the lit colours [N,3] at points of the surface."""
         local, which = p * self.scale + self.middle, self.all(p).argmin(axis=0)
         paint = np.zeros_like(p)
         for k, item in enumerate(self.parts):
@@ -177,7 +177,7 @@ def _rounded(fine: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 def _mean(fine: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Straight colours and alpha, each pixel the mean of FINE x FINE."""
+    """Return straight colours and alpha, averaged over FINE x FINE rays per pixel."""
     size = len(fine) // FINE
     mean = fine.reshape(size, FINE, size, FINE, 4).mean(axis=(1, 3))
     alpha = mean[..., 3:]

@@ -1,4 +1,4 @@
-"""Solids that are known from all sides: name -> parts, each with a distance function and a colour.
+"""Solids that are known from all sides, by name. Each part has a distance function and a colour.
 
 Units are arbitrary; x is towards the viewer, y to the right, z up.
 """
@@ -59,7 +59,7 @@ def checked(first: tuple, other: tuple, width: float) -> Paint:
 
 
 def mottled(colour: tuple, depth: float = 0.25, size: float = 0.12) -> Paint:
-    """A colour that varies smoothly, as fur or stone does."""
+    """Return a smoothly varying colour, like that of fur or stone."""
 
     def paint(p: Points) -> NDArray[np.float64]:
         waves = sum(
