@@ -1,9 +1,9 @@
-"""Declares the types of each precision, and the name, type and meaning of each kernel argument.
+"""Declares number types per precision, and the name, type and meaning of each kernel argument.
 
-A kernel that is built per precision lists its arguments without types; `build.kernel` adds the
-types that are declared in this module. A written array is named like the array that is read,
-followed by `_out`. An argument is annotated in the kernel's signature if it has another type or if
-only one kernel uses it.
+A kernel that is compiled per precision lists its arguments without types; `build.kernel` adds the
+types from this module. A written array has the name of the corresponding read array, followed by
+`_out`. An argument is annotated in the kernel's signature if its type differs from this module, or
+if only one kernel uses the argument.
 """
 
 from functools import cache
@@ -14,11 +14,11 @@ import warp as wp
 Ints = wp.array(dtype=int)
 Doubles = wp.array(dtype=wp.float64)
 Box = wp.array(dtype=wp.vec3i)
-"""A box of nodes: its lowest node, and the number of nodes along each axis."""
+"""A box of nodes: the lowest node, and the number of nodes along each axis."""
 
 
 class Types(NamedTuple):
-    """Number, vector and matrix types of one precision, and the corresponding array types."""
+    """Number, vector, matrix and array types of one precision."""
 
     real: Any
     vec2: Any
@@ -51,7 +51,7 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     """
     t = types(real)
     model = {
-        "chosen": Ints,  # indices of the particles that take part; all particles if empty
+        "chosen": Ints,  # indices of the chosen particles; empty: all particles
         "first": int,  # a thread reduces the items `thread * first + k * stride`, k < each
         "each": int,  # number of items, or of nodes in a row, that a thread handles
         "stride": int,

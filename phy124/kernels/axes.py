@@ -1,5 +1,4 @@
-"""Makes the columns of a matrix orthogonal by Jacobi rotations, and finds the rotation along these
-columns.
+"""Makes the columns of a matrix orthogonal by Jacobi rotations; converts columns to a rotation.
 
 One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) make the
 columns of a matrix orthogonal by plane rotations of at most 45 degrees. Everything is in float64;
@@ -10,8 +9,8 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace above which a rotation matrix keeps the labels of its axes, because its angle is below 45
-degrees.
+"""If the trace of a rotation matrix is larger, the angle is below 45 degrees and the axes keep
+their order.
 """
 
 
@@ -130,8 +129,8 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return the unit vector normal to e that is nearest to `wanted`; if `wanted` is along e,
-    return the unit vector nearest to `spare`.
+    """Return the unit vector normal to e that is nearest to `wanted`, or to `spare` if `wanted` is
+    along e.
     """
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):

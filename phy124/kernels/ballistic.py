@@ -1,9 +1,9 @@
-"""Moves particles that are outside the grid; only the uniform acceleration acts on them.
+"""Moves particles outside the grid, on which only the uniform acceleration acts.
 
 A particle that is outside the grid during the scatter counts as outside for the whole substep.
 Before the gather, such a particle is moved far outside the window ("hidden") so that the gather
-ignores it. Without hiding, a particle that crosses the window's edge during the gather, in either
-direction, would be moved twice.
+ignores it. Otherwise, a particle that crosses the window's edge during the gather would be moved
+twice.
 """
 
 from typing import Any
@@ -15,12 +15,13 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
-"""Distance of hidden particles below the window [nodes]; particles that far away gather nothing."""
+"""Distance of hidden particles below the window [nodes]; the gather skips them.
+"""
 
 
 @build_once
 def make_hide(real: Any):
-    """Kernel: hides the chosen particles that were outside the window during the scatter."""
+    """Kernel: hides chosen particles that were outside the window during the scatter."""
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}", real)
@@ -43,9 +44,7 @@ def make_hide(real: Any):
 
 @build_once
 def make_fly(real: Any):
-    """Kernel: restores the positions of hidden particles, then moves these particles in free
-    flight.
-    """
+    """Kernel: restores the positions of hidden particles, then moves them in free flight."""
     t = types(real)
 
     @kernel(f"phy124_fly_{real.__name__}", real)

@@ -1,12 +1,12 @@
-"""Compiles kernels without their adjoints; each variant of a kernel has a separate Warp module.
+"""Compiles kernels without adjoints; each variant of a kernel has a separate Warp module.
 
 Warp hashes the set of functions that a closure uses, but not the role of each function. Two
-variants that use the same functions would therefore share a hash, so each variant needs a module
-name. Products and sums are contracted to fused multiply-adds, as CUDA compilers do by default: this
-shortens a substep by one seventh on a CPU and reduces rounding errors. Operations are not
-reordered, but which of two products is contracted depends on the layout of the code: merging two
-early returns of `collide.contact` changed the last digit of float32 results.
-tests/benchmarks/fingerprints.py compares two commits.
+variants that use the same functions would therefore have the same hash, so each variant needs a
+module name of its own. Products and sums are contracted to fused multiply-adds, as CUDA compilers
+do by default. This shortens a substep by one seventh on a CPU and reduces rounding errors.
+Operations are not reordered, but the layout of the code determines which of two products is
+contracted. For example, merging two early returns of `collide.contact` changed the last digit of
+float32 results. tests/benchmarks/fingerprints.py compares the results of two commits.
 """
 
 import inspect
@@ -27,16 +27,15 @@ Options = ParamSpec("Options")
 Built = TypeVar("Built")
 
 BUILDING = RLock()
-"""Lock that a thread holds while it builds a variant; reentrant, since one factory may call another
-factory.
+"""Lock for building a variant; reentrant, since a factory may call another factory.
 """
 
 
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
-    """Return a factory that builds each kernel variant once, even if several threads ask for it.
+    """Return a factory that builds each kernel variant only once, even if several threads call it.
 
-    `functools.cache` alone does not suffice: if two threads asked at the same time, both would
-    build the variant, and its module would contain the kernel twice.
+    `functools.cache` does not suffice: if two threads called the factory at the same time, both
+    would build the variant, and the module would contain the kernel twice.
     """
     kept = cache(make)
 
@@ -55,11 +54,11 @@ def kernel(
 
     Args:
         module: The module's name.
-        real: Precision of the arguments that the signature does not annotate, whose types
-            `arguments.arguments` declares. None if the signature annotates all arguments.
+        real: Precision of the arguments without annotation; `arguments.arguments` declares their
+            types. None if the signature annotates all arguments.
         width: Number of parameters of the law, if the kernel is built for a law.
         seconds: CPU time to compile the module on one core of an AMD EPYC [s]; 0 if it is
-            negligible. It is stored as an attribute of the kernel.
+            negligible. This value is stored as an attribute of the kernel.
     """
     flags = wp.config.cpu_compiler_flags
     native = "-march=native" if flags is None else flags

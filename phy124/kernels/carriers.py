@@ -1,7 +1,7 @@
-"""Finds the particles that carry each Gaussian: its nearest neighbours, with smooth weights.
+"""Finds the particles that carry each Gaussian: the nearest neighbours, with smooth weights.
 
-The particles are sorted by cells of a grid. The search examines a box of cells around a point,
-which grows until it certainly contains the nearest particles. Distances are in float64.
+The particles are sorted by cells of a grid. The search examines a box of cells around a point. The
+box grows until it certainly contains the nearest particles. Distances are in float64.
 """
 
 import warp as wp
@@ -14,8 +14,7 @@ CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
 """Squared distance that stands for a missing particle."""
 SPARE = wp.constant(wp.float64(1e-9))
-"""Lower bound of the weights; without this bound, particles at equal distance would all have weight
-0.
+"""Lower bound of the weights; otherwise, particles at equal distance would all have weight 0.
 """
 
 
@@ -67,11 +66,11 @@ def find_carriers(
     neighbours_out: wp.array2d(dtype=int),
     weights_out: wp.array2d(dtype=float),
 ):
-    """Find the particles nearest to each point, and their weights w = (1 - (d / R)^2)^2, normalised
-    to sum 1.
+    """Find the nearest particles of each point, with weights (1 - (d / R)^2)^2, normalised to sum
+    1.
 
-    R is the distance to the nearest particle that is not chosen, with the limits described in
-    `phy124.motion.binding.find_carriers`. If there are fewer particles than requested, the missing
+    R is the distance to the nearest particle that was not chosen, within limits (see
+    `phy124.motion.binding.find_carriers`). If there are fewer particles than requested, the missing
     ones have weight 0.
     """
     n = wp.tid()
@@ -93,7 +92,7 @@ def find_carriers(
         i0, i1 = wp.max(i - reach, 0), wp.min(i + reach, shape[0] - 1)
         j0, j1 = wp.max(j - reach, 0), wp.min(j + reach, shape[1] - 1)
         k0, k1 = wp.max(k - reach, 0), wp.min(k + reach, shape[2] - 1)
-        # Rows of cells are visited from the middle outwards, so that far rows can be skipped.
+        # Rows of cells are visited from the middle outwards, so that distant rows can be skipped.
         for p in range(2 * reach + 1):
             a = i + outwards(p)
             du = gap(u, a)

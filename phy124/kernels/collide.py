@@ -1,15 +1,15 @@
-"""Colliders: nodes near a wall respond to the wall between the grid update and the gather.
+"""Colliders: between the grid update and the gather, nodes near a wall respond to the wall.
 
 Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx. A collider is compiled for
-one distance function and one response, so unused shapes and responses cost nothing.
+one distance function and one response, so unused shapes and responses cost no time.
 
-`make_contact` enforces contact at the wall itself, between the nodes: see
-phy124/kernels/columns.py. At a flat wall each node belongs to a single column. At a curved wall
+`make_contact` enforces contact exactly at the wall, which may lie between nodes
+(phy124/kernels/columns.py). At a flat wall each node belongs to a single column. At a curved wall
 columns cross, so the nodes keep their velocities until every column has computed its changes.
 `make_settle` then adds the mean change to each node, so that the result does not depend on the
-order of the nodes. The sum instead of the mean would be up to twice too large where columns request
-the same change, and would squeeze bodies flat. `make_collider` makes nodes respond one by one; it
-serves regions that are held only in some directions.
+order of the nodes. The sum of the changes would be up to twice too large where columns request
+equal changes, and would squeeze bodies flat. `make_collider` lets each node respond alone; it is
+used for regions that are fixed only in some directions.
 """
 
 from typing import Any
@@ -62,7 +62,7 @@ def front(s: Any, axis: int, dx: Any):
 
 @wp.func
 def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Change a node's velocity; leave its mass untouched, because other threads read the mass."""
+    """Change a node's velocity, but do not write its mass, because other threads read the mass."""
     nodes_out[n] += wp.vector(change[0], change[1], change[2], type(change[0])(0.0))
 
 
@@ -76,13 +76,13 @@ def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
 
 
 FLAT = {"half_space"}
-"""Shapes whose normal is the same everywhere, so that no node is in two columns."""
+"""Shapes with a constant normal, at which no node is in two columns."""
 
 
 @build_once
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: adds to each node the mean of the changes that its
-    columns request.
+    """Kernel over the nodes of a sub-box: adds to each node the mean of the velocity changes that
+    the node's columns request.
 
     `changes_out` holds the sums of the weighted changes and the sums of the weights; the kernel
     resets it to zero. The weight of a column is the size of its change, so that the mean varies
@@ -109,20 +109,19 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
     Each thread handles a segment of a row with `each` nodes. The thread of a column's first node
-    handles all three nodes of the column. Some nodes respond one by one if their signed distance is
-    below `reach` [m]: nodes further behind the wall, and nodes in columns that have no material in
-    front of the wall. Nodes also respond one by one in columns that extend beyond `span`, the
-    layers first <= i < last that this launch may change. A moving shape is displaced by the value
-    of its track, and its wall moves at the track's rate, while the track is active. `lightest` is
-    the mass of a fully covered node in the lightest of several materials [kg], or infinite. `full`
-    is the fraction of the expected mass at which material counts as having reached the wall. In
-    columns that the wall does not push, nodes below the signed distance `loose` [m] respond one by
-    one. A flat wall changes `grid_out`, other walls change `changes_out` (see `make_settle`).
+    handles all three nodes of the column. Some nodes respond alone if their signed distance is
+    below `reach` [m]: nodes further behind the wall, and nodes in columns without material in front
+    of the wall. Nodes also respond alone in columns that extend beyond `span`, the layers first <=
+    i < last that this launch may change. While the track of a moving shape is active, the shape is
+    displaced by the track's value, and the wall moves at the track's rate. `lightest` is the mass
+    of a fully covered node in the lightest of several materials [kg], or infinite. `full` is the
+    fraction of the expected mass above which material counts as touching the wall. In columns that
+    the wall does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
+    changes `grid_out`, other walls change `changes_out` (see `make_settle`).
 
-    If `updating` is set, one kernel does the work of a flat wall and of the grid update: it reads
-    momenta from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle
-    the nodes of the sub-box, whose size is `extent`; the other threads handle all nodes of the
-    window.
+    If `updating` is set, one kernel performs both a flat wall and the grid update: it reads momenta
+    from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle the
+    nodes of the sub-box, whose size is `extent`; the other threads handle all nodes of the window.
 
     Args:
         shape: Name of a distance function.
@@ -178,8 +177,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
             begin(grid_out, n, grid[n])
             return
 
-        # The column's first node is the first of three nodes at the wall: this node, or one of the
-        # two in front of it.
+        # The column's first node is this node, or one of the two nodes in front of it.
         dx = lattice[3]
         s = distance(place(lattice, low + here) - moved, geometry)
         axis = steepest(s)
@@ -200,7 +198,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
         s2 = distance(place(lattice, low + end) - moved, geometry)
         column = front(s0, axis, dx) and s2[3] <= real(0.0)
 
-        # A node without a complete column responds by itself.
+        # A node without a complete column responds alone.
         if not (column and laden(grid, size, span, lead) and holds(size, span, end)):
             q = velocity(grid, n, kick, a)
             begin(grid_out, n, q)
@@ -234,7 +232,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
         above = real(0.0)
         if laden(grid, size, span, lead - back):
             above = grid[n - step][3] / mass
-        # Drops and grains sometimes get behind a wall (see below).
+        # Drops and grains sometimes get behind a wall.
         beyond = real(0.0)
         if wp.isinf(loose) and laden(grid, size, span, end + back):
             beyond = grid[n + 3 * step][3] / mass
@@ -250,8 +248,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                 add_rows(changes_out, n, step, m, weight * change, weight)
             return
 
-        # Next to a tip or a hair, the body squeezes material through the wall. A column holds back
-        # the material behind the wall until the column's material has arrived at the wall.
+        # Next to a tip or a hair, the body squeezes material through the wall. The material behind
+        # the wall is stopped until the column's material has arrived at the wall.
         if wp.isinf(loose):
             if not come and wp.min(m[1], m[2]) > real(0.0):
                 last = n + 2 * step
@@ -262,9 +260,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                     add_wish(changes_out, last, wanted)
             return
 
-        # Material behind the wall would move on if nothing in front of the wall presses. (If
-        # something presses, the column's linear velocity applies: nodes stopped before would press
-        # on the lowest layer.)
+        # If no material in front of the wall presses, the material behind the wall would move on.
+        # (If material presses, the column's linear velocity applies instead: nodes that were
+        # stopped before would press on the lowest layer.)
         for row in range(1, 3):
             behind = n + row * step
             s = s1
@@ -301,8 +299,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
             grid,
             grid_out,
         ):
-            # Threads of one warp take the same branch: first come the nodes near the wall, then all
-            # others.
+            # The nodes near the wall come first, so that threads of one warp take the same branch.
             size = window[1]
             near = extent[0] * extent[1] * extent[2]
             n = wp.tid() - near

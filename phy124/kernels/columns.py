@@ -1,21 +1,22 @@
-"""Makes columns of nodes (three nodes in a row at a wall) respond to the wall together.
+"""Response of columns of nodes to a wall; a column is a row of three nodes at the wall.
 
-Contact is enforced at the wall itself, between the nodes. Along the axis closest to the wall's
-normal, the velocity relative to the wall is made linear in the distance and zero on the wall. A
-column's first node is the node nearest to the wall among the nodes that are at least half a cell in
-front of the wall. The other two nodes follow behind the first node. Their velocities are the first
-node's velocity times g, where g is the ratio of their distance from the wall to the first node's
-distance. Quadratic B-splines reproduce linear functions, and the splines of a column reach no
-further behind the wall. Momentum is projected onto such velocities, v_1 = sum(g m v) / sum(g^2 m).
-The projection never adds energy, and acts on all three nodes. Without the projection, a wall is as
-compliant as a layer of material one cell thick. B-splines with such linear values behind the wall
-are extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts once the material has reached the
-wall, as determined from the masses of the nodes on the wall's two sides (see `coverage`).
+Contact is enforced exactly at the wall, which may lie between nodes. Along the axis closest to the
+wall's normal, the velocity relative to the wall is made linear in the distance and zero on the
+wall. A column's first node is the node nearest to the wall among the nodes that are at least half a
+cell in front of the wall. The other two nodes are the next ones behind the first node. A node's
+velocity is the first node's velocity times g, the ratio of the node's distance from the wall to the
+first node's distance. Quadratic B-splines reproduce linear functions, and the splines of nodes
+further behind do not reach the wall. Momentum is projected onto such velocities, v_1 = sum(g m v) /
+sum(g^2 m). The projection acts on all three nodes and never adds energy. Without the projection, a
+wall is as compliant as a layer of material one cell thick. B-splines with linear values behind the
+wall are called extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts as soon as the
+material has reached it. This is determined from the masses of the nodes on both sides of the wall
+(see `coverage`).
 
-At the surface of a region that holds material, the material is treated like material at a wall. The
-nodes inside the region are held. The velocity of the node next to the surface is set from the node
-in front of it, so that the interpolated velocity is zero where the region ends. The ratios are g =
-(1, -w0 / w1, 0), where w are the weights of the nodes at the surface.
+The surface of a clamp's region is treated like a wall. The nodes inside the region are fixed. The
+velocity of the node next to the surface is set from the node in front of it, so that the
+interpolated velocity is zero at the surface of the region. The ratios are g = (1, -w0 / w1, 0),
+where w are the weights of the nodes at the surface.
 
 A single node responds by `sticky`, `slip` or `separate`. For a column, `all_of_it`, `none_of_it`
 and `coulomb` return the fraction of the tangential motion that the wall stops.
@@ -30,13 +31,13 @@ from phy124.kernels.transfer import spline
 
 @wp.func
 def sticky(v: Any, wall: Any, n: Any, friction: Any):
-    """Return the wall's velocity: the node sticks to the wall."""
+    """Return the wall's velocity, because the node sticks to the wall."""
     return wall
 
 
 @wp.func
 def slip(v: Any, wall: Any, n: Any, friction: Any):
-    """Remove the normal velocity relative to the wall; tangential motion is free."""
+    """Remove the normal velocity relative to the wall; do not change the tangential velocity."""
     return v - wp.dot(v - wall, n) * n
 
 
@@ -78,8 +79,8 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.55)
-"""Exponent that relates the mass ratios of successive pairs of nodes. It is 1.1 to 1.3 for an edge
-and 1.2 to 1.6 for a cone.
+"""Exponent that relates the mass ratios of successive pairs of nodes; 1.1 to 1.3 for an edge, 1.2
+to 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
 """A node whose signed distance from a wall is below this value [cells] gets no mass from a body in
@@ -118,8 +119,8 @@ def relative(q0: Any, q1: Any, q2: Any, wall: Any):
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor by which the mass of the next node is lower because a body narrows towards
-    a wall.
+    """Return the factor by which the mass of the next node towards the wall is reduced if a body
+    narrows.
 
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
     the next node away from the wall. For a body of constant cross-section, the ratio of these
@@ -140,16 +141,16 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
     whatever the density and width of the body. If there is a gap, the nearer node has less mass.
-    With irregular particles the ratio varies from column to column. Contact requires only the
-    fraction `full` of the expected mass; otherwise the body would rest on only the few columns with
-    most mass. Since heavier material may lie on the body, the mass of the farther node is capped at
-    the mass of a full node of the `lightest` material.
+    With irregular particles the ratio varies from column to column, so contact requires only the
+    fraction `full` of the expected mass. Otherwise the body would rest on the few columns with most
+    mass. Since heavier material may lie on the body, the mass of the farther node is limited to the
+    mass of a full node of the `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
     narrowing of a tip is estimated one node farther from the wall. The narrowing at the third node
     is estimated from the first two nodes. If a body at the wall does not reach the third node, the
-    narrowing is estimated from the first node and the node in front of the first (mass `above`).
-    Mass behind the three nodes (`beyond`) means that material has passed through the wall.
+    narrowing is estimated from the first node and the node in front of the first (mass `above`). If
+    there is mass behind the three nodes (`beyond`), material has passed through the wall.
     """
     zero = type(above)(0.0)
     if m[1] <= zero:
@@ -192,9 +193,7 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return the velocity changes [node, axis] after which the velocities of nodes of mass m have
-    the ratios g.
-    """
+    """Return the changes [node, axis] that give the velocities of nodes of mass m the ratios g."""
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
@@ -204,7 +203,7 @@ def hold_back(behind: Any, front: Any, normal: Any):
     """Return the velocity change that slows a node behind a wall to the speed of the node in front
     of it.
 
-    The change only slows the motion, so it never adds energy.
+    The change never accelerates a node, so it never adds energy.
     """
     zero = type(normal[0])(0.0)
     fastest = wp.min(wp.dot(front, normal), zero)
@@ -219,21 +218,19 @@ def along_wall(change: Any, normal: Any):
 
 @wp.func
 def pressing(pressed: Any):
-    """Return whether material presses on the wall, for a wall that lets departing material go."""
+    """Return whether material presses on the wall, for a wall that material may leave."""
     return pressed > type(pressed)(0.0)
 
 
 @wp.func
 def either_way(pressed: Any):
-    """Return True, for a wall that acts on approaching and on departing material."""
+    """Return True, for a wall that acts on both approaching and departing material."""
     return True
 
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add velocity changes [node, axis], and a fourth component, to the nodes of a column that have
-    mass.
-    """
+    """Add velocity changes [node, axis] and a fourth component to those nodes that have mass."""
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(
@@ -242,9 +239,7 @@ def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: 
 
 
 class Response(NamedTuple):
-    """Functions that define the response of a wall, for single nodes and for columns of three
-    nodes.
-    """
+    """Functions that define how single nodes and columns of three nodes respond to a wall."""
 
     answer: Any
     """Maps `(v, wall, n, friction)` to the new velocity of a single node."""

@@ -1,4 +1,4 @@
-"""Computes the impulse of each wall in a substep, for each particle (contacts) and in total
+"""Computes the impulses of each wall in a substep, on each particle (contacts) and in total
 (wrenches).
 
 A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
@@ -43,8 +43,8 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: replaces each node stored by `make_contact_copy` by the change of velocity that a
-    wall caused.
+    """Kernel: overwrites the copy of each node (`make_contact_copy`) with the velocity change that
+    a wall caused.
 
     The kernel also stores the lowest and the highest node that the wall changed.
     """
@@ -81,8 +81,8 @@ def make_contact_reach(real: Any):
 
 @build_once
 def make_contacts(real: Any):
-    """Kernel over particles: adds each particle's share of the impulses since `contact_copy` to the
-    particle's total.
+    """Kernel over particles: adds each particle's share of the wall's impulses to the particle's
+    total.
     """
     t = types(real)
 
@@ -135,8 +135,8 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over the segments of `make_wall_copy`: adds the wrench that the wall has exerted since
-    the nodes were copied to the wall's total.
+    """Kernel over the segments of `make_wall_copy`: adds the wrench of the wall since the copy to
+    the wall's total.
 
     The moment is taken about the origin of the world. The gather preserves the angular momentum of
     the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

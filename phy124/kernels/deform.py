@@ -36,13 +36,13 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""Elongation relative to rest from which a Gaussian of plastic or fluid material becomes a ball.
-From the elongation `SOUND_SHAPE` on, the Gaussian becomes gradually rounder.
+"""Elongation, relative to rest, at which a Gaussian of plastic or fluid material has become a ball.
+Above the elongation `SOUND_SHAPE`, the Gaussian becomes gradually rounder.
 """
 
 ARM = wp.constant(wp.float64(2.0))
-"""Largest distance between a Gaussian of plastic or fluid material and a particle that carries it,
-as a multiple of their distance at rest.
+"""Largest distance between a Gaussian of plastic or fluid material and a carrying particle, as a
+multiple of this distance at rest.
 """
 
 
@@ -51,8 +51,8 @@ def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
     """Return the axis lengths of a Gaussian of plastic or fluid material; elongated Gaussians are
     made rounder.
 
-    A ball of radius sqrt(a b), where a and b are the two longest axes, covers as much of a frame as
-    the Gaussian does.
+    A ball of radius sqrt(a b), where a and b are the two longest axes, covers the same area of an
+    image as the Gaussian.
     """
     unit = wp.float64(1.0)
     longest = wp.max(lengths)
@@ -69,7 +69,7 @@ def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
     """Return F, with its logarithmic strain scaled down if the largest stretch exceeds `limit`.
 
     F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1). The result keeps the rotation, and
-    is continuous where s_1 passes the limit. The Gaussian is then stretched as if the material were
+    is continuous when s_1 passes the limit. The Gaussian is then stretched as in material that is
     not torn.
     """
     if wp.ddot(f, f) <= limit * limit:
@@ -174,8 +174,8 @@ shapes_of_eight = native_func(
     "shapes_of_eight",
     returns=int,
 )
-"""Deforms the Gaussians `8 thread` to `8 thread + 7`, and returns one bit for each unusual
-Gaussian.
+"""Deforms the Gaussians `8 thread` to `8 thread + 7`; returns one bit per Gaussian, set if
+`shape_of` must handle the Gaussian.
 """
 
 
@@ -194,8 +194,8 @@ def deform_shapes_simd(
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """Deform eight Gaussians per thread; `shape_of` handles the Gaussians that the vectorised form
-    leaves out.
+    """Deform eight Gaussians per thread; `shape_of` handles Gaussians that the vectorised code
+    cannot.
     """
     group = wp.tid()
     left = shapes_of_eight(
@@ -237,7 +237,7 @@ def turn_of_material(
     # in place: read from the previous frame, written for this frame
     rotations_out: wp.array(dtype=wp.vec4f),
 ):
-    """Compute the rotation closest to F, which is the polar rotation if det F > 0."""
+    """Compute the rotation closest to F; if det F > 0, this is the polar rotation."""
     i = wp.tid()
     last = wp.vec4d(rotations_out[i])
     a, v = orthogonal_columns(deformation[i], wp.identity(n=3, dtype=wp.float64), EXACT)
@@ -256,7 +256,7 @@ def make_carry(real: Any):
 
     x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. In
     plastic or fluid material F grows without bound, so the length of the vectors F_i (X_g - X_i) is
-    limited there.
+    limited.
     """
     t = types(real)
 

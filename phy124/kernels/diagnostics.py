@@ -1,5 +1,4 @@
-"""Measures the momentum, energy and volume ratio of a state, and detects and resets unsound
-particles.
+"""Measures momentum, energy and volume ratios of a state; detects and resets invalid particles.
 
 All sums are in float64; each thread sums several particles before it adds the result to the total.
 The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of
@@ -18,14 +17,14 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law
 
 MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
-"""Index of each sum (for a vector: of its first component), and the number of sums.
+"""Index of each sum (of the first component if the sum is a vector), and the number of sums.
 
 `MIDDLE` is the sum of mass times position; `POWER` is the power of the elastic stress, V tau : C.
 """
 LEAST_J, LARGEST_J = 0, 1
 """Indices of the smallest and the largest J; the smallest is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
-"""Index of each kind of unsound particle: values not finite, element inverted."""
+"""Index of each kind of invalid particle: values not finite, or inverted."""
 
 
 @wp.func
@@ -60,12 +59,12 @@ def spin(C: Any, dx: Any):
 
 @build_once
 def make_totals(law: Law, real: Any):
-    """Kernel: computes the `SUMS` over the particles and the range of J, and counts unsound
+    """Kernel: computes the `SUMS` over the particles and the range of J, and counts invalid
     particles.
 
-    The power is the rate at which kinetic energy becomes elastic energy. `counts_out` is the number
-    of unsound particles of each kind, `first_out` the lowest index of each kind. Each thread sums
-    `each` particles before it writes, as in `make_measure`.
+    The power is the rate at which kinetic energy becomes elastic energy. `counts_out` receives the
+    number of invalid particles of each kind, `first_out` the lowest index of each kind. Each thread
+    sums `each` particles before it writes, as in `make_measure`.
     """
     energy, stress = law.energy, law.stress
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
@@ -100,7 +99,8 @@ def make_totals(law: Law, real: Any):
                 h = wp.vec2d()
                 if wp.static(has_history):
                     h = wp.vec2d(wp.float64(history[p][0]), wp.float64(history[p][1]))
-                # In float64: the energy of a small strain is a small difference of large numbers.
+                # In float64, because the energy of a small strain is a small difference of large
+                # numbers.
                 row = wp.min(p, theta.shape[0] - 1)
                 parameters = exact()
                 for i in range(wp.static(law.width)):
@@ -141,7 +141,7 @@ def make_totals(law: Law, real: Any):
 
 @build_once
 def make_energies(law: Law, real: Any):
-    """Kernel: computes each particle's kinetic plus elastic energy [J]."""
+    """Kernel: computes the sum of kinetic and elastic energy of each particle [J]."""
     energy, exact = law.energy, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
@@ -164,9 +164,7 @@ def make_energies(law: Law, real: Any):
 
 @build_once
 def make_probe(law: Law, real: Any):
-    """Kernel: evaluates the stress, modulus, energy and return mapping of a law, for a list of
-    states.
-    """
+    """Kernel: evaluates stress, modulus, energy and return mapping of a law for many states."""
     t = types(real)
     stress, modulus, energy, project = law.stress, law.modulus, law.energy, law.project
     plastic = project is not None
@@ -202,10 +200,10 @@ def make_probe(law: Law, real: Any):
 def make_reset(real: Any):
     """Kernel: resets deformations that no law can handle to the identity.
 
-    A deformation F is sound if its volume ratio is between `min_J` and `max_J`, its norm is at most
+    A deformation F is valid if its volume ratio is between `min_J` and `max_J`, its norm is at most
     `max_norm`, and its smallest stretch is at least the fraction `narrowest` of its largest
     stretch. J / |cof F| is used as the smallest stretch, and |F| as the largest. `faults_out`
-    receives the number of unsound deformations and the lowest index of an unsound one.
+    receives the number of invalid deformations and the lowest index of an invalid deformation.
     """
     t = types(real)
 
@@ -219,7 +217,7 @@ def make_reset(real: Any):
         J = wp.dot(deformation[0], a)
         size = wp.sqrt(wp.ddot(deformation, deformation))
         cofactor = wp.sqrt(wp.dot(a, a) + wp.dot(b, b) + wp.dot(c, c))
-        # A comparison with NaN is false, so the condition is written for sound deformations.
+        # A comparison with NaN is false, so the condition tests for valid deformations.
         if not (
             J >= min_J and J <= max_J and size <= max_norm and J >= narrowest * size * cofactor
         ):
@@ -251,13 +249,12 @@ def make_limit_total(real: Any):
 
 @build_once
 def make_apart(real: Any):
-    """Kernel: counts particles whose material is stretched so far that they lose contact with their
+    """Kernel: counts particles that are stretched so far that they lose contact with their
     neighbours.
 
     At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
-    square of the stretch above which particles lose contact. `faults_out` receives the number of
-    particles above this limit and the lowest of their indices; `max_out` receives the largest
-    stretch.
+    square of the stretch above which particles lose contact. `faults_out` receives the number and
+    the lowest index of the particles above this limit; `max_out` receives the largest stretch.
     """
     t = types(real)
 
@@ -278,8 +275,8 @@ def make_neighbours_lost(real: Any):
     """Kernel: marks each particle that is too far from a particle that was its neighbour at rest.
 
     `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
-    neighbours at rest are `neighbours[i]`. It sets `lost_out[i]` to 1 if the particle has lost a
-    neighbour, and to 0 otherwise.
+    neighbours at rest are `neighbours[i]`. The thread sets `lost_out[i]` to 1 if the particle has
+    lost a neighbour, otherwise to 0.
     """
     t = types(real)
 

@@ -1,9 +1,9 @@
 """Elastic laws: Kirchhoff stress tau [Pa] as a function of the deformation gradient F.
 
-Every law has a stress, an energy per rest volume from which the stress derives, and a modulus: an
-upper bound of the largest eigenvalue of d tau / d ln sigma, which limits the substep
-(docs/design/laws.md). `theta` holds the parameters of the law, `h` its history variables (which
-elastic laws do not use), and `C` the velocity gradient.
+Every law has a stress, an energy per rest volume from which the stress derives, and a modulus. The
+modulus is an upper bound of the largest eigenvalue of d tau / d ln sigma, and limits the substep
+(docs/design/laws.md). `theta` contains the parameters of the law, `h` the history variables (unused
+by elastic laws), and `C` the velocity gradient.
 """
 
 from typing import Any
@@ -25,19 +25,19 @@ SMALLEST_J = wp.constant(1.0e-4)
 
 @wp.func
 def polar_miss(s: wp.float32):
-    """Return the largest |R|^2 - 3 accepted in float32: R is then a rotation to within 1e-6."""
+    """Return the largest accepted |R|^2 - 3 in float32; R is then a rotation to within 1e-6."""
     return wp.float32(2.0e-6)
 
 
 @wp.func
 def polar_miss(s: wp.float64):  # noqa: F811
-    """Return the largest |R|^2 - 3 accepted in float64."""
+    """Return the largest |R|^2 - 3 that is accepted in float64."""
     return wp.float64(1.0e-12)
 
 
 @wp.func
 def polar_step(R: Any):
-    """Do one step of Newton's iteration: return the mean of R and its inverse transpose."""
+    """Return the mean of R and its inverse transpose: one step of Newton's iteration."""
     half = type(R[0, 0])(0.5)
     a = wp.cross(R[1], R[2])
     b = wp.cross(R[2], R[0])
@@ -90,11 +90,11 @@ def log_volume(J: wp.float64):
 
 @wp.func
 def log_volume(J: wp.float32):  # noqa: F811
-    """Return `log_volume_far`; near J = 1 a polynomial replaces log at a third of its cost.
+    """Return `log_volume_far`; near J = 1, use a polynomial at a third of the cost of log.
 
-    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2: its error is 3e-8
-    (1.4e-7 with rounding errors), and log J is exactly 0 at J = 1. The polynomial's two halves are
-    independent, so a processor can compute them in parallel.
+    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2. Its error is 3e-8
+    (1.4e-7 with rounding errors), and the result is exactly 0 at J = 1. The polynomial's two halves
+    are independent, so a processor can compute them in parallel.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:
@@ -132,7 +132,7 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
     p = theta[1] * log_volume(wp.determinant(F)) - theta[0]
     b = gram(F)
     mu = theta[0]
-    # Each matrix entry is written separately, since the compiler does not remove products with the
+    # Each matrix entry is computed separately, since the compiler does not remove products with the
     # zeros of the identity.
     return symmetric(
         mu * b[0, 0] + p, mu * b[0, 1], mu * b[0, 2],
@@ -192,8 +192,8 @@ def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
 def newtonian(F: Any, C: Any, eta: Any):
     """Return J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
-    For an inverted element the stress is zero, so that it never adds energy. For an element larger
-    than at rest, J is replaced by 1, because the limit of the substep assumes J <= 1.
+    For an inverted element the stress is zero, so that viscosity never adds energy. If J > 1, it is
+    replaced by 1, because the limit of the substep assumes J <= 1.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))

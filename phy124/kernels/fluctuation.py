@@ -1,17 +1,17 @@
 """Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, RPIC increases it.
 
-The grid does not represent all of the particles' motion. In every substep, APIC discards the part
-that the grid does not represent, called the fluctuation, and thus damps the motion. The fluctuation
-is the difference between (v, C) and (v, C) after a round trip over the grid; Hammerquist and Nairn
-(2017) write this operator as D = 1 - S S^+. FLIP restores the whole fluctuation; AFLIP (Fei et al.
-2021) restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C), which is only
-noise. In phy124, C makes the round trip together with v, so that the round trip changes neither
-momentum nor angular momentum.
+The grid cannot represent the whole motion of the particles. The rest is called the fluctuation.
+APIC discards the fluctuation in every substep, and thus damps the motion. The fluctuation is (v, C)
+minus (v, C) after a round trip over the grid; Hammerquist and Nairn (2017) write this operator as D
+= 1 - S S^+. FLIP restores the whole fluctuation; AFLIP (Fei et al. 2021) restores a fraction.
+XPIC(m) restores the whole fluctuation except D^m (v, C), which is only noise. In phy124, C makes
+the round trip together with v, so that the round trip changes neither momentum nor angular
+momentum.
 
-RPIC: the symmetric part of C decays; its skew part, the spin, does not. PhysGaussian's
+RPIC lets the symmetric part of C decay, but not the skew part, which is the spin. PhysGaussian's
 `rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
 al. 2015, section 5.1) and the damping depends on the substep. In phy124, the damping of RPIC is a
-rate [1/s] instead.
+rate [1/s] and does not depend on the substep.
 """
 
 from typing import Any
@@ -49,8 +49,8 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes the part of (v, C) that a round trip over the grid loses; it is 0 outside
-    the window.
+    """Kernel: computes the part of (v, C) that a round trip over the grid loses; 0 outside the
+    window.
     """
     t = types(real)
     collect = GATHERS[form]
@@ -84,9 +84,7 @@ def make_fluctuation(real: Any, form: str):
 
 @build_once
 def make_keep(real: Any):
-    """Kernel: adds a share of the fluctuation, without its noise, to the velocities of the
-    particles.
-    """
+    """Kernel: adds a fraction of the fluctuation, without noise, to the particles' velocities."""
     t = types(real)
 
     @kernel(f"phy124_keep_{real.__name__}", real)
@@ -107,14 +105,14 @@ def decay(x: Any):
 
 @wp.func
 def without_strain(C: Any, share: Any):
-    """Return C minus a share of its symmetric part; a skew C is returned unchanged."""
+    """Subtract a fraction of the symmetric part of C from C; a skew C does not change."""
     return C - (type(share)(0.5) * share) * (C + wp.transpose(C))
 
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel that runs right before a scatter: lets the symmetric part of C decay as exp(-rate t),
-    with the rate in 1/s.
+    """Kernel: lets the symmetric part of C decay as exp(-rate t), with the rate in 1/s, before a
+    scatter.
     """
 
     @kernel(f"phy124_rpic_{real.__name__}", real)

@@ -1,7 +1,7 @@
 """Weakly compressible fluid: pressure from the volume ratio J, viscosity from the velocity
 gradient.
 
-The elastic F of a fluid is j I with j = J^(1/3), which keeps the volume but not the shape. A
+The elastic F of a fluid is j I with j = J^(1/3): it contains the volume but not the shape. A
 fluid's history variable is the value of J about one relaxation time ago. The fluid is stiffer for
 faster changes, and the energy of this additional stiffness is dissipated (Mandelstam and Leontovich
 1937).
@@ -14,8 +14,8 @@ import warp as wp
 MIN_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Volume ratio below which J p rises only as log J. Without this limit, a few particles that are
-compressed further, by impacts faster than a quarter of the speed of sound, would limit the substep
+"""Volume ratio below which J p rises only as log J. Impacts faster than a quarter of the speed of
+sound compress a few particles further. Without this limit, these particles would limit the substep
 of all particles.
 """
 
@@ -69,9 +69,9 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
     """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
-    allowed and acts as cohesion. Since j = min(J, 1), a fluid that has spread out keeps its
-    viscosity per unit mass (which limits the substep) instead of its viscosity per unit volume.
-    zeta damps sound where the fluid is compressed.
+    allowed and acts as cohesion. Since j = min(J, 1), an expanded fluid keeps its viscosity per
+    unit mass, which limits the substep, instead of its viscosity per unit volume. zeta damps sound
+    where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)

@@ -1,10 +1,9 @@
-"""Applies forces to particles before the scatter: accelerations, wrenches, pulls, and a force for a
-test.
+"""Forces on particles before the scatter: accelerations, wrenches, pulls, and a force for a test.
 
-`chosen` lists the particles that a force acts on. `slot` is the index of the track that gives the
-strength of the force. The strength is averaged over the kick, and is zero while the force is off.
+`chosen` lists the particles on which a force acts. `slot` is the index of the track with the
+force's strength. The strength is averaged over the kick, and is zero while the force does not act.
 
-A pull or a wrench acts on a group of particles as a whole: each particle has a weight w from 0 to
+A pull or a wrench acts on a group of particles as a whole; each particle has a weight w from 0 to
 1. The group's centre X is the mean of the positions weighted by w m, and V is the same mean of the
 velocities. The group may turn and deform freely about X. A force f gives each particle the
 acceleration w f / sum(w m); with any weights, the total force is f.
@@ -39,9 +38,9 @@ def make_accelerate(real: Any, per_mass: bool):
 
 @build_once
 def make_zone(real: Any):
-    """Kernel: adds kick a to v for the particles that are inside a box at the current time.
+    """Kernel: adds kick a to v for the particles that are currently inside a box.
 
-    If `axis` is 0, 1 or 2, the zone is the cylinder along that axis about the centre of the box.
+    If `axis` is 0, 1 or 2, the zone is the cylinder along this axis about the centre of the box.
     """
     t = types(real)
 
@@ -71,9 +70,9 @@ def make_drag(real: Any):
 
     The uniform acceleration a acts after the drag, on the grid, and adds kick a. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
-    this kernel makes that change except for the part kick a. If drag and acceleration simply acted
-    one after the other, the terminal velocity of an object falling through a stream would be too
-    high by the fraction rate kick / 2.
+    this kernel makes this change without the part kick a. If drag and acceleration acted one after
+    the other, the terminal velocity of an object falling through a stream would be too high by the
+    fraction rate kick / 2.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)
@@ -91,9 +90,7 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick g d / r to v, where g is linear inside `radius` and decreases as 1 / d^2
-    outside it.
-    """
+    """Kernel: adds kick g d / r to v; g is linear inside `radius` and decays as 1 / d^2 outside."""
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)
@@ -129,8 +126,8 @@ def make_set_velocity(real: Any):
 PLACE, SPEED = 0, 1
 """Indices of X and V in the array of means."""
 FLAT = wp.constant(wp.float64(1e-6))
-"""This fraction of the trace of the second moments is added to the inertia tensor, which would
-otherwise not be invertible for a line of particles.
+"""Fraction of the trace of the second moments that is added to the inertia tensor, to make the
+tensor of a line of particles invertible.
 """
 
 
@@ -198,7 +195,7 @@ def make_centre(real: Any):
 
 @build_once
 def make_second(real: Any):
-    """Kernel: computes the second moments of a group about X, divided by its mass [m^2]."""
+    """Kernel: computes the second moments of a group about X, divided by the group's mass [m^2]."""
 
     @kernel(f"phy124_held_second_{real.__name__}", real)
     def second(first, each, stride, chosen, share: Doubles, slot, values, x, means, second_out):
@@ -281,8 +278,8 @@ def make_vortex(real: Any):
 
     For a neo-Hookean solid tau = mu (b - I) + lambda ln(J) I of density rho, with gamma = R beta',
     the force per mass is -R beta_t^2 + mu gamma^2 / (rho R) in the radial direction and R beta_tt -
-    mu (3 beta' + R beta'') / rho in the tangential direction. Both edges of the ring remain free of
-    stress.
+    mu (3 beta' + R beta'') / rho in the tangential direction. The inner and outer edges of the ring
+    remain free of stress.
 
     `ring` is (mean radius [m], width [m], A [rad], mu / rho [m^2/s^2]).
     """

@@ -1,4 +1,4 @@
-"""Sand, which coheres only under pressure, and snow, which coheres until it fractures."""
+"""Laws of sand, which has no cohesion, and snow, which coheres until it fractures."""
 
 from typing import Any
 
@@ -21,7 +21,8 @@ from phy124.kernels.spectral import (
 )
 
 HARDEST = wp.constant(4.0)
-"""Largest exponent of snow's hardening: snow becomes at most e^4 = 55 times stiffer than fresh."""
+"""Largest exponent of snow's hardening; the stiffness grows at most by a factor e^4 = 55.
+"""
 LOOSEST = wp.constant(1.0e6)
 """Upper limit of Jp; without it, Jp of scattered snow would overflow."""
 
@@ -32,8 +33,8 @@ def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
     2017).
 
     Tampubolon's volume correction is included. theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin
-    phi / (3 - sin phi). h[0] >= 0 is the logarithm of the volume that grains gained while they were
-    loose. The grains carry pressure again only after they have lost this volume.
+    phi / (3 - sin phi). h[0] >= 0 is the logarithm of the volume that loose grains have gained. The
+    grains carry pressure again only after they have lost this volume.
     """
     zero = type(theta[0])(0.0)
     third = type(theta[0])(1.0) / type(theta[0])(3.0)
@@ -76,7 +77,7 @@ def snow(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def snow_modulus(F: Any, h: Any, theta: Any):
-    """Return the modulus of fixed corotated material times the hardening."""
+    """Return the modulus of the fixed corotated law times the hardening."""
     return snow_hardening(h, theta) * fixed_corotated_modulus(F, h, theta)
 
 
@@ -105,10 +106,10 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Clamp stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
-    Stretches and hardening stay unchanged if clamping would raise the energy: under pressure, a
-    stretch of any size causes no fracture. If clamping could raise the energy, snow with a
-    Poisson's ratio near 1/2 would gain energy by fracture. For most elastic particles, bounds of
-    the eigenvalues of F F^T, which are computed without the eigenvalues, are within the range.
+    Stretches and hardening do not change if clamping would increase the energy, because snow with a
+    Poisson's ratio near 1/2 would otherwise gain energy by fracture. Under pressure, a stretch
+    therefore causes no fracture. For most elastic particles, bounds of the eigenvalues of F F^T
+    already show that no stretch needs clamping.
     """
     s = F[0, 0]
     b = gram(F)

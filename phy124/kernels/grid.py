@@ -1,4 +1,4 @@
-"""Updates the grid between scatter and gather, and operates on rows of nodes.
+"""Updates the grid between scatter and gather, and provides operations on rows of nodes.
 
 On a CPU, vectorised C++ loops copy, clear, add and compare rows of nodes in a box of the grid
 (native/reduction.h). On a GPU each thread handles one node.
@@ -24,7 +24,7 @@ def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i),
 
 @wp.func
 def row_in_copy(box: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Return the index of the first node of row (i, j) of a box in a copy of its nodes."""
+    """Return the index of the first node of row (i, j) in a copy of a box of nodes."""
     count = box[1]
     return (i * count[1] + j) * count[2]
 
@@ -51,7 +51,7 @@ def add_row(
     ...
 
 
-# Warp loses the return type of a generic native function, so there is an overload per precision.
+# Warp loses the return type of a generic native function, so each precision has an overload.
 for vec4 in (wp.vec4, wp.vec4d):
 
     @wp.func_native(code("reduction:next_changed"))
@@ -71,8 +71,7 @@ for vec4 in (wp.vec4, wp.vec4d):
 
 @wp.func
 def velocity_of(q: Any, kick: Any, a: Any):
-    """Return the (velocity, mass) of a node with the (momentum, mass) q, after an acceleration a
-    [m/s^2].
+    """Return (velocity, mass) of a node with (momentum, mass) q after an acceleration a [m/s^2].
 
     The acceleration acts for the time `kick` [s]. If the node has no mass, q is returned unchanged.
     """
@@ -99,11 +98,11 @@ def make_update(real: Any):
 
 @build_once
 def make_merge(real: Any):
-    """Kernel over rows of nodes: sums the grids to which several workers scattered.
+    """Kernel over rows of nodes: adds up the private nodes to which several workers scattered.
 
-    Each worker's box of private nodes lies in the window. `boxes` holds the lowest node and the
-    extent of each box. `starts` holds the index in `pool` of each box's first node; the nodes of a
-    box are stored in the same order as the nodes of a window. The boxes are always added in the
+    Each worker has a box of private nodes within the window. `boxes` contains the lowest node and
+    the extent of each box, and `starts` the index in `pool` of each box's first node. The nodes of
+    a box are stored in the same order as the nodes of a window. The boxes are always added in the
     same order.
     """
     t = types(real)
@@ -136,8 +135,8 @@ def make_merge(real: Any):
 
 @build_once
 def make_grid_speed(real: Any):
-    """Kernel: computes the largest squared speed of nodes with mass, which decides whether a step
-    is rejected.
+    """Kernel: computes the largest squared speed of nodes with mass, to decide whether to reject a
+    step.
     """
     t = types(real)
 
@@ -146,7 +145,7 @@ def make_grid_speed(real: Any):
         q = grid[wp.tid()]
         if q[3] > real(0.0):
             square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-            # A comparison with NaN is false, so without this NaN would be ignored.
+            # A comparison with NaN is false, so NaN must be handled separately.
             if not wp.isfinite(square):
                 square = real(1.0e38)
             raise_to(fastest_out, 0, square)

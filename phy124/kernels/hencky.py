@@ -1,10 +1,10 @@
 """Hencky strain, the logarithm of the stretch, and the elastic law based on it, without an SVD.
 
-With b = F F^T and Z = (b - I)(b + I)^-1 the strain is log V = 1/2 log b = atanh Z, an odd power
-series. Let X = b - I, with invariants i. Then Z is a quadratic polynomial in X, Z = (i3 + (4 + 2
-i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for stretches between 0.72
-and 1.39 (error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15). For particles with stretches
-outside the ranges of the series, the closed form of `spectral` is used.
+With b = F F^T and Z = (b - I)(b + I)^-1, the strain log V = 1/2 log b = atanh Z is an odd power
+series in Z. Let X = b - I, with invariants i. Then Z is a quadratic polynomial in X, Z = (i3 + (4 +
+2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for stretches between 0.72
+and 1.39 (error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15). For other stretches, the
+closed form of `spectral` is used.
 """
 
 from typing import Any
@@ -25,7 +25,7 @@ from phy124.kernels.spectral import (
 )
 
 SMALLEST_STRETCH = wp.constant(1.0e-4)
-"""Lower bound applied to stretches, so that the strain of a flat element is finite."""
+"""Lower bound of stretches; makes the strain of a flat element finite."""
 
 
 @wp.func
@@ -54,13 +54,13 @@ def left_strain(F: Any):
 
 @wp.func
 def inverse_tanh(z: Any):
-    """Return the coefficients of the quadratic in Z that equals the series of atanh Z up to Z^11.
+    """Return the coefficients of a quadratic in Z that equals the series of atanh Z up to Z^11.
 
     `z` holds the invariants of Z.
 
     With W = Z^2, atanh Z = Z (1 + W/3 + W^2/5 + ...). The sum is first reduced to a quadratic in W;
-    then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. The reduction in two stages takes
-    half as many steps as a series in Z.
+    then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. These two stages take half as
+    many steps as the reduction of a series in Z.
     """
     unit = type(z[0])(1.0)
     two = type(z[0])(2.0)
@@ -118,12 +118,11 @@ def hencky(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def cosh_of_difference(F: Any):
-    """Return an upper bound of cosh x, where x is the largest difference of principal strains; it
-    is 1 at rest.
+    """Return an upper bound of cosh x for the largest difference x of principal strains; 1 at rest.
 
-    Scale F F^T to determinant 1, with eigenvalues e^y. Half of the sum of the scaled matrix's trace
-    and of its inverse's trace is sum cosh y. Since sum y = 0, sum cosh y is at least 1 + 2 cosh x,
-    so no eigenvalue is needed.
+    Scale F F^T to determinant 1, with eigenvalues e^y. The mean of the traces of the scaled matrix
+    and its inverse is sum cosh y. Since sum y = 0, sum cosh y is at least 1 + 2 cosh x, so no
+    eigenvalue is needed.
     """
     s = F[0, 0]
     a = wp.cross(F[1], F[2])

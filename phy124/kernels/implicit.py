@@ -1,4 +1,4 @@
-"""Evaluates implicit surfaces F = 0, projects points onto them, and spreads the points evenly.
+"""Evaluates implicit surfaces F = 0, projects points onto a surface, and spreads the points evenly.
 
 Lengths are in pixels of the picture from which the surface was made. All values are in float64.
 """
@@ -11,18 +11,18 @@ from phy124.kernels.build import kernel
 
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
-"""Distance up to which neighbours repel each other, in units of the target spacing."""
+"""Distance up to which neighbours repel each other, relative to the target spacing."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""Neighbours that are too close move apart by this fraction of the missing distance in one round.
+"""Fraction of the missing distance by which neighbours that are too close move apart in one round.
 """
 SAME_SIDE = wp.constant(wp.float64(0.3))
-"""Smallest cosine between the normals of neighbours. Points with a smaller cosine are on opposite
-sides of a thin part.
+"""Points count as neighbours if the cosine between their normals is at least this value; otherwise,
+they are on opposite sides of a thin part.
 """
 COUNTED = wp.constant(6)
-"""Number of nearest neighbours over which distances are averaged to get the spacing of a point."""
+"""Number of nearest neighbours; their mean distance is the spacing of a point."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
-"""Smallest and largest spacing of points, in units of the target spacing."""
+"""Smallest and largest spacing of points, relative to the target spacing."""
 
 
 @wp.struct
@@ -35,7 +35,7 @@ class Inflated:
 
 @wp.struct
 class Hull:
-    """F = w(x, y) + s(z, y), but negative beyond the end planes, which are normal to y."""
+    """F = w(x, y) + s(z, y), but negative beyond two end planes normal to y."""
 
     front: Fields
     """Values of w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
@@ -51,9 +51,7 @@ class Hull:
 
 @wp.struct
 class Corner:
-    """Position of a point between four pixels: the pixel at the upper left, and the offset from
-    this pixel.
-    """
+    """Position between four pixels: the upper left pixel, and the offset from this pixel."""
 
     row: int
     column: int
@@ -63,14 +61,12 @@ class Corner:
 
 @wp.func
 def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
-    """Return the pixel at the upper left of a point, clamped to the image, and the point's offset
-    from it.
-    """
+    """Return the pixel at a point's upper left, clamped to the image, and the point's offset."""
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
     at = Corner()
-    # The last pixel has no next pixel with which to interpolate.
+    # The last pixel has no next pixel for the interpolation.
     at.row = wp.clamp(int(y), 0, last_row - 1)
     at.column = wp.clamp(int(x), 0, last_column - 1)
     at.down = y - wp.float64(at.row)
@@ -192,13 +188,13 @@ def push(
     moved_out: wp.array[wp.vec3d],
     spacings_out: wp.array[wp.float64],
 ):
-    """Move points along the surface, away from neighbours that are too close.
+    """Move points along the surface and away from neighbours that are too close.
 
     Args:
         points: Positions [N].
         normals: Unit normals at the points [N].
         wanted: The target distance of neighbours [N].
-        near: Each point's neighbours, nearest first [N,K].
+        near: Neighbours of each point [N,K], nearest first.
         moved_out: Receives the new positions [N].
         spacings_out: Receives the mean distance of each point's neighbours [N].
     """

@@ -1,6 +1,6 @@
-"""Measures the bounding box of the particles, and the maxima that limit a substep.
+"""Measures the particles' bounding box and the maxima that limit a substep.
 
-The maxima are read by `timestep.make_timestep` on the device, and by phy124/mpm/timestep.py on the
+`timestep.make_timestep` reads the maxima on the device, phy124/mpm/timestep.py reads them on the
 host. The lowest corner is stored as the maximum of -x.
 """
 
@@ -21,23 +21,22 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of the largest A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of the first of three numbers: the lowest corner of the particles, with the sign reversed
-[m].
+"""Index of the first of three numbers: minus the lowest corner of the particles [m].
 """
 HIGH = 6
 """Index of the first of three numbers: the highest corner of the particles [m]."""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2
-"""Number of maxima that `make_measure_speeds` computes; they are the first of all maxima."""
+"""Number of maxima that `make_measure_speeds` computes; these maxima come first."""
 
 
 @build_once
 def make_measure(law: Law, real: Any):
     """Kernel: measures the limits of the substep and the extent of the particles.
 
-    The maxima are taken over the particles inside the domain. Particles with non-finite values are
-    counted as stray. Thread n measures the particles n `first` + k `stride`, k < `each`.
+    The maxima are taken over the particles inside the domain. Particles with non-finite values
+    count as stray particles. Thread n measures the particles n `first` + k `stride`, k < `each`.
     """
     t = types(real)
     modulus = law.modulus
@@ -62,8 +61,7 @@ def make_measure(law: Law, real: Any):
         maxima_out: t.reals,
         stray_out: Ints,
     ):
-        # Squares start from 0, because the root of -inf would be NaN in a thread that has no
-        # particles.
+        # Squares start from 0, because the root of -inf would be NaN in a thread without particles.
         speed = real(0.0)
         gradient = real(0.0)
         stiffness = real(-wp.inf)
@@ -129,7 +127,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @build_once
 def make_measure_speeds(real: Any):
-    """Kernel: measures only `SPEED` and `GRADIENT`, over all particles of all constitutive laws.
+    """Kernel: measures only `SPEED` and `GRADIENT`, over the particles of all constitutive laws.
 
     Thread i handles the same particles as thread i of `make_measure`.
     """

@@ -1,19 +1,18 @@
-"""Contact between two bodies: at a node where both have mass, their velocities are made equal.
+"""Contact between two bodies: their velocities are made equal at nodes at which both have mass.
 
-Each body has a separate velocity field, and an impulse acts between two bodies at the nodes that
-they share (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of the
-impulse is computed from the gradients of both bodies' volumes (Nairn 2013), so it is the same for
-both bodies.
+Each body has a separate velocity field. Impulses act between two bodies at the nodes that belong to
+both (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of an impulse is
+computed from the gradients of both bodies' volumes (Nairn 2013), so it is the same for both bodies.
 
-Bodies share nodes before they touch, so contact needs another criterion. The weights of a quadratic
-B-spline have the variance dx^2 / 4 along every direction. The volume fraction that a body fills
-around a node therefore determines the distance of the body's surface from the node, whatever the
-direction. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance
-by a regression over the particles.) The fraction is the ratio of the body's mass at the node to its
-mass in the interior, which accounts for the body's edges, density and compression. Three nodes in a
-row, along the axis closest to the normal, are either all in contact or all not in contact; the node
-with the largest overlap of both bodies decides. At the rim of a contact, where the gap is curved,
-the mean of the gap around a node is larger than the gap at the node.
+Two bodies have common nodes before they touch, so contact needs another criterion. The weights of a
+quadratic B-spline have the variance dx^2 / 4 along every direction. In any direction, the volume
+fraction of a body around a node therefore determines the distance of the body's surface from the
+node. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance by a
+regression over the particles.) The fraction is the ratio of the body's mass at the node to its mass
+in the interior; this accounts for the body's edges, density and compression. Three nodes in a row,
+along the axis closest to the normal, are either all in contact or all not in contact, as determined
+by the node with the largest overlap of both bodies. At the rim of a contact, where the gap is
+curved, the mean of the gap around a node is larger than the gap at the node.
 """
 
 from typing import Any
@@ -29,20 +28,20 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.window import place, strides
 
 LIGHTEST = wp.constant(1e-6)
-"""Smallest volume fraction that each body must have at a node for contact to be considered."""
+"""Contact is possible at a node only if both bodies have at least this volume fraction there."""
 NARROWEST = wp.constant(0.05)
 """Smallest volume fraction that counts as a body's interior. The fraction is 1/2 at an edge and 1/4
-at a corner. Smaller fractions occur outside the body, or around a single particle.
+at a corner. It is smaller outside the body or around a single particle.
 """
 ROUNDING = wp.constant(0.375)
-"""Contact tolerance for curved gaps. The gap at a node counts as closed up to this fraction of the
-sum over the four neighbouring nodes of the neighbour's gap minus the node's gap. The curvature of a
-gap between two splines would give 1/4; the larger value is fitted to measurements with balls
-(docs/lab/contact-force.md).
+"""Contact tolerance for curved gaps. Sum the differences between the gaps at the four neighbouring
+nodes and the gap at a node. The node's gap counts as closed if it is at most this fraction of the
+sum. The curvature of a gap between two splines would give 1/4; the larger value is fitted to
+measurements with balls (docs/lab/contact-force.md).
 """
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
-"""`STEEPER`: the sharpness of the change of the normal from the mean of two slopes to the steeper
-of the two. `TRUSTED`: factor on the squared slope of a body that never moves.
+"""`STEEPER`: the larger this exponent, the more the steeper of two slopes determines the normal.
+`TRUSTED`: factor on the squared slope of a body that never moves.
 """
 
 
@@ -68,8 +67,8 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
 def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
     """Return the gradient of a body's mass at a node [kg per 32 cells], added to `zero`.
 
-    The gradient along each axis is a mean of nine differences: otherwise a surface with a roughness
-    of a hundredth of a cell would brake an object that slides over it.
+    The gradient along each axis is a mean of nine differences. Otherwise a surface roughness of a
+    hundredth of a cell would brake sliding objects.
     """
     sum = zero
     for n in range(27):
@@ -93,9 +92,9 @@ def normal(to: Any, away: Any, yields: Any):
     """Return the contact normal from the slopes of two bodies' volumes.
 
     `to` is the slope of the second body's volume, and `away` is the slope of the first body's
-    volume. The steeper slope belongs to the flatter surface and has the larger weight (Nairn 2013
-    uses only the steeper slope; the mean of two equal slopes is less rough). For a body that never
-    moves, the volume's slope is smooth and gets a larger weight (`trust`).
+    volume. The steeper slope belongs to the flatter surface and has the larger weight. (Nairn 2013
+    uses only the steeper slope; the mean of two equal slopes is smoother.) The slope of a body that
+    never moves is smooth and gets a larger weight (`trust`).
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])
@@ -122,7 +121,7 @@ def shared_most(
     node: wp.vec3i,
     step: wp.vec3i,
 ):
-    """Return the node, out of three in a row, at which two bodies overlap most."""
+    """Return which of three nodes in a row has the largest overlap of two bodies."""
     at = node
     most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
     for side in range(-1, 2, 2):
@@ -145,7 +144,7 @@ def fill_fraction(
 ):
     """Return the ratio of a body's mass at a node to its mass in the interior.
 
-    The interior is looked for up to two nodes further inside. The ratio is -1 if the body's volume
+    The interior is searched up to two nodes further inside. The ratio is -1 if the body's volume
     fraction in the interior is less than `narrowest`. At an edge of the body, and under
     compression, both masses change by the same factor.
     """
@@ -167,9 +166,7 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return the empty volume fraction around a node; it is 1 if one of the bodies is absent
-    there.
-    """
+    """Return the empty volume fraction around a node; 1 if one of the bodies is absent there."""
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)
@@ -178,7 +175,7 @@ def gap(
 
 @wp.func
 def neighbour(step: wp.vec3i, n: int):
-    """Return the step to neighbour n (0 to 3) of a node, perpendicular to the axis of `step`."""
+    """Return the step to neighbour n (0 to 3) of a node, perpendicular to `step`."""
     axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
     to = wp.vec3i()
     to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
@@ -187,7 +184,7 @@ def neighbour(step: wp.vec3i, n: int):
 
 @wp.func
 def is_closed(gap: Any, more: Any):
-    """Return whether the gap between two bodies at a node is so small that the bodies touch.
+    """Return whether the gap between two bodies at a node counts as closed.
 
     The gap is averaged over more than one cell. At the edge of the contact area, the mean includes
     the wider gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more`
@@ -235,13 +232,14 @@ def stop(relative: Any, n: Any, friction: Any):
 
 @build_once
 def make_pair(real: Any):
-    """Kernel over nodes that two bodies share: applies equal and opposite impulses to the bodies.
+    """Kernel over the common nodes of two bodies: applies equal and opposite impulses to the
+    bodies.
 
-    `low` is the first of the shared nodes on the lattice, `fill` the volume fraction per mass at a
-    node of each body, and `yields` is 1 for a body that can move and 0 for a body that never moves.
-    A sticky pair has one velocity at each node where both have mass. `sums_out` sums the impulse of
-    the first body on the second, and its moment about the origin of the world. Of neighbouring
-    nodes, a thread reads only the masses, which no thread changes.
+    `low` is the first of the common nodes, `fill` the volume fraction per mass of each body, and
+    `yields` is 1 for a body that can move and 0 for a body that never moves. A sticky pair has one
+    velocity at each node at which both have mass. `sums_out` sums the impulses of the first body on
+    the second, and their moments about the origin of the world. A thread reads only the masses of
+    neighbouring nodes, which no thread changes.
     """
     t = types(real)
 

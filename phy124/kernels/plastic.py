@@ -1,8 +1,8 @@
 """Plasticity in terms of Hencky strain: return mappings project the elastic F onto a yield surface.
 
 The mappings change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and
-needs no singular vectors. Strengths are stored as norms of the deviatoric Kirchhoff stress, limit =
-sqrt(2/3) sigma_Y, with sigma_Y the uniaxial yield stress.
+needs no singular vectors. Yield limits are stored as norms of the deviatoric Kirchhoff stress:
+limit = sqrt(2/3) sigma_Y for a uniaxial yield stress sigma_Y.
 """
 
 from typing import Any
@@ -51,8 +51,8 @@ def remaining_fraction(log_k: Any, m: Any):
 
 @wp.func
 def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
-    """Project F by viscoplastic flow (Yue et al. 2015), in which stress above the limit decays at a
-    finite rate.
+    """Project F by viscoplastic flow (Yue et al. 2015): stress above the limit decays at a finite
+    rate.
 
     The step is backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit; theta = (mu,
     lam, limit, eta [Pa s^n], n). h[0] is the accumulated plastic strain.

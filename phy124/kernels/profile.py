@@ -1,10 +1,10 @@
-"""Samples tables of values over time on the device: piecewise linear tracks, once per substep.
+"""Samples piecewise linear tracks (values over time) on the device, once per substep.
 
 A wall needs its current position and speed. A force is averaged over the interval of its kick, from
 half a substep ago to half a substep ahead. The intervals of successive kicks cover time without
-gaps, so the total impulse of a force is exact for any sequence of substeps. The period of a profile
-may be shorter than a substep. Means then include all periods within the substep, and the speed of a
-wall is the difference of its two positions divided by the substep.
+gaps, so the total impulse of a force is exact for any sequence of substeps. If the period of a
+profile is shorter than a substep, means include all periods within the substep, and the speed of a
+wall is its displacement divided by the substep.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ MEAN = 1
 JOINS = 2
 """Flag of a track that is added to the uniform acceleration in slot 0."""
 LIMITED = 4
-"""Flag of a track whose effect on particles is limited by the solver stage that uses the track."""
+"""Flag of a track whose effect on particles is limited by the stage that uses the track."""
 KICK = 8
 """Flag of a track that is averaged over the kick even while it is inactive."""
 DRIFT = 16
@@ -37,7 +37,7 @@ def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: 
 def integral(
     times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any
 ):
-    """Return the integral of a track from a to b [s]; outside its keys the track is constant."""
+    """Return the integral of a track from a to b [s]; outside the keys the track is constant."""
     zero = a - a
     total = wp.max(wp.min(b, times[first]) - a, zero) * keys[first]
     total += wp.max(b - wp.max(a, times[last]), zero) * keys[last]
@@ -53,8 +53,8 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo the period of a track; the time is unchanged if it is negative or there
-    is no period.
+    """Return a time modulo the period of a track, or the time itself if negative or without a
+    period.
     """
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
@@ -96,7 +96,7 @@ def mean(
 
 @wp.func
 def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, at: Any):
-    """Return the value of a track and its rate; outside its keys the track is constant."""
+    """Return the value and the rate of a track; outside the keys the track is constant."""
     value = keys[last]
     rate = value - value
     if at < times[first]:
@@ -112,7 +112,7 @@ def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last
 
 @wp.func
 def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
-    """Count the keys later than a [s] and no later than b; the first key is not counted."""
+    """Count the keys later than a [s] and no later than b, except for the first key."""
     count = int(0)
     for i in range(first + 1, last + 1):
         if times[i] > a and times[i] <= b:
@@ -122,9 +122,7 @@ def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: An
 
 @wp.func
 def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
-    """Return whether the interval between two times [s] contains a whole segment between two
-    keys.
-    """
+    """Return whether the interval between two times [s] contains a whole segment."""
     passed = keys_within(times, first, last, at, to)
     if period > type(at)(0.0) and to > period:
         passed += keys_within(times, first, last, type(at)(0.0), to - period)

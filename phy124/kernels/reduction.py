@@ -1,14 +1,14 @@
-"""Defines operations of many threads on shared data: sums, maxima, stores, and a barrier.
+"""Operations of many threads on common data: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised. Therefore each thread first reduces its
-items. The 32 threads of a warp then combine their results, and one of these threads writes the
-total. If threads of a warp are inactive (at the end of a launch, or in another branch), each thread
-writes its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
+own items, then the 32 threads of a warp combine their results, and one of them writes the total. If
+threads of a warp are inactive (at the end of a launch, or in another branch), each thread writes
+its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
 transaction; older GPUs, float64 and the CPU add each component separately.
 
 At the barrier, CPU threads that run kernels in parallel wait for each other. A waiting thread spins
-for tens of microseconds inside a kernel, where Warp has released Python's global lock. The caller
-then yields the core before it tries again.
+for some tens of microseconds inside a kernel, without Python's global lock. The caller then yields
+the core and tries again.
 """
 
 from collections.abc import Iterable
@@ -19,13 +19,13 @@ import warp as wp
 from phy124.kernels.native import code, native_kernel
 
 EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
-"""Number of particles per thread on the CPU, largest number of threads on a GPU, and number of
-threads in a block of a GPU.
+"""Number of particles per CPU thread, largest number of GPU threads, and number of threads per GPU
+block.
 """
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads that reduce all particles, and the numbers `first`, `each` and
+    """Return the number of threads for a reduction over particles, and `first`, `each` and
     `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
@@ -49,17 +49,16 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 
 @wp.func_native(code("reduction:run"))
 def run_of(node: int) -> int:
-    """Return the run of neighbouring GPU threads that add to the same nodes; 0 on the CPU.
+    """Return the group of neighbouring GPU threads that add to the same nodes; 0 on the CPU.
 
-    Afterwards either all threads of a warp or none must call `add`, each of them the same number of
-    times.
+    Afterwards, either all threads of a warp must call `add` equally often, or none of them.
     """
     ...
 
 
 @wp.func_native(code("reduction:sum_run", "reduction:add"))
 def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4, run: int):
-    """Add a value to a node in float32, once for each run of threads (`run_of`)."""
+    """Add a value to a node in float32, once for each group of threads (`run_of`)."""
     ...
 
 
@@ -71,7 +70,7 @@ def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d, run: int):  
 
 @wp.func
 def finite(a: Any):
-    """Return whether a number is finite; on the CPU this is faster than a call of `wp.isfinite`."""
+    """Return whether a number is finite; on the CPU, this function is faster than `wp.isfinite`."""
     return a - a == type(a)(0.0)
 
 
@@ -83,9 +82,7 @@ def greater(a: Any, b: Any):
 
 @wp.func_native(code("reduction:load"))
 def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
-    """Return the value of a node; on a GPU, its four numbers are read at once despite Warp's 4-byte
-    alignment.
-    """
+    """Return the value of a node; on a GPU, the four numbers are read in one access."""
     ...
 
 
@@ -119,7 +116,7 @@ def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Set an integer that all threads share to a value if the value is smaller than the integer."""
+    """Set a minimum over all threads to a value if the value is smaller than the minimum."""
     ...
 
 
@@ -142,7 +139,7 @@ def meet(
     counter_out: wp.array(dtype=int),
     ticket_out: wp.array(dtype=int),
 ):
-    """Check the barrier up to `spins` times; `ticket_out[0]` becomes 0 once all threads have
+    """Check the barrier up to `spins` times; set `ticket_out[0]` to 0 when all threads have
     arrived.
     """
     ...

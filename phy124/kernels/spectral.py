@@ -2,14 +2,14 @@
 eigenvectors.
 
 The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic
-polynomial that interpolates the function at the eigenvalues (Newton's divided differences). The
-polynomial remains exact to rounding if eigenvalues coincide, because the error of each divided
-difference is multiplied by the gap between the eigenvalues. The laws use these functions for the
-few particles outside the range of their fast forms.
+polynomial that interpolates the function at the eigenvalues (Newton's divided differences). If
+eigenvalues coincide, the result remains exact up to rounding, because the error of each divided
+difference is multiplied by the gap between the eigenvalues. The laws use these functions only for
+the few particles for which faster formulas are not accurate.
 
 The module also computes squares of symmetric 3x3 matrices, and power series by the Cayley-Hamilton
-theorem. Every power of A is a quadratic c0 I + c1 A + c2 A^2 whose coefficients follow from the
-invariants of A, so each further term of a series costs a few scalar operations but no matrix
+theorem. Every power of A is a quadratic c0 I + c1 A + c2 A^2, whose coefficients follow from the
+invariants of A. Each further term of a series therefore costs a few scalar operations but no matrix
 product.
 """
 
@@ -32,7 +32,7 @@ def to_double(m: Any):
 
 @wp.func
 def from_double(m: wp.mat33d, like: Any):
-    """Return a float64 matrix in the precision of the scalar `like`."""
+    """Convert a float64 matrix to the precision of the scalar `like`."""
     return wp.matrix_from_rows(
         wp.vector(type(like)(m[0, 0]), type(like)(m[0, 1]), type(like)(m[0, 2])),
         wp.vector(type(like)(m[1, 0]), type(like)(m[1, 1]), type(like)(m[1, 2])),
@@ -149,8 +149,8 @@ def invariants(a: Any, squared: Any):
 
 @wp.func
 def next_power(c: Any, i: Any):
-    """Return the coefficients of A (c0 I + c1 A + c2 A^2) as such a quadratic; i holds the
-    invariants of A.
+    """Return the coefficients of A (c0 I + c1 A + c2 A^2) as a quadratic in A with the invariants
+    i.
     """
     return wp.vector(c[2] * i[2], c[0] - c[2] * i[1], c[1] + c[2] * i[0])
 

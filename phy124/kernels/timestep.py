@@ -1,8 +1,7 @@
 """Chooses the next substep's length on the device, so that a frame does not wait for the host.
 
-The limits, their double precision and their order are the same as in phy124/mpm/timestep.py and
-phy124/mpm/rejection.py. On the same device, both versions choose exactly the same substeps, bit for
-bit.
+The limits, their order and their precision (float64) are the same as in phy124/mpm/timestep.py and
+phy124/mpm/rejection.py. On one device, both versions choose bitwise equal substeps.
 """
 
 from typing import Any
@@ -14,21 +13,20 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once, kernel
 
 DONE, LOOK, CAREFUL = 1, 2, 3
-"""Reasons why a series of substeps ends: the target time is reached, the host must measure, or the
-next substep could move something too far.
+"""Reasons to end a series of substeps: the target time is reached, the host must measure, or the
+next substep could move a particle too far.
 """
 LIMITS = 5
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
 """Index of each limit on the length of a substep."""
 BLOCK = 4
-"""Number of substeps that the graph takes without checking a condition in between, where this is
-possible.
+"""Number of substeps that the CUDA graph takes, if possible, without checking a condition.
 """
 
 
 @wp.struct
 class Limits:
-    """Values that the host sets for the substeps up to a given time."""
+    """Parameters of the substeps until a given time, set by the host."""
 
     until: wp.float64
     """Time at which the substeps end [s]."""
@@ -41,15 +39,15 @@ class Limits:
     turn: wp.float64
     """Largest allowed |C| dt in a substep."""
     viscous: wp.float64
-    """Longest substep that viscosity allows [s]."""
+    """Longest substep that is stable with viscosity [s]."""
     ceiling: wp.float64
-    """Longest substep that the user allows [s]."""
+    """Longest substep according to the user's options [s]."""
     wall: wp.float64
     """Largest speed of a wall [m/s]."""
     acceleration: wp.float64
     """Upper bound of the acceleration of a particle by forces [m/s^2]."""
     memory: wp.float64
-    """Fraction of an earlier measurement below which the stiffness cannot fall."""
+    """Lower bound of the stiffness, relative to an earlier measurement."""
     strain: wp.float64
     """Sum of |C| dt after which control returns to the host."""
     most: wp.int32
@@ -81,7 +79,7 @@ class Progress:
     gradient: wp.float64
     """Largest |C| at the last measurement [1/s]."""
     stiffness: wp.float64
-    """Largest A / rho0 [m^2/s^2]; the values of earlier measurements decay."""
+    """Largest A / rho0 [m^2/s^2]; values of earlier measurements decay."""
     fastest: wp.float64
     """Largest speed so far [m/s]."""
     steepest: wp.float64
@@ -134,9 +132,7 @@ def corner(maxima: wp.array(dtype=Any), i: int):
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
-    """Return whether the margin of the window around the particles is neither too small nor too
-    wide.
-    """
+    """Return whether the window's margin around the particles has an acceptable width."""
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -171,7 +167,7 @@ def limiter(s: Progress, bounds: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether something may move too far in a substep, that is, more than about a cell."""
+    """Return whether a particle or wall may move too far in a substep (by more than about a cell)."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, bounds.wall) * dt > bounds.stride
@@ -185,9 +181,9 @@ def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
     """Return whether exactly `BLOCK` substeps of the length dt [s] will precede the next
     measurement.
 
-    The result is False if, between two of these substeps, the target time is reached, the particles
-    are measured, or control returns to the host. The lengths of the substeps may differ by
-    rounding.
+    The result is False if the target time is reached, the particles are measured, or control
+    returns to the host before all of these substeps are taken. The lengths of the substeps may
+    differ by rounding.
     """
     count = int(wp.static(BLOCK))
     all = wp.float64(count)
@@ -202,11 +198,12 @@ def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
 
 @build_once
 def make_timestep(real: Any):
-    """Kernel of one thread: finishes a substep, then chooses the next or stops with a reason.
+    """Single-thread kernel: finishes a substep; chooses the next substep or stops with a reason.
 
     `look_out` is 1 if the particles have to be measured after the next substep, and `block_out` is
-    1 if a whole block of substeps follows. `limiters_out` holds the number of substeps that each
-    limit determined, then, for each limit, the sum of the ratios of substep length to the limit.
+    1 if a whole block of substeps follows. `limiters_out` contains, first, the number of substeps
+    that each limit determined. Then it contains, for each limit, the sum of the ratios of the
+    substep's length to the limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)
@@ -231,7 +228,7 @@ def make_timestep(real: Any):
             low = -corner(maxima, wp.static(at.LOW))
             high = corner(maxima, wp.static(at.HIGH))
             look = look or bounds.apart > 0 or stray[0] > 0 or not roomy(low, high, window, bounds)
-            # If the host has to take over, the host also measures.
+            # If the host takes over, the host also measures.
             if not look:
                 s.speed = wp.float64(maxima[wp.static(at.SPEED)])
                 s.gradient = wp.float64(maxima[wp.static(at.GRADIENT)])

@@ -2,23 +2,22 @@
 
 See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
 (momentum, mass) after the scatter, (velocity, mass) after the grid update. The array covers only a
-window of cells around the particles: `window[0]` is the window's lowest node, `window[1]` its
-extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time). The kick is the mean
-length of two successive substeps, and the drift is the length of the current substep; with these
-lengths, free fall is exact.
+window of cells around the particles. `window[0]` is the window's lowest node, `window[1]` the
+window's extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time). The kick has the
+mean length of two successive substeps, and the drift has the length of the current substep. Free
+fall is then exact.
 
-There is a kernel for each constitutive law and precision. Each variant has a module with a separate
-name, since Warp hashes the set of functions that a closure uses, but not the role of each function.
+There is one kernel per constitutive law and precision. Each variant has a separate module, because
+Warp's hash does not contain the role of each function in a kernel.
 
-The transfers run over the `chosen` particles, or over all particles of a slice if `chosen` is
-empty.
+The transfers process the `chosen` particles, or all particles of a slice if `chosen` is empty.
 
 By default, stress and strain are computed with the affine velocity C of a particle. C is not the
-gradient of the velocities that move the positions, so F drifts from the gradient of the motion: a
-beam with a thickness of two cells and two particles per cell and axis bends by a quarter more than
-its F indicates. In the form "spline", with `scatter_with_stress` and `gather_slopes`, F follows
-grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau grad w_i, its counterpart in
-the balance of energy (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
+gradient of the velocities that move the positions, so F drifts from the gradient of the motion. For
+example, a beam with a thickness of two cells, and two particles per cell and axis, bends by a
+quarter more than its F indicates. The option "spline" uses `scatter_with_stress` and
+`gather_slopes`: F follows grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau grad
+w_i, so that energy is balanced (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
 
 The functions of all laws have these arguments: F, the deformation gradient; C, the velocity
 gradient [1/s]; h, the history variables of the particle; theta, the parameters of the law; dt, the
@@ -36,10 +35,10 @@ from phy124.kernels.reduction import add, load, run_of, store
 
 
 class Law(NamedTuple):
-    """The device side of a constitutive law."""
+    """The device functions of a constitutive law."""
 
     name: str
-    """Unique name, used in the names of compiled modules."""
+    """Unique name, which is part of the names of compiled modules."""
     stress: Any
     """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
     modulus: Any
@@ -59,8 +58,7 @@ NOWHERE = wp.constant(-1e9)
 
 @wp.func
 def lowest_node(g: Any):
-    """Return the lowest of the three nodes that a particle touches along an axis; the coordinate
-    may be NaN.
+    """Return the lowest of the three nodes of a particle along an axis; the coordinate may be NaN.
 
     GPUs and some CPUs convert NaN to 0, which is a valid node.
     """
@@ -80,7 +78,7 @@ def first_node(g: Any):
 def in_window(first: wp.vec3i, size: wp.vec3i):
     """Return whether all 27 nodes of a particle are inside the window.
 
-    Positions far away convert to the smallest or largest integer, so adding to `first` could
+    Distant positions are converted to the smallest or largest integer, so adding to `first` could
     overflow.
     """
     return (
@@ -136,7 +134,7 @@ def slope(f: Any):
 def offsets(f: Any):
     """Return the vector (0, 1, 2) in the precision of f.
 
-    The vector is used because casting a loop index would change the type of the index itself.
+    A loop index is not cast instead, because the cast would change the type of the index itself.
     """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 
@@ -281,7 +279,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """Scatter in float32 with the vector instructions of a CPU, as `scatter` does."""
+    """Scatter as `scatter` does, in float32 with vector instructions of a CPU."""
     ...
 
 
@@ -289,14 +287,14 @@ def scatter_rows(
 def gather_rows(
     grid: wp.array(dtype=wp.vec4), size: wp.vec3i, first: wp.vec3i, f: wp.vec3
 ) -> wp.mat44:
-    """Gather in float32 with the vector instructions of a CPU, as `gather` does."""
+    """Gather as `gather` does, in float32 with vector instructions of a CPU."""
     ...
 
 
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
-"""The forms of the transfers, by name: a scalar form, which GPUs use, and a vectorised float32 form
-for CPUs. The form "spline" computes stress and strain with the gradients of the weights
+"""Implementations of the transfers, by name: scalar code, which GPUs use, and vectorised float32
+code for CPUs. "spline" computes stress and strain with the gradients of the weights
 (`scatter_with_stress`).
 """
 
@@ -344,10 +342,10 @@ def make_p2g(law: Law, real: Any, form: str):
 def make_g2p(law: Law, real: Any, form: str):
     """Kernel: gathers velocities from the grid, then updates x and F.
 
-    A particle outside the window is not changed, and `missed_out` is set: either the particle is
-    ballistic (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total,
-    which the Gaussians follow. Thread i also clears the nodes i + k `stride`, k < `each`, of
-    `momenta_out` for the next scatter.
+    If a particle is outside the window, it is not changed, and `missed_out` is set. Either the
+    particle is ballistic (kernels/ballistic.py), or the run is unstable. Plastic laws also update
+    F_total, which the Gaussians follow. Thread i also clears the nodes i + k `stride`, k < `each`,
+    of `momenta_out` for the next scatter.
     """
     project, collect = law.project, GATHERS[form]
     plastic = project is not None
@@ -395,7 +393,7 @@ def make_g2p(law: Law, real: Any, form: str):
                 wp.vector(s[3, 0], s[3, 1], s[3, 2]) - f[2] * v,
             )
             dt = clock[1]
-            # Kahan's compensated summation: without it, rounding in float32 would stop a slow
+            # Kahan's compensated summation; otherwise, rounding in float32 would stop a slow
             # motion.
             change = dt * v - residue_out[p]
             moved = x_out[p] + change
@@ -420,8 +418,7 @@ def make_g2p(law: Law, real: Any, form: str):
                 history_out[p] = h
             else:
                 store(F_out, p, trial)
-                # Another material of the run is plastic, so all Gaussians follow `total` instead of
-                # F.
+                # If any material of the run is plastic, all Gaussians follow `total` instead of F.
                 if total_out.shape[0] > 0:
                     store(total_out, p, trial)
         else:

@@ -1,5 +1,4 @@
-"""Computes the positions of the nodes in a window of the grid, their indices in memory, and whether
-they have mass.
+"""Positions, memory indices and masses of the nodes in a window of the grid.
 
 Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx.
 """
@@ -57,7 +56,7 @@ def in_box(node: wp.vec3i, extent: wp.vec3i):
 
 @wp.func
 def strides(size: wp.vec3i):
-    """Return the distance in memory between neighbouring nodes along each axis."""
+    """Return the memory stride between neighbouring nodes along each axis."""
     return wp.vec3i(size[1] * size[2], size[2], 1)
 
 

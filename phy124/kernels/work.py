@@ -2,8 +2,8 @@
 
 Impulse and work depend on the path, so they are summed in every substep, in float64. The sums are
 then compared with the change of the state (phy124/kernels/diagnostics.py). The stress in a substep
-is the mean of the stresses at its ends: this is correct to second order for elastic material, and
-equals the yield stress during plastic flow.
+is taken as the mean of the stresses at the start and the end. This mean is correct to second order
+for elastic material, and equals the yield stress during plastic flow.
 """
 
 from typing import Any
@@ -20,10 +20,10 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, member
 
 IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
-"""Index of each sum (for the impulse: of its first component), and the number of sums.
+"""Index of each sum (of the first component for the impulse), and the number of sums.
 
 `MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work.
-For forces on particles, each term is the sum over the particles of a thread.
+For forces on particles, each term is the sum over a thread's particles.
 """
 
 
@@ -75,7 +75,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @build_once
 def make_push_sums_v(real: Any):
-    """Kernel: like `make_push_sums`, for forces that do not change C."""
+    """Kernel: like `make_push_sums`, but for forces that do not change C."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
@@ -167,16 +167,16 @@ def make_wall_sums(real: Any):
 
 @build_once
 def make_uniform_sums(real: Any):
-    """Kernel of one thread: adds the impulse and work done by the uniform acceleration in a substep
-    to its sums.
+    """Single-thread kernel: adds impulse and work of the uniform acceleration in a substep to its
+    sums.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
     walls' sums up to the previous substep. `mean_pushes` and `mean_walls` contain the work on
     lattices and on projected liquids, which is computed with the mean velocities of a step. In
     these cases, the work of the acceleration follows from the mean of the momenta before and after
-    the step. `base` is the momentum without the impulses that are still being summed. Each array
-    has one row of sums per worker, except `mean_walls`: for a lattice it has one row per wall, and
-    for a liquid a single row for all walls.
+    the step. `base` is the momentum without the impulses that are not yet summed. Each array has
+    one row of sums per worker, except `mean_walls`, which has one row per wall for a lattice, and a
+    single row for a liquid.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -217,14 +217,14 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Indices of two sums, and their number: the work of the rate-dependent part of the stress, and the
-work of its rate-independent part [J].
+"""Indices of the work [J] of the rate-dependent and the rate-independent part of the stress; number
+of sums.
 """
 
 
 @build_once
 def make_dissipation(law: Law, real: Any):
-    """Kernel that runs right after a gather: adds the work of the stress to the `LOST` sums.
+    """Kernel: adds the work of the stress to the `LOST` sums; must run right after a gather.
 
     Each thread sums `each` particles before it writes, as in `make_measure`.
     """

@@ -42,7 +42,7 @@ from phy124.kernels.window import strides
 
 @wp.func
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
-    """Return the fractions of a node's velocity relative to a surface that contact removes.
+    """Return the fractions that contact removes from a node's velocity relative to a surface.
 
     The first fraction applies to the velocity component along the normal out of the body, the
     second to the component perpendicular to the normal.
@@ -57,9 +57,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Kernel of one thread: kicks a body once per substep; the new velocity is the first guess of
-    the solution.
-    """
+    """Single-thread kernel: applies gravity to a body once per substep, and starts the solution."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -75,9 +73,7 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of nodes around a body: adds the terms of the nodes to the body's six
-    equations.
-    """
+    """Kernel over rows of nodes around a body: adds the nodes' terms to the six equations."""
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
     @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)
@@ -133,7 +129,7 @@ def make_assemble(real: Any):
 
 @build_once
 def make_apply(real: Any):
-    """Kernel over rows of nodes around a body: gives nodes in contact the body's surface velocity.
+    """Kernel over rows of nodes around a body: changes the velocities of nodes in contact.
 
     `exchange_out` collects the impulses on the nodes as `EXCHANGE` sums; the moment is about the
     body's centre.
@@ -192,8 +188,7 @@ def make_apply(real: Any):
 
 @build_once
 def make_finish(real: Any):
-    """Kernel of one thread: adds the impulses of walls to a body's momentum, and subtracts the
-    impulses on the nodes.
+    """Single-thread kernel: changes a body's momentum by the impulses of walls and nodes.
 
     `total_out` accumulates the impulses on the nodes of one grid since the start; its moment is
     about the origin of the world.

@@ -1,6 +1,4 @@
-"""Defines the layout of the arrays that hold the state and the solution of a free body, and derived
-quantities.
-"""
+"""Layout of the arrays with the state and the solution of a free body; derived quantities."""
 
 from typing import Any
 
@@ -19,7 +17,7 @@ A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
 number is the length of the array.
 """
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
-"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py, and the number of sums.
+"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and the number of sums.
 """
 
 
@@ -64,7 +62,7 @@ def spin_of(R: wp.mat33d, moments: wp.vec3d, L: wp.vec3d):
 
 @wp.func
 def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
-    """Return the body's orientation after rotating for `dt` [s] at angular velocity w."""
+    """Return the body's orientation after a rotation for `dt` [s] at angular velocity w."""
     angle = wp.length(w) * dt
     q = wp.quatd(body[TURN + 1], body[TURN + 2], body[TURN + 3], body[TURN])
     return wp.normalize(wp.quat_from_axis_angle(wp.normalize(w), angle) * q)
@@ -79,9 +77,7 @@ def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Return the velocity [m/s] of the body, according to a solution, at a point r relative to its
-    centre.
-    """
+    """Return the body's velocity [m/s] in a solution, at a point r relative to the centre."""
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 

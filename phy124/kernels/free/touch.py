@@ -1,4 +1,4 @@
-"""Finds the nodes at which a free body is in contact with material, and the normals there."""
+"""Finds the nodes at which a free body touches material, with the contact normals."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ from phy124.kernels.free.numbers import arm_of, axes, first_node
 from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, outward
 
 NARROWEST = wp.constant(0.2)
-"""Smallest fraction of a cell's volume that each body must fill in its interior. With a smaller
-limit, a light box would hover one cell above jelly, because the thin rim of the jelly next to the
-lower edge of the box would count as interior.
+"""Fraction of a cell's volume above which a cell counts as the interior of a body. With a smaller
+limit, a light box would hover one cell above jelly, because the jelly's thin rim next to the lower
+edge of the box would count as interior.
 """
 THINNEST = wp.constant(0.015)
 """Volume fraction that the solid must fill around a node for the node to be in contact. At a
@@ -23,19 +23,18 @@ distance of one cell from a flat side, the fraction is 0.021. If nodes farther a
 light box under load would creep.
 """
 ROUND = wp.constant(0.6)
-"""Factor applied to `ROUNDING` in the contact of a particle body with a solid, because the surface
-of a solid is not smeared out. The value is fitted to a ball on a box (docs/lab/contact-force.md).
+"""Factor on `ROUNDING` for contact of a particle body with a solid, whose surface is sharp. The
+value is fitted to a ball on a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""Slope of the volume fraction of a box [1/cell] below which the normal of the nearest face is
-used.
+"""If the slope of a box's volume fraction [1/cell] is smaller, the nearest face's normal is used.
 """
 
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the normal and the filled volume fraction around a node, computed as if the surface
-    were flat.
+    """Return the normal and the filled volume fraction around a node, for a surface assumed to be
+    flat.
     """
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
@@ -53,7 +52,7 @@ def weight(u: Any):
 def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
     """Return the normal of a box and the volume fraction that the box fills around a node.
 
-    The normal points in the direction in which the fraction decreases, so that it turns
+    The normal is the direction of the steepest decrease of the fraction, and therefore turns
     continuously at an edge.
     """
     fill = type(dx)(1.0)
@@ -71,11 +70,11 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
 
 @build_once
 def make_touch(shape: str, real: Any):
-    """Kernel over the nodes around a body: marks the nodes in contact, with their normals.
+    """Kernel over the nodes around a body: finds the nodes in contact, with the normals.
 
-    Contact with the material has the same criterion as between two particle bodies
-    (phy124/kernels/pairs.py), but the fraction that the solid fills around a node is known exactly.
-    `fill` is the volume fraction per mass at a node of the material.
+    The criterion of contact is the same as between two particle bodies (phy124/kernels/pairs.py),
+    but the solid's volume fraction around a node is known exactly. `fill` is the volume fraction
+    per mass at a node of the material.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -83,7 +82,7 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
-        """Return normal and the fraction of the volume around a node that the body fills."""
+        """Return the normal, and the fraction of the volume around a node that the body fills."""
         R = axes(body)
         local = wp.transpose(R) @ arm_of(body, lattice, node)
         d = t.vec3(real(local[0]), real(local[1]), real(local[2]))
@@ -104,7 +103,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the node, out of three in a row, at which body and material overlap most."""
+        """Return which of three nodes in a row has the largest overlap of body and material."""
         at = node
         most = real(0.0)
         for n in range(3):
@@ -128,7 +127,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the empty volume fraction around a node; 1 if either body is absent there."""
+        """Return the empty volume fraction around a node; 1 if body or material is absent there."""
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

@@ -33,19 +33,18 @@ from phy124.kernels.free.numbers import (
 )
 
 SWEEPS = wp.constant(24)
-"""Number of Gauss-Seidel sweeps over the points at which walls may touch the body."""
+"""Number of Gauss-Seidel sweeps over the points of the body that walls may touch."""
 
 
 @wp.func
 def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
-    """Return the vector [m] from a solid's centre to one of the points at which a plane may touch
-    the solid.
+    """Return the vector [m] from a solid's centre to one of the points that a plane may touch.
 
     Args:
-        shape: Number of such points: 1 for a sphere, 2 for a capsule, 8 for a box.
+        shape: Number of points: 1 for a sphere, 2 for a capsule, 8 for a box.
         point: Index of the point.
         R: The body's axes as columns.
-        half: Half its sides along these axes [m].
+        half: Half of the solid's sides along these axes [m].
         n: Normal of the plane, out of the wall.
     """
     unit = wp.float64(1.0)
@@ -65,17 +64,17 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 
 @wp.func
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
-    """Return the change of angular velocity that an impulse J at the point r causes.
+    """Return the change of angular velocity due to an impulse J at the point r.
 
-    Arguments a, b and c are blocks from the inversion of the six equations.
+    The arguments a, b and c are blocks of the inverse matrix of the six equations.
     """
     return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
 
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the change of velocity along `way` at the point r that an impulse of 1 N s along `way`
-    causes.
+    """Return the velocity change along `way`, at the point r, due to an impulse of 1 N s along
+    `way`.
     """
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
@@ -83,8 +82,8 @@ def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """Return the impulse `push` along n, plus the part of J perpendicular to n, limited by Coulomb
-    friction [N s].
+    """Return the impulse `push` along n plus J's tangential part, limited by Coulomb friction [N
+    s].
     """
     grip = J - wp.dot(J, n) * n
     most = friction * push
@@ -95,13 +94,13 @@ def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64
 
 @build_once
 def make_walls(drifts: bool, real: Any):
-    """Kernel of one thread: solves the six equations together with the impulses of flat walls.
+    """Single-thread kernel: solves the six equations together with the impulses of flat walls.
 
     Each wall, defined by a point and an outward normal, may act at `points` of the body (see
-    `arm_to`). The variant with drift ends a substep: first the walls stop the body, then the body
-    moves. The angular momentum L is constant during the motion, and the angular velocity is
-    computed from L at half of the rotation. If a rotating corner would enter a wall, the body is
-    moved back out of the wall.
+    `arm_to`). The variant with `drifts` ends a substep: first the walls stop the body, then the
+    body moves. During the motion, the angular momentum L is constant. The angular velocity is
+    computed from L at half of the rotation. If a rotating corner enters a wall, the body is moved
+    out of the wall.
     """
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 
@@ -157,8 +156,8 @@ def make_walls(drifts: bool, real: Any):
                     pressed = wp.dot(J, normal)
                     lacking = -wp.max(gap, zero) / dt - wp.dot(u, normal)
                     if lacking > zero or pressed > zero:
-                        # First along the normal, then perpendicular to it, with the impulses at the
-                        # other points fixed.
+                        # With the impulses at the other points fixed, solve along the normal first,
+                        # then tangentially.
                         push = pressed + lacking / yielding(a, b, c, r, normal)
                         along = u - wp.dot(u, normal) * normal
                         slip = wp.length(along)

@@ -1,24 +1,23 @@
-"""Computes the contact of surface points with a wall, by impulses on the nodes.
+"""Contact of surface points with a wall, by impulses on the nodes.
 
-A point at signed distance g from the wall must not approach it faster than g / dt. While a wall
-presses on a point that has penetrated it, the point moves out at the speed -restore g. The impulses
-of the last substep are applied first. Projected Gauss-Seidel then corrects the impulses, with
-friction in Coulomb's cone. The method visits the points forwards and then backwards, in an order in
-which consecutive points are about one cell apart (phy124/lattice/surface.py). An impulse J on a
-point changes the velocities of the point's nodes by w_i J / m_i, and therefore changes the velocity
-of the point by (sum w_i^2 / m_i) J.
+A point at signed distance g from the wall must not approach the wall faster than g / dt. While a
+wall presses on a point that has penetrated it, the point moves out at the speed -restore g. The
+impulses of the last substep are applied first. Projected Gauss-Seidel then corrects the impulses,
+with Coulomb friction. The method visits the points in a fixed order, forwards and then backwards;
+consecutive points are about one cell apart (phy124/lattice/surface.py). An impulse J on a point
+changes the velocities of the point's nodes by w_i J / m_i, and the velocity of the point by (sum
+w_i^2 / m_i) J.
 
-Contact by impulses that are applied again and corrected neither creates nor sustains vibrations.
-The pass over all points, forwards and backwards, is a symmetric positive operator E on velocities.
-With C = E^-1 - 1, the impulses of the last substep equal the impulses of springs C / dt^2 that are
+Impulses that are applied again and then corrected neither create nor sustain vibrations. The pass
+over all points, forwards and backwards, is a symmetric positive operator E on velocities. With C =
+E^-1 - 1, the impulses of the last substep equal the impulses of springs C / dt^2 that are
 integrated implicitly: (1 + C) v' = v - (K + C) x, which is stable for every stiffness K that is
 stable without walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is
-an integral gain. A gain above omega^2 dt would excite the body's slowest vibration, whose angular
-frequency is omega. The gain does not grow as substeps shrink, because a body that is squeezed hard
-would then be thrown out.
+an integral gain. A gain above omega^2 dt would excite the body's slowest vibration (angular
+frequency omega). The gain does not grow if substeps become shorter, because hard squeezing would
+then throw the body out.
 
-The result of Gauss-Seidel depends on the order of the points, so each of its kernels has one
-thread.
+The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """
 
 from typing import Any
@@ -36,7 +35,7 @@ from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.work import EXCHANGE, add_exchange
 
 LOOSE = wp.constant(0.5)
-"""Smallest fraction of a point's mobility that clamps must leave for walls to act on the point. Two
+"""Walls act on a point only if clamps leave at least this fraction of the point's mobility. Two
 bodies touch at a pair of points only if clamps leave this fraction to at least one of the two
 points.
 """
@@ -51,13 +50,13 @@ phy124/kernels/work.py.
 
 @build_once
 def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel of one thread: finds the points near a wall, and applies the impulses of the last
+    """Single-thread kernel: finds the points near a wall, and applies the impulses of the last
     substep.
 
-    `inverse` is zero for nodes that a clamp holds. `force_out` holds the mean force on each point
-    in the last substep [N]; the force becomes zero for a point that has left the wall. `gap_out` is
-    the normal and the distance of each point near the wall; for other points the distance is
-    infinite. `near` lists the points within reach.
+    `inverse` (of the mass) is zero for nodes in a clamp. `force_out` contains the mean force on
+    each point in the last substep [N]; the force is set to zero for a point that has left the wall.
+    `gap_out` is the normal and the distance of each point near the wall; for other points the
+    distance is infinite. `near` lists the points within reach.
 
     Args:
         shape: Name of a distance function.
@@ -119,11 +118,11 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 
 @build_once
 def make_yields(real: Any, rows: Rows):
-    """Kernel over points near a wall: computes the velocity change of each point per unit impulse
+    """Kernel over points near a wall: computes each point's velocity change per unit impulse
     [1/kg].
 
-    The change is zero for points whose nodes are nearly all held by a clamp (`inverse` is zero, but
-    `whole` is not), since impulses on such points would move the other nodes violently.
+    The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
+    `whole` is not), since an impulse would move the few other nodes violently.
     """
     t = types(real)
     yielding = rows.yielding
@@ -149,8 +148,8 @@ def make_yields(real: Any, rows: Rows):
 
 @build_once
 def make_resist(response: str, moving: bool, real: Any, rows: Rows):
-    """Kernel of one thread: does a pass of projected Gauss-Seidel over the points near a wall,
-    forwards and backwards.
+    """Single-thread kernel: one forward and one backward projected Gauss-Seidel sweep over the
+    points near a wall.
 
     Args:
         response: separate (may leave, with friction), slip (stays without friction) or sticky.
@@ -214,7 +213,7 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps hold most nodes of a point, whose nodes begin at column `first`."""
+    """Return whether clamps fix most nodes of a point; its nodes begin at column `first`."""
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):
@@ -226,21 +225,21 @@ def mostly_held(
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Kernel of one thread: computes the gaps between pairs of points, as `make_touch` does for
-    points and walls.
+    """Single-thread kernel: computes the gaps between pairs of points, as `make_touch` does for
+    walls.
 
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position, so that `rest_out` and the nodes give the vector from the
     opposite position to the point. The opposite position follows the point along the surface, so
-    that the impulses have no moment. When the opposite position moves along the surface, its
+    that the pair's impulses have no moment. When the opposite position moves along the surface, its
     weights change by `slopes` times its displacement in the body at rest, which is `back` times the
-    displacement along the surface. A position that moves farther than `far` is no longer opposite.
-    Pairs farther apart than `reach` are ignored.
+    displacement along the surface. If a position moves farther than `far`, the pair is ignored, as
+    are pairs farther apart than `reach`.
 
-    `inverse` is zero for nodes that a clamp holds, but `whole` is not. A pair of points of one body
-    (`between` is 0) is ignored if a clamp holds a node of the pair, because the impulses of the
-    pair would be missing in the clamp's sums. A pair of two bodies is ignored if both points are
-    mostly held, since impulses would move the other nodes violently.
+    For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
+    (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would
+    lack the impulses of the pair. A pair of two bodies is ignored if clamps fix most nodes of both
+    points, since impulses would move the other nodes violently.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -301,11 +300,10 @@ def make_meet(real: Any, rows: Rows):
 
 @build_once
 def make_exchange(real: Any):
-    """Kernel of one thread: adds the impulses between pairs of surface points, and their moments,
-    to a body's sums.
+    """Single-thread kernel: adds the impulses of pairs of points, and their moments, to a body's
+    sums.
 
-    `sign` is 1 for points of the body on which the summed impulse acts, and -1 for points of the
-    other body.
+    `sign` is 1 if the points belong to the body on which the summed impulse acts, and -1 otherwise.
     """
     t = types(real)
 
@@ -361,9 +359,8 @@ def make_account(real: Any, rows: Rows):
     wall's sums.
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
-    With this mean velocity, the work of all impulses is exactly the change of the kinetic energy.
-    If velocities before and after the contact were averaged, the sum would include work of the
-    stress.
+    With this mean, the work of all impulses equals the change of the kinetic energy exactly. The
+    mean of the velocities before and after the contact would include work of the stress.
     """
     t = types(real)
     moved_by = rows.moved_by

@@ -1,10 +1,10 @@
-"""Computes the contact of surface points with material on a grid, by impulses on the nodes of both.
+"""Contact of surface points with material on a grid, by impulses on the nodes of both.
 
-The surface of the material is assumed where the material fills half of the space, according to the
+The surface of the material is assumed at a volume fraction of one half, which is computed from the
 masses of the grid's nodes (phy124/lattice/coupled.py). The velocity of the material at a point is
-the mean velocity of the nodes around it, weighted by their masses. The impulse is distributed over
-these nodes with the same weights: each velocity changes by the fraction w_i / sum w_i m_i of the
-impulse, so momentum is conserved exactly.
+the mass-weighted mean velocity of the nodes around the point. The impulse is distributed over these
+nodes with the same weights: each velocity changes by the fraction w_i / sum w_i m_i of the impulse,
+so momentum is conserved exactly.
 """
 
 from typing import Any
@@ -24,18 +24,16 @@ from phy124.kernels.transfer import slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
-"""Volume fraction at which the surface of the material is assumed."""
+"""Volume fraction at the surface of the material."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""Smallest volume fraction, and smallest slope of the volume fraction [1/cell], at which a point is
-in contact.
+"""A point is in contact only if the volume fraction and its slope [1/cell] are at least these
+values.
 """
 
 
 @build_once
 def make_grid_near(real: Any, rows: Rows):
-    """Kernel over surface points: flags each point that has at least one node with mass around
-    it.
-    """
+    """Kernel over surface points: flags each point that is close to a grid node with mass."""
     t, moved_by = types(real), rows.moved_by
 
     @kernel(f"phy124_lattice_grid_near_{rows.name}{real.__name__}", real, seconds=0.4)
@@ -68,14 +66,14 @@ def make_grid_near(real: Any, rows: Rows):
 
 @build_once
 def make_grid_touch(real: Any, rows: Rows):
-    """Kernel of one thread: finds the points that touch the material, and applies the impulses of
-    the last substep.
+    """Single-thread kernel: finds the points that touch the material, and applies the last
+    impulses.
 
     `fill` is the volume fraction at a node, divided by the mass of the node. For each listed point,
-    `gap_out` holds the normal of the material and the distance from it, which is infinite for
-    points out of reach. `on_out` holds the position of the point in nodes, and sum w_i m_i.
-    `yields_out` holds the change of the relative velocity that an impulse of 1 N s causes. Impulses
-    do not change the velocity of a material that does not move (`moves` is 0).
+    `gap_out` receives the normal of the material and the distance from the material (infinite if
+    out of reach). `on_out` receives the point's position in units of nodes, and sum w_i m_i.
+    `yields_out` receives the change of the relative velocity per unit impulse. Impulses do not
+    change the velocity of fixed material (`moves` is 0).
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -181,7 +179,7 @@ def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: A
 
 @wp.func
 def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any):
-    """Return the mean velocity of the nodes around a point, weighted by their masses."""
+    """Return the mass-weighted mean velocity of the nodes around a point."""
     half = type(on[0])(0.5)
     first = wp.vec3i(
         int(wp.floor(on[0] - half)), int(wp.floor(on[1] - half)), int(wp.floor(on[2] - half))
@@ -203,9 +201,7 @@ def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), o
 
 @build_once
 def make_grid_resist(sticky: bool, real: Any, rows: Rows):
-    """Kernel of one thread: does a pass of projected Gauss-Seidel over points and the grid,
-    forwards and backwards.
-    """
+    """Single-thread kernel: a forward and a backward Gauss-Seidel sweep over points and grid."""
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"
@@ -254,9 +250,7 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
 
 @build_once
 def make_grid_sum(real: Any):
-    """Kernel of one thread: adds the impulses of the points, and their moments, to the sums of each
-    body.
-    """
+    """Single-thread kernel: adds the points' impulses and moments to the sums of each body."""
     t = types(real)
 
     @kernel(f"phy124_lattice_grid_sum_{real.__name__}", real, seconds=0.3)

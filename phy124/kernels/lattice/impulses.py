@@ -1,10 +1,10 @@
-"""Kernels that sum the impulses of walls on each surface point, and of clamps on each node.
+"""Kernels that sum the impulses of walls on surface points, and of clamps on nodes.
 
 The contact force on a point acts during the kick of a substep. The impulse of clamps on a node is
-the change of the node's momentum while the clamps act, minus the contact impulses that the clamps
-take. `make_add_momentum` subtracts the node's momentum before the clamps act, and adds it
-afterwards; `make_pass_on` subtracts the contact impulses. The sums for points and for nodes are
-float64, since a frame may have thousands of substeps.
+the change of the node's momentum by the clamps, minus the contact impulses on the node.
+`make_add_momentum` subtracts the node's momentum before the clamps act, and adds the momentum
+afterwards. `make_pass_on` subtracts the contact impulses. The sums are float64, since a frame may
+have thousands of substeps.
 """
 
 from typing import Any
@@ -38,8 +38,8 @@ def make_add_impulse(real: Any):
 
 @build_once
 def make_add_momentum(real: Any):
-    """Kernel over the nodes that clamps hold: adds `sign` times each node's momentum [N s] to the
-    node's sum. Nodes that are tied to other nodes have no momentum of their own.
+    """Kernel over nodes in clamps: adds `sign` times each node's momentum [N s] to the node's sum.
+    Tied nodes have no momentum.
     """
     t = types(real)
 
@@ -56,17 +56,16 @@ def make_add_momentum(real: Any):
 
 @build_once
 def make_pass_on(real: Any):
-    """Kernel over points: adds the impulses that contact exerts on nodes held by clamps to the
-    clamps' sums.
+    """Kernel over points: adds the contact impulses on nodes in clamps to the clamps' sums.
 
-    Contact does not move a held node: the node's clamp takes the impulse at once. The sums of the
-    wall or body that exerts an impulse contain the whole impulse, so the clamp gets the opposite of
-    the part on each held node. Only the parts on free nodes do work, so the work of the parts on
-    held nodes is subtracted.
+    Contact does not move a node in a clamp: the clamp absorbs the impulse immediately. The sums of
+    the wall or body that exerts an impulse contain the whole impulse. The opposite of the impulse
+    on each clamped node is therefore added to the clamp's sums. Impulses on clamped nodes do no
+    work, so their work is subtracted.
 
-    `inverse` is zero for held nodes, but `whole` is not. `holder` is the row of a node's clamp in
-    `clamps_out`. `sums_out` is the array of sums that includes the work, and `impulse_out` holds
-    the impulse on each node. Either array may be empty.
+    For clamped nodes, `inverse` is zero, but `whole` is not. `holder` is the row of a node's clamp
+    in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node.
+    Either array may be empty.
     """
     t = types(real)
 

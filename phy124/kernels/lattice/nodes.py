@@ -1,9 +1,11 @@
-"""Kernels that kick, hold and move the nodes of a lattice; nodes with almost no mass follow heavier
-nodes.
+"""Kernels that accelerate, clamp and move the nodes of a lattice.
 
-`pool` holds the forces that all workers have summed. The forces of worker w begin at `begin[w]` and
-belong to the nodes `low[w]` to `high[w]`. The ties are stored as two sparse matrices: `donor_*`
-lists the tied nodes that each node carries, and `tied_*` lists the nodes that carry each tied node.
+A node with almost no mass is tied: it follows heavier nodes, its donors. Two sparse matrices store
+these constraints: for each node, `donor_*` lists the tied nodes that depend on it; for each tied
+node, `tied_*` lists its donors.
+
+`pool` contains the forces from all workers. The forces of worker w begin at `begin[w]` and belong
+to the nodes `low[w]` to `high[w]`.
 """
 
 from typing import Any
@@ -18,18 +20,16 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
-"""Weight of the present velocity in the velocity on which viscosity acts. The remaining weight
-belongs to the velocity one substep earlier. A vibration whose sign changes in every substep is then
-damped half as much, so viscosity shortens the longest stable substep half as much. With a smaller
-share, vibrations whose sign changes every second substep would grow.
+"""Viscosity acts on a mean of the present velocity, with this weight, and of the velocity one
+substep earlier. A vibration whose sign changes in every substep is then damped half as much, so
+viscosity shortens the longest stable substep half as much. With a smaller weight, vibrations whose
+sign changes every second substep would grow.
 """
 
 
 @wp.func
 def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n: int):
-    """Return the force on a node: the sum of the contributions of all workers, in the order of the
-    workers.
-    """
+    """Return the force on a node: the sum over all workers, always in the same order."""
     total = wp.vector(length=3, dtype=type(pool[0][0]))
     for w in range(low.shape[0]):
         if n >= low[w] and n < high[w]:
@@ -48,9 +48,7 @@ def force_on(
     donor_weights: wp.array(dtype=Any),
     n: int,
 ):
-    """Return the force on a node, including the node's share of the forces on nodes that are tied
-    to it.
-    """
+    """Return the force on a node, including the forces from the node's tied nodes."""
     force = sum_workers(pool, low, high, begin, n)
     for k in range(donor_starts[n], donor_starts[n + 1]):
         force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
@@ -62,7 +60,7 @@ def make_kick(real: Any):
     """Kernel over the nodes `start` to `stop`: changes the velocities of nodes by forces and
     gravity.
 
-    `before_out` receives the velocities before the kick, from which the work of walls is computed.
+    `before_out` receives the velocities before the kick, which are needed for the work of walls.
     """
     t = types(real)
 
@@ -95,11 +93,11 @@ def make_kick(real: Any):
 
 @build_once
 def make_try(real: Any):
-    """Kernel over nodes: adds the accelerations to a trial shape, and displaces the nodes by the
-    result.
+    """Kernel over nodes: updates a trial displacement by the accelerations, and displaces the nodes
+    by it.
 
-    The result is `gain` times the shape plus `share` times the accelerations; the displacement is
-    `size` times this result. Tied nodes follow their donors.
+    The new trial displacement is `gain` times the old one plus `share` times the accelerations. The
+    nodes move by `size` times the trial displacement; tied nodes follow their donors.
     """
     t = types(real)
 
@@ -130,9 +128,7 @@ def make_try(real: Any):
 
 @build_once
 def make_compare(real: Any):
-    """Kernel over nodes: computes the change of the accelerations that a trial displacement
-    causes.
-    """
+    """Kernel over nodes: computes the change of the accelerations due to a trial displacement."""
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
@@ -158,13 +154,13 @@ def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)
 
 @build_once
 def make_hold(real: Any):
-    """Kernel over the nodes that a clamp holds: sets their velocities to the clamp's while its
+    """Kernel over the nodes in a clamp: sets their velocities to the clamp's velocity while its
     track is active.
 
-    `movable_out` is the inverse mass of nodes that contact may move, 0 for held nodes; `holder_out`
-    is the row of the clamp that holds a node. The kernel skips nodes that an active clamp in
-    `others` holds, so that the work of each clamp is computed with the final velocities of its
-    nodes.
+    `movable_out` receives the inverse mass of nodes that contact may move, and 0 for nodes in the
+    clamp. `holder_out` receives the row of a node's clamp. The kernel skips nodes that belong to an
+    active clamp in `others`, so that the work of each clamp is computed with the nodes' final
+    velocities.
     """
     t = types(real)
 
@@ -209,14 +205,13 @@ def make_hold(real: Any):
 
 @build_once
 def make_pin(real: Any):
-    """Kernel over pairs of a held node and a free node: makes the motion at the clamp's surface
-    zero relative to the clamp.
+    """Kernel over pairs of a clamped and a free node: stops the motion at the clamp's surface.
 
-    The quadratic B-spline of the pair vanishes at the clamp's surface if the held node moves at
-    `ratio` times the velocity of the free node relative to the clamp. Momenta are projected onto
+    The interpolated velocity relative to the clamp vanishes at the clamp's surface if the clamped
+    node's relative velocity is `ratio` times that of the free node. Momenta are projected onto
     motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If another clamp
-    holds the free node, only the velocity of the held node changes; if another clamp holds the held
-    node, neither velocity changes.
+    fixes the free node, only the clamped node's velocity changes; if another clamp fixes the
+    clamped node, neither velocity changes.
     """
     t = types(real)
 
@@ -249,8 +244,8 @@ def make_pin(real: Any):
             return
         movable_out[held] = inverse[held]
         if values[slot][3] > real(0.0) and inverse[held] > real(0.0) and inverse[free] > real(0.0):
-            # If contact moved only one of the two nodes, the motion at the clamp's surface would
-            # not be zero.
+            # If contact moved only one of the two nodes, the motion at the clamp's surface would no
+            # longer be zero.
             movable_out[held] = real(0.0)
             movable_out[free] = real(0.0)
             holder_out[held] = row
@@ -287,12 +282,10 @@ def make_pin(real: Any):
 
 @build_once
 def make_drift(real: Any):
-    """Kernel over the nodes `start` to `stop`: changes their displacements; tied nodes follow their
-    donors.
+    """Kernel over the nodes `start` to `stop`: moves the nodes; tied nodes follow their donors.
 
-    `lagging_out` is the velocity on which viscosity acts in the next substep: the mean of the
-    present velocity with the weight `RECENT`, and of the velocity one substep earlier, `before`,
-    with the remaining weight.
+    `lagging_out` receives the velocity on which viscosity acts in the next substep: the mean of the
+    present velocity, with the weight `RECENT`, and of the velocity one substep earlier (`before`).
     """
     t = types(real)
 
@@ -317,7 +310,7 @@ def make_drift(real: Any):
                 v += tied_weights[k] * v_out[tied_nodes[k]]
             v_out[n] = v
         lagging_out[n] = real(RECENT) * v_out[n] + (real(1.0) - real(RECENT)) * before[n]
-        # Compensated summation: a small step does not vanish next to a large displacement.
+        # Compensated summation, so that small steps are not lost next to a large displacement.
         step = clock[1] * v_out[n] + residue_out[n]
         last = u_out[n]
         after = last + step

@@ -1,6 +1,4 @@
-"""Finds the surface points that may come into contact, and the surface position opposite to each
-point.
-"""
+"""Finds surface points that may come into contact, and the position opposite to each point."""
 
 from typing import Any
 
@@ -13,32 +11,32 @@ from phy124.kernels.lattice.points import inverse_rows
 from phy124.kernels.lattice.rows import Rows
 
 SIDEWAYS = 0.75
-"""Largest distance along the surface between a point and the position opposite to it [cells]."""
+"""Largest distance along the surface between a point and the opposite position [cells]."""
 APART, FACING = wp.constant(3.0), wp.constant(1.0)
-"""`APART`: points farther apart than this at rest belong to different parts [cells]. `FACING`:
-points face each other across a gap if, at rest, each is at least this far in front of the other
-[cells].
+"""`APART`: points belong to different parts if they are farther apart than this at rest [cells].
+`FACING`: points face each other across a gap if, at rest, each point is at least this far in front
+of the other [cells].
 """
 NEARER = wp.constant(0.6)
-"""Two sampled points may touch if their distance is below this fraction of their distance at
+"""Two sampled points may touch if their distance is less than this fraction of their distance at
 rest.
 """
 BEYOND = wp.constant(0.05)
-"""Distance beyond the edge of a flat side [cells] from which on a point cannot touch that side."""
+"""Largest distance beyond the edge of a flat side [cells] at which a point may touch that side."""
 OTHER = wp.constant(-0.2)
-"""Smallest cosine between the normals of two points for them to count as on the same side of a
-part.
+"""Two points count as on the same side of a part if the cosine between their normals is at least
+this value.
 """
 DEEPEST = wp.constant(0.5)
-"""Depth below the surface of a part [cells] beyond which a point does not count as inside the part.
-Without this limit, if two thin parts lie on each other, their outer sides would be pushed through
+"""Largest depth below the surface of a part [cells] at which a point counts as inside the part.
+Without this limit, the outer sides of two thin parts that lie on each other would be pushed through
 the parts, which creates energy.
 """
 
 
 @wp.func
 def apart(side: wp.array(dtype=int), a: int, b: int):
-    """Return whether two points belong to separate pieces whose nodes are copies."""
+    """Return whether two points belong to different pieces with separate copies of the nodes."""
     return side[a] > 0 and side[b] > 0 and side[a] != side[b]
 
 
@@ -68,9 +66,9 @@ def may_meet(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over sampled points: flags each sample near which contact is possible.
+    """Kernel over sampled points: flags the samples near which contact is possible.
 
-    `x` are the current positions of the samples; samples at a distance of `far` or more are
+    `x` contains the current positions of the samples. Samples at a distance of `far` or more are
     ignored.
     """
     t = types(real)
@@ -152,8 +150,8 @@ def make_partner(real: Any):
     """Kernel over surface points: finds the position on the opposite surface that is nearest to
     each point.
 
-    `chosen` lists the points; `x` and `turned` hold their current positions and normals. At an edge
-    of the other part, the normal of the point's own side determines the direction of the contact.
+    `chosen` lists the points; `x` and `turned` contain their current positions and normals. At an
+    edge of the other part, the contact force is directed along the normal at the point.
     """
     t = types(real)
 

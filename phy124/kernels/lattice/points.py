@@ -1,7 +1,7 @@
 """Computes the motion of integration points from the nodes, and the forces that the points exert on
 nodes.
 
-The 27 nodes of a cell form nine rows of three nodes along z; `rows` holds the first node of each
+The 27 nodes of a cell form nine rows of three nodes along z; `rows` contains the first node of each
 row. `offset` is a point's position relative to the first node of its cell [cells]. Eight
 consecutive points form a cell.
 """
@@ -15,7 +15,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
-"""Number of points in a cell, and number of rows of nodes around a cell."""
+"""Number of points in a cell, and number of rows of nodes for a cell."""
 
 
 @wp.func
@@ -149,7 +149,7 @@ def make_follow(real: Any):
 
 @build_once
 def make_locate(real: Any):
-    """Kernel over points: computes x and v from the nodes, before forces act on the points."""
+    """Kernel over points: computes x and v from the nodes, before forces act on points."""
     t = types(real)
 
     @kernel(f"phy124_lattice_locate_{real.__name__}", real, seconds=0.3)
@@ -177,9 +177,7 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the force that pushes exert, m (v - kept) / kick, to the forces on
-    the nodes.
-    """
+    """Kernel over points: adds the forces m (v - kept) / kick of pushes to the nodes' forces."""
     t = types(real)
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)

@@ -1,8 +1,7 @@
-"""Computes the response of a surface to a point that approaches it: one step of projected
-Gauss-Seidel.
+"""Response of a surface to an approaching point: one step of projected Gauss-Seidel.
 
-The kernels for contact with walls, bodies, rigid solids that move freely and material on a grid
-share the functions in this file (phy124/kernels/lattice/contact.py explains the method).
+The kernels for contact with walls, other bodies, freely moving rigid solids and material on a grid
+use these functions. phy124/kernels/lattice/contact.py explains the method.
 """
 
 from typing import Any
@@ -12,8 +11,8 @@ import warp as wp
 from phy124.kernels.columns import xyz
 
 RELAXED = wp.constant(0.6)
-"""Fraction of each point's correction that is applied. Neighbouring points share most of their
-nodes, so the full corrections of all points together would overshoot.
+"""Fraction of each point's correction that is applied. Neighbouring points have most nodes in
+common, so full corrections of all points would overshoot.
 """
 
 
@@ -36,7 +35,7 @@ def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype
 
 @wp.func
 def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse [N s] of a surface that only presses, with friction in Coulomb's cone."""
+    """Return the impulse [N s] of a surface that only presses, with Coulomb friction."""
     press = wp.max(press, type(gap)(0.0))
     most = friction * press
     size = wp.length(drag)
@@ -47,7 +46,7 @@ def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, frictio
 
 @wp.func
 def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse [N s] of a surface that holds points once they touch it, but lets them
+    """Return the impulse [N s] of a surface that points may not leave, but along which they may
     slide.
     """
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
@@ -57,9 +56,7 @@ def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction:
 
 @wp.func
 def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse [N s] of a surface that holds points once they touch it and does not let
-    them slide.
-    """
+    """Return the impulse [N s] of a surface to which points stick."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     if press == type(gap)(0.0):
@@ -68,7 +65,7 @@ def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
 
 
 LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
-"""Maps the name of a surface's response to the function that limits a corrected impulse.
+"""Functions that limit a corrected impulse, by name of the surface's response.
 
 The arguments of the function are the normal component of the corrected impulse, the normal
 component of the last impulse, the tangential part of the corrected impulse, the normal, the
@@ -78,9 +75,7 @@ distance of the point and the friction coefficient.
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the list index of the point that a pass visits; a pass goes forwards, then
-    backwards.
-    """
+    """Return the list index of the point to visit, in a pass forwards and then backwards."""
     if step < count:
         return step
     return 2 * count - 1 - step
@@ -90,8 +85,8 @@ def there_and_back(step: int, count: int):
 def correct(
     relative: Any, last: Any, gap: Any, part: Any, restore: Any, clock: wp.array(dtype=Any)
 ):
-    """Correct the impulse of a surface on a point, before the surface's response limits the
-    impulse.
+    """Correct the impulse of a surface on a point; the surface's response limits the impulse
+    afterwards.
 
     The results are the normal component of the impulse, the normal component of the last impulse,
     and the tangential part of the impulse.
@@ -100,7 +95,7 @@ def correct(
         relative: Velocity of the point relative to the surface [m/s].
         last: Last impulse [N s].
         gap: Normal of the surface, and distance of the point from the surface [m].
-        part: Impulse per unit change of velocity, after relaxation [kg].
+        part: Impulse per unit change of velocity, including relaxation [kg].
         restore: Gain of the speed at which points inside the surface move out [1/s].
         clock: Kick and drift [s].
     """

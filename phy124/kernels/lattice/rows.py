@@ -1,8 +1,8 @@
-"""Computes sums over the nodes of a surface point, and applies impulses to these nodes.
+"""Sums over the nodes of a surface point, and impulses on these nodes.
 
 The nodes of a surface point are rows of three nodes that are consecutive in memory
-(phy124/lattice/surface.py). In float32 on a CPU, the nine numbers of a row are one AVX2 register of
-eight and a single number (phy124/kernels/native/rows.h).
+(phy124/lattice/surface.py). In float32 on a CPU, the nine numbers of a row are processed as one
+AVX2 register of eight numbers and a single number (phy124/kernels/native/rows.h).
 """
 
 from collections.abc import Callable
@@ -39,9 +39,7 @@ def yielding(
     weights: wp.array2d(dtype=Any),
     s: int,
 ):
-    """Return sum w_i^2 / m_i, the change of a point's velocity per unit impulse on the point
-    [1/kg].
-    """
+    """Return sum w_i^2 / m_i: the change of a point's velocity per unit impulse [1/kg]."""
     total = weights[s, 0] * weights[s, 0] * inverse[nodes[s, 0]]
     for k in range(1, weights.shape[1]):
         total += weights[s, k] * weights[s, k] * inverse[nodes[s, k]]
@@ -65,13 +63,13 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the same sum as `moved_by`, with the vector instructions of a CPU."""
+    """Return the sum of `moved_by`, with vector instructions of a CPU."""
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the same sum as `yielding`, with the vector instructions of a CPU."""
+    """Return the sum of `yielding`, with vector instructions of a CPU."""
     ...
 
 
@@ -79,12 +77,12 @@ def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> w
 def strike_rows(
     v: Vectors, inverse: Numbers, nodes: Nodes, weights: Weights, s: int, impulse: wp.vec3
 ):
-    """Apply an impulse like `strike`, with the vector instructions of a CPU."""
+    """Apply an impulse as `strike` does, with vector instructions of a CPU."""
     ...
 
 
 class Rows(NamedTuple):
-    """The functions on rows of nodes, in scalar or in vectorised form."""
+    """The functions on rows of nodes, either scalar or vectorised."""
 
     name: str
     """Prefix in the names of Warp modules."""

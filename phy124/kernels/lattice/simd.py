@@ -1,10 +1,11 @@
-"""The kernels of lattice/stress.py for neo-Hookean bodies, with the vector instructions of a CPU.
+"""The kernels of lattice/stress.py for neo-Hookean bodies, with vector instructions of a CPU.
 
-A thread processes a block of sixteen cells, which `order` [blocks,16] lists: first all full cells,
-then the others. The cells of a block lie near each other, so that their nodes stay in the cache,
-but `APART` cells apart, so that no two of them write to the same node at nearly the same time.
-`packed` [blocks,8,4,16] stores four numbers for each point: the three components of `offset`, and
-the volume. For each number, the values of a block's sixteen cells are consecutive in memory.
+A thread processes a block of sixteen cells. `order` [blocks,16] lists the cells of each block,
+first the full cells and then the others. The cells of a block are near each other, so that their
+nodes stay in the cache. In the list of all cells they are `APART` cells apart, so that no two cells
+write to the same node at nearly the same time. `packed` [blocks,8,4,16] stores four numbers for
+each point: the three components of `offset`, and the volume. For each number, the values of a
+block's sixteen cells are consecutive in memory.
 """
 
 import itertools
@@ -27,7 +28,7 @@ from phy124.kernels.transfer import Law
 CELLS = 16
 """Number of cells that one thread handles."""
 APART = 4
-"""Distance between the cells of a block in the list of all cells, which is ordered along z."""
+"""Distance between the cells of a block in the list of all cells, which is sorted along z."""
 NODES = 256
 """Number of nodes that one thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
@@ -37,38 +38,39 @@ cells.
 ALIGNED = 1e-4
 """Largest distance between a point and its Gauss point in a full cell [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
-"""Names of the C++ pieces that compute the strains and the strain rates of a block's points."""
+"""Names of the C++ snippets that compute the strains and the strain rates of a block's points."""
 Vectors = wp.array(dtype=wp.vec3)
 Matrices = wp.array(dtype=wp.mat33)
 Numbers = wp.array(dtype=wp.float32)
 
 
 def usable(real: Any, device: str) -> bool:
-    """Return whether there are vectorised kernels for a precision and a device."""
+    """Return whether vectorised kernels exist for a precision and a device."""
     return real is wp.float32 and device == "cpu"
 
 
 def has_stress(law: Law) -> bool:
-    """Return whether there is a vectorised stress kernel for a constitutive law."""
+    """Return whether a vectorised stress kernel exists for a constitutive law."""
     return law.name.startswith("neo_hookean")
 
 
 class Blocks(NamedTuple):
-    """Cells in blocks of sixteen."""
+    """Cells, grouped in blocks of sixteen."""
 
     order: NDArray[np.int32]
     """Cells of each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the points [blocks,8,4,16]; cells that only fill up a block have zero volume."""
+    """Constants of the points [blocks,8,4,16]; cells that only fill a block have zero volume.
+    """
     full: int
     """Number of blocks of full cells; these blocks come first."""
 
 
 def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
-    """Sort consecutive cells into blocks, and return the blocks.
+    """Group consecutive cells into blocks.
 
     Args:
-        offset: Positions of the points relative to their cell's first node [P,3], cells.
+        offset: Positions of the points relative to the first node of their cell [P,3], cells.
         volume: Volumes of the points [P], m^3.
         first: Index of the first cell.
     """
@@ -95,7 +97,7 @@ def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
 def make_stress_simd(law: Law, viscous: bool):
     """Kernel over blocks of sixteen cells, equivalent to `make_stress`, for float32 on a CPU.
 
-    If the law is viscous, the kernel also updates the maxima, as `make_measure_simd` does.
+    If the law is viscous, the kernel also updates the maxima of `make_measure_simd`.
     """
     kind = "viscous" if viscous else "elastic"
     motion = (*MOTION, "lattice:survey") if viscous else MOTION[:2]
@@ -142,7 +144,7 @@ def make_shock_simd():
         v: Vectors,
         force_out: Vectors,
     ):
-        """Add the forces that the artificial viscosity in sixteen cells exerts to the nodes."""
+        """Add the forces of the artificial viscosity in sixteen cells to the nodes."""
 
     return lattice_shock_simd
 
@@ -180,8 +182,7 @@ def make_measure_simd():
 
 @build_once
 def make_totals_simd(law: Law):
-    """Kernel over blocks of sixteen cells: computes the sums of `make_totals`, except momentum and
-    kinetic energy.
+    """Kernel over blocks of sixteen cells: computes the energy sums of `make_totals`.
 
     Momentum and kinetic energy are computed as sums over nodes.
     """
@@ -268,7 +269,7 @@ def make_locate_simd():
 
 @build_once
 def make_kick_simd():
-    """Kernel over runs of `NODES` nodes, equivalent to `make_kick`, for float32."""
+    """Kernel over groups of `NODES` nodes, equivalent to `make_kick`, for float32."""
     return native_kernel("phy124_lattice_kick_simd", code("lattice_nodes:kick"), seconds=0.3)(
         make_kick(wp.float32).func
     )
@@ -276,7 +277,7 @@ def make_kick_simd():
 
 @build_once
 def make_drift_simd():
-    """Kernel over runs of `NODES` nodes, equivalent to `make_drift`, for float32."""
+    """Kernel over groups of `NODES` nodes, equivalent to `make_drift`, for float32."""
     return native_kernel("phy124_lattice_drift_simd", code("lattice_nodes:drift"), seconds=0.3)(
         make_drift(wp.float32).func
     )

@@ -1,10 +1,10 @@
-"""Computes the contact of surface points with a rigid solid that moves freely, by impulses on both.
+"""Contact of surface points with a freely moving rigid solid, by impulses on both.
 
-The impulses are computed like those of walls (phy124/kernels/lattice/contact.py), but the solid
-moves as well: an impulse J at r from its centre changes its velocity by -J / m and its angular
-velocity by -I^-1 (r x J). The arrays of the solid have the layout of
-phy124/kernels/free/numbers.py. `trial` holds the motion of the solid under the last substep's
-impulses of flat walls, so that contact takes the support by the walls into account.
+The impulses are computed like the impulses of walls (phy124/kernels/lattice/contact.py), but the
+solid moves as well. An impulse J at r from the solid's centre changes the solid's velocity by -J /
+m and the angular velocity by -I^-1 (r x J). The arrays of the solid have the layout of
+phy124/kernels/free/numbers.py. `trial` contains the motion of the solid under the flat walls'
+impulses in the last substep, so that contact takes the support by the walls into account.
 """
 
 from typing import Any
@@ -35,17 +35,17 @@ from phy124.kernels.lattice.responses import LIMITS, RELAXED, largest_approach, 
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
-"""Smallest cosine between the normal of a box and the reversed normal of a surface point at which
-the box can touch the point.
+"""A box can touch a surface point if the cosine between the box's normal and the point's reversed
+normal is at least this value.
 """
 
 
 @build_once
 def make_solid_begin(real: Any):
-    """Kernel of one thread: kicks a solid, and predicts its motion with the last impulses of the
-    walls.
+    """Single-thread kernel: applies gravity to a solid, and predicts its motion with the walls'
+    last impulses.
 
-    `impulses` holds the impulse of each wall at each of the solid's `points` that the wall may
+    `impulses` contains the impulse of each wall at each of the solid's `points` that the wall may
     touch.
     """
 
@@ -82,7 +82,7 @@ def make_solid_begin(real: Any):
 
 @build_once
 def make_solid_finish(real: Any):
-    """Kernel of one thread: changes the motion of a solid by the impulses of all points."""
+    """Single-thread kernel: changes the motion of a solid by the impulses of all points."""
 
     @kernel(f"phy124_lattice_solid_finish_{real.__name__}", real, seconds=0.3)
     def solid_finish(moments, trial, body_out):
@@ -110,8 +110,8 @@ def react(
 
 @wp.func
 def solid_yields(mass: wp.float64, turning: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the change of velocity along `way` at the point r that an impulse of 1 N s along `way`
-    causes.
+    """Return the velocity change along `way`, at the point r, due to an impulse of 1 N s along
+    `way`.
     """
     arm = wp.cross(r, way)
     return wp.float64(1.0) / mass + wp.dot(arm, turning @ arm)
@@ -149,9 +149,7 @@ def make_solid_near(shape: str, real: Any, rows: Rows):
 
 @wp.func
 def way_out(p: Any, half: Any, m: Any):
-    """Return the distance along m from a point inside a box, centred at the origin, to the surface
-    of the box.
-    """
+    """Return the distance along m from a point in a box centred at the origin to the surface."""
     way = type(half[0])(wp.inf)
     for c in range(3):
         if wp.abs(m[c]) > type(half[0])(1.0e-6):
@@ -161,13 +159,13 @@ def way_out(p: Any, half: Any, m: Any):
 
 @build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
-    """Kernel of one thread: finds the points near a solid, and applies the impulses of the last
+    """Single-thread kernel: finds the points near a solid, and applies the impulses of the last
     substep.
 
-    For each listed point, `gap_out` holds the normal of the solid and the distance from it, which
-    is infinite for points out of reach; `place_out` holds the position of the point. Where a flat
-    body touches an edge of a box, the normal is taken from `side`, the normal of the body at the
-    point. The normal of the box rotates at its edges, which would stop a sliding box.
+    For each listed point, `gap_out` receives the normal of the solid and the distance from the
+    solid (infinite if out of reach); `place_out` receives the position of the point. If a flat body
+    touches an edge of a box, the normal of the body at the point (`side`) is used. The normal of
+    the box, which rotates at the edge, would stop a sliding box.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -235,8 +233,8 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_solid_resist(sticky: bool, real: Any, rows: Rows):
-    """Kernel of one thread: does a pass of projected Gauss-Seidel over points and a solid, forwards
-    and backwards.
+    """Single-thread kernel: one forward and one backward Gauss-Seidel sweep over points and a
+    solid.
     """
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike

@@ -1,4 +1,4 @@
-"""Computes the forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i.
+"""Forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i.
 
 P = tau F^-T is the first Piola-Kirchhoff stress, computed from the Kirchhoff stress tau of the
 constitutive law.
@@ -20,10 +20,10 @@ from phy124.kernels.lattice.points import (
 from phy124.kernels.transfer import Law
 
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
-"""Index of each measured maximum, and their number."""
+"""Index of each measured maximum, and the number of maxima."""
 FLAT = wp.constant(0.05)
-"""Volume ratio below which the strain rate at a point is reduced, because a point that is squeezed
-flat or inverted would otherwise stop the run.
+"""Volume ratio below which the strain rate at a point is reduced; otherwise, a flat or inverted
+point would stop the run.
 """
 
 QUADRATIC = wp.constant(2.0)
@@ -79,12 +79,12 @@ def make_stress(law: Law, real: Any, viscous: bool):
 
 @build_once
 def make_shock(real: Any):
-    """Kernel over points: adds the force of an artificial viscosity that resists fast compression.
+    """Kernel over points: adds the forces of an artificial viscosity that resists fast compression.
 
-    The pressure is `QUADRATIC` rho0 (l d)^2 for a volume that shrinks at the rate d: the viscosity
-    of von Neumann and Richtmyer (1950), which spreads a shock over a few cells. The length l is the
-    size of a cell, shortened in the same ratio as the shortest side of the squeezed material, so
-    that the longest stable substep depends only on d.
+    If the volume shrinks at the rate d, the pressure is `QUADRATIC` rho0 (l d)^2 (von Neumann and
+    Richtmyer 1950). This spreads a shock over a few cells. The length l is the size of a cell times
+    the smallest stretch of the squeezed material, so that the longest stable substep depends only
+    on d.
     """
     t = types(real)
 
@@ -129,12 +129,11 @@ def compression(C: Any):
 
 @build_once
 def make_lattice_measure(real: Any):
-    """Kernel over points: finds the largest speed, the largest rate of compression and the largest
-    closing rate.
+    """Kernel over points: finds the largest speed, rate of compression and closing rate.
 
-    The closing rate is the speed at which opposite sides of a cell approach each other, relative to
-    the side of the cell at rest: the rate of compression times the volume ratio. In material that
-    is squeezed flat, a slow motion has a high rate of compression.
+    The closing rate is the rate of compression times the volume ratio: the speed at which opposite
+    sides of a cell approach each other, relative to the side of the cell at rest. In material that
+    is squeezed flat, even a slow motion has a high rate of compression.
     """
     t = types(real)
 

@@ -1,6 +1,6 @@
-"""Sums the work of forces on nodes and the work of contact, separately for each cause.
+"""Sums the work of forces on nodes and the work of contact, for each cause separately.
 
-The work of an impulse is its product with the mean of the velocities before and after the substep.
+The work of an impulse is the impulse times the mean of the velocities before and after the substep.
 The works of all impulses then add up to the change of the nodes' kinetic energy, in every substep.
 """
 
@@ -17,21 +17,20 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
-"""Index of the work [J] of each force: the whole stress, the uniform acceleration, the forces on
-points, and two parts of the stress, viscosity and artificial viscosity.
+"""Index of the work [J] of each force: the total stress, the uniform acceleration, the forces on
+points, and two parts of the stress (viscosity and artificial viscosity).
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
 """Index of the first of three work sums [J] for each kind of contact: with walls, of a body with
-itself, between bodies, and with rigid solids that move freely. In these sums such a solid counts as
-a wall at rest.
+itself, between bodies, and with freely moving rigid solids. In these sums, such a solid counts as a
+wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
-"""Index of each of the three work sums: by the motion of the wall, by impulses along the normal,
-and by impulses perpendicular to the normal. The last two are computed with the velocity relative to
-the wall.
+"""Index of each of the three work sums: of the wall's motion, of normal impulses, and of tangential
+impulses. The last two are computed with the velocity relative to the wall.
 """
 COUNT = 17
-"""Number of sums."""
+"""Total number of work sums."""
 
 
 @build_once
@@ -40,8 +39,8 @@ def make_node_work(real: Any):
     with index `at`.
 
     The work of the uniform acceleration is added to the sum `UNIFORM`.
-    phy124/kernels/lattice/nodes.py explains `pool` and the ties. Tied nodes move with their donors,
-    so the forces on tied nodes act on the donors.
+    phy124/kernels/lattice/nodes.py explains `pool` and tied nodes. Tied nodes move with their
+    donors, so forces on tied nodes act on the donors.
     """
     t = types(real)
 
@@ -125,8 +124,8 @@ def make_push_work(real: Any):
 
 @build_once
 def make_contact_work(real: Any):
-    """Kernel of one thread: adds three kinds of work done by impulses on points to the sums from
-    index `at` on.
+    """Single-thread kernel: adds three kinds of work of impulses on points to the sums from index
+    `at` on.
 
     The three kinds are the work of the wall's motion, of the normal component of the impulses, and
     of friction.

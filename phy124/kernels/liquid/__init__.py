@@ -1,4 +1,4 @@
-"""Device code of projected liquids: incompressible flow on a staggered grid, with particles.
+"""Device code for projected liquids: incompressible flow on a staggered grid with particles.
 
 The x component of the velocity is stored at the centre of each cell's low x face, the y and z
 components at the centres of the low y and z faces. Pressure, density and distance from the surface

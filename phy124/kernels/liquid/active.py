@@ -1,9 +1,9 @@
-"""Lists the active cells, which particles may reach or change in this step.
+"""Lists the active cells: the cells that particles may reach or change in this step.
 
-Each column of cells along z stores its lowest and highest cell with particles. Cells whose B-spline
-lies inside fixed walls are not listed. Kernels over cells visit only the listed cells, none of
-which is at the border of the window. Cells that are not listed hold no liquid, and their velocities
-are unknown.
+For each column of cells along z, the lowest and the highest cell with particles are stored. Cells
+whose B-spline lies inside fixed walls are not listed. Kernels over cells visit only listed cells,
+and no listed cell is at the border of the window. Cells that are not listed contain no liquid, and
+their velocities are unknown.
 """
 
 from typing import Any
@@ -16,20 +16,18 @@ from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
 
 REACH = wp.constant(4)
-"""Number of cells on each side of a particle's cell that are active, because a step moves a
-particle by up to two cells, and the B-splines around the particle reach two cells further.
+"""Number of active cells on each side of a particle's cell: a step moves a particle by up to two
+cells, and the particle's B-splines reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""Distance to the surface [cells] that is stored in cells that contain no liquid."""
+"""Distance to the surface [cells] that is stored in cells without liquid."""
 NONE = 1 << 30
-"""Lowest cell that is stored for a column without particles."""
+"""Value of the lowest cell that is stored for a column without particles."""
 
 
 @build_once
 def make_sweep(real: Any):
-    """Kernel over particles: extends the range of each column so that it includes the particle's
-    cell.
-    """
+    """Kernel over particles: extends the range of each column to include the particle's cell."""
 
     @kernel(f"phy124_liquid_sweep_{real.__name__}", real, seconds=0.2)
     def sweep(lattice, window, x, lowest_out: Ints, highest_out: Ints):
@@ -45,10 +43,10 @@ def make_sweep(real: Any):
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over groups of columns: merges the ranges of cells that the workers found, widens
-    these ranges, and counts the cells.
+    """Kernel over groups of columns: merges and widens the workers' ranges of cells, and counts the
+    cells.
 
-    Cells whose B-spline lies inside walls are counted only if the argument `all` is set.
+    Cells whose B-spline lies inside walls are counted only if `all` is set.
     """
     t = types(real)
 

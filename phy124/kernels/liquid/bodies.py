@@ -1,9 +1,8 @@
-"""Couples bodies of particles to a liquid: their terms in the pressure equation, and the pressure
-on them.
+"""Couples particle bodies to a liquid: terms of the pressure equation, and pressure on the bodies.
 
-A body responds to the pressure in two ways. It moves rigidly (`solids`), and the layer of mass at
-its surface moves with the change of the pressure since the last step (a Robin condition: Fernandez,
-Mullaert and Vidrascu 2013). The response of the layer is zero at rest; without this response, the
+A body responds to the pressure in two ways. It moves rigidly (`solids`). In addition, the layer of
+mass at its surface moves with the change of the pressure since the last step (a Robin condition:
+Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest; without it, the
 deformation of a light or soft body would become unstable.
 """
 
@@ -79,13 +78,13 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds the motion and the response of the bodies' surfaces to the pressure
+    """Kernel over cells: adds the motion and the surface response of bodies to the pressure
     equation.
 
     `free` is the number of rigid solids, which are numbered before the first body; `scale` is rho
-    dx^3 [kg]. `present` holds the rigid motions of all solids at the start of the step, and
-    `x_guess` holds the last solution. In a step of length dt, a surface responds to a change of the
-    pressure like a mass: the surface's mass plus `stiffness` dt^2 [kg].
+    dx^3 [kg]. `present` contains the rigid motions of all solids at the start of the step, and
+    `x_guess` the last solution. In a step of length dt, a surface responds to a change of the
+    pressure like a mass that is the surface's mass plus `stiffness` dt^2 [kg].
     """
     t = types(real)
 
@@ -137,8 +136,8 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over solids and bodies: writes their rigid motions, and sums the impulses of the
-    pressure on them.
+    """Kernel over solids and bodies: writes the rigid motions, and sums the impulses of the
+    pressure.
 
     `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """
@@ -175,10 +174,10 @@ def make_answer(real: Any):
 
 @build_once
 def make_body_change(real: Any):
-    """Kernel over the cells of a region: computes the change of a body's velocity by the pressure
+    """Kernel over the cells of a region: computes a body's velocity change due to the pressure
     [m/s].
 
-    `pressed` contains the impulse on the surface in each cell, which acts on the mass at the
+    `pressed` contains the impulse on the surface in each cell; the impulse acts on the mass at the
     surface.
     """
     t = types(real)
@@ -209,10 +208,10 @@ def make_body_change(real: Any):
 
 @build_once
 def make_body_gather(real: Any):
-    """Kernel: computes the rates at which the pressure changes v and C of the particles of a body.
+    """Kernel: computes the rates of change of v and C of a body's particles due to the pressure.
 
-    As in APIC, the changes of the particles' momentum and angular momentum equal the changes in the
-    cells. `most_out` is the largest acceleration [m/s^2].
+    As in APIC, momentum and angular momentum of the particles change as much as in the cells.
+    `most_out` is the largest acceleration [m/s^2].
     """
     t = types(real)
 

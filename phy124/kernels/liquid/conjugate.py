@@ -1,11 +1,10 @@
-"""Solves the pressure equation by conjugate gradients, preconditioned with MIC(0) in each part of
-the cells.
+"""Solves the pressure equation by conjugate gradients, preconditioned with MIC(0).
 
-The cells of liquid are listed in the order in which memory stores them, and the list is divided
-into parts of equal length: one part for each CPU thread, or many parts on a GPU. The modified
-incomplete Cholesky factor (Bridson 2015, "Fluid simulation for computer graphics", ch. 5) ignores
-the matrix entries that couple cells of different parts, so that no part waits for another part.
-Sums are added part by part, so the result of a sum depends only on the number of parts.
+The cells of liquid are listed in memory order. The list is divided into parts of equal length: one
+part per CPU thread, or many parts on a GPU. The modified incomplete Cholesky factor (Bridson 2015,
+"Fluid simulation for computer graphics", ch. 5) ignores matrix entries that couple cells of
+different parts, so the parts can be processed in parallel. Sums are added part by part, so a result
+depends only on the number of parts.
 """
 
 import warp as wp
@@ -14,17 +13,17 @@ from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import kernel
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
-"""Weight of the modification in MIC(0), and the fraction of the diagonal below which the modified
-value is not used.
+"""Weight of the modification in MIC(0); and the smallest modified value that is used, as a fraction
+of the diagonal.
 """
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 """Rows in the table of sums: largest residual, largest right-hand side, and s A s.
 
-Rows 0 and 1 are r M r, in turn.
+Rows 0 and 1 contain r M r of the present and the previous iteration, in turn.
 """
 RIGID = wp.constant(5)
-"""First row of the six rows of each solid, which hold the force and the moment J^T s that a vector
-s exerts on the solid (see `solids`).
+"""First of the six rows of each solid: the force and the moment J^T s on the solid due to a vector
+s (see `solids`).
 """
 ROWS = 5
 """Number of rows in the table of sums of a liquid without solids."""
@@ -34,7 +33,7 @@ Table = wp.array2d(dtype=wp.float64)
 
 @wp.func
 def share(count: int, part: int, parts: int):
-    """Return the index of the first item of a part, and the index after the part's last item."""
+    """Return the index of a part's first item, and the index after its last item."""
     return wp.vec2i(
         int(wp.int64(count) * wp.int64(part) / wp.int64(parts)),
         int(wp.int64(count) * wp.int64(part + 1) / wp.int64(parts)),
@@ -43,7 +42,7 @@ def share(count: int, part: int, parts: int):
 
 @wp.func
 def total(sums: Table, row: int):
-    """Return the sum of the contributions of all parts."""
+    """Return a sum over all parts."""
     result = wp.float64(0.0)
     for k in range(sums.shape[1]):
         result += sums[row, k]
@@ -87,9 +86,7 @@ def list_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts: Ints,
 
 @wp.func
 def multiply(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
-    """Return component n of the product A x; `row` and `layer` are the memory strides along y and
-    x.
-    """
+    """Return component n of A x; `row` and `layer` are the memory strides along y and x."""
     below = links[n - layer][0] * x[n - layer]
     below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
     link = links[n]
@@ -108,7 +105,7 @@ def factorise(
     links: Vectors,
     inverse: Doubles,
 ):
-    """Write the inverse square root of the factor's diagonal for a part of the listed cells."""
+    """Compute the inverse square root of the factor's diagonal for a part of the cells."""
     lowest = listed[first]
     for k in range(first, last):
         n = listed[k]
@@ -172,7 +169,7 @@ def precondition(
 
 @wp.func
 def rigid_sums(sums: Table, solid: int):
-    """Return the force and the moment that a vector of pressures exerts on a solid."""
+    """Return the force and the moment on a solid due to a vector of pressures."""
     row = RIGID + 6 * solid
     return (
         wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),
@@ -182,14 +179,14 @@ def rigid_sums(sums: Table, solid: int):
 
 @wp.func
 def clear_rigid(sums: Table, solids: int, p: int):
-    """Set the forces and moments that a part of the cells exerts on all solids to zero."""
+    """Set the forces and moments of a part of the cells on all solids to zero."""
     for k in range(6 * solids):
         sums[RIGID + k, p] = wp.float64(0.0)
 
 
 @wp.func
 def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
-    """Add a force and a moment to the sums that a part of the cells exerts on a solid."""
+    """Add a force and a moment to the sums of a part of the cells for a solid."""
     row = RIGID + 6 * solid
     for axis in range(3):
         sums[row + axis, p] += force[axis]
@@ -198,7 +195,7 @@ def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
 
 @wp.func
 def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
-    """Return the angular velocity that a moment causes in a solid."""
+    """Return the change of a solid's angular velocity due to a moment."""
     w = wp.vec3d()
     for a in range(3):
         for b in range(3):
@@ -208,10 +205,9 @@ def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
 
 @wp.func
 def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
-    """Write the velocity and angular velocity with which each solid responds to a vector of
-    pressures.
+    """Write the velocity and angular velocity of each solid due to a vector of pressures.
 
-    Returns the sum over all solids of the response times the force and moment.
+    Returns the sum, over all solids, of velocity times force and angular velocity times moment.
     """
     product = wp.float64(0.0)
     for solid in range(mobility.shape[0]):
@@ -233,7 +229,7 @@ def rigid_flux(
     turns: Vectors,
     responses: wp.array2d(dtype=wp.vec3d),
 ):
-    """Return the flux out of a cell that the response of a solid causes."""
+    """Return the flux out of a cell due to the response of a solid."""
     V = wp.dot(jumps[n], responses[p, 2 * solid])
     return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
 
@@ -250,7 +246,7 @@ def project(
     x: Doubles,
     sums_out: Table,
 ):
-    """Sum J^T x over a part of the listed cells; `jumps` and `turns` hold the rows of J."""
+    """Sum J^T x over a part of the listed cells; `jumps` and `turns` contain the rows of J."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     clear_rigid(sums_out, solids, p)
@@ -283,7 +279,7 @@ def begin(
     direction_out: Doubles,
     sums_out: Table,
 ):
-    """Compute the residual of x, and factorise the block of the matrix that belongs to a part."""
+    """Compute the residual of x, and factorise a part's block of the matrix."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     largest = wp.float64(0.0)
@@ -389,9 +385,7 @@ def improve(
     z_out: Doubles,
     sums_out: Table,
 ):
-    """Step along the search direction to the point of smallest error, then precondition the
-    residual.
-    """
+    """Step along the search direction to the smallest error, then precondition the residual."""
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     steep = total(sums_out, STEEP)

@@ -1,12 +1,10 @@
-"""Sums the work on a liquid separately for each cause: viscosity, pressure, walls, and the density
-correction.
+"""Sums the work on a liquid for each cause: viscosity, pressure, walls, and density correction.
 
-The work of an impulse is its product with the mean of the velocities at the start and at the end of
+The work of an impulse is the impulse times the mean of the velocities at the start and the end of
 the step. The work of all causes then adds up to the change of a face's kinetic energy. In a liquid
 at rest, where pressure balances gravity, the work of every cause is zero. Faces behind walls and
-above the surface may have a share of the particles' mass. Faces behind walls and above the surface
-move like their neighbours in the liquid, so the mass of such a face is added to the masses of its
-neighbours.
+above the surface may carry mass of the particles. They move like their neighbours in the liquid, so
+the mass of such a face is added to the masses of its neighbours.
 """
 
 from typing import Any
@@ -26,11 +24,11 @@ uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
 """Indices of the walls' work up to three phases of a step, computed with the velocities of the
-walls. The sum after each of these is the same work computed with the velocities of the liquid, as
-`WallImpulses` sums it.
+walls. The next index after each of these is the walls' work computed with the velocities of the
+liquid, as in `WallImpulses`.
 """
 COUNT = 9
-"""Number of sums."""
+"""Total number of work sums."""
 
 
 @build_once
@@ -63,9 +61,7 @@ def mass_with_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return the mass of a face, plus shares of the masses of adjacent faces on which no pressure
-    acts.
-    """
+    """Return the mass of a face plus parts of the masses of adjacent faces without pressure."""
     across = stride(axis, size)
     total = cells[n][4 + axis]
     for along in range(3):
@@ -84,9 +80,7 @@ def mass_with_outside(
 
 @wp.func
 def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
-    """Return the change of velocity that forces on particles cause at a face, computed from the
-    face's two cells.
-    """
+    """Return the velocity change at a face due to forces on particles, from its two cells."""
     total = gains[n] + gains[n - step]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k] + gains[k - step]
@@ -100,9 +94,9 @@ def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int
 def make_face_work(real: Any):
     """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
 
-    `before` holds the velocities before the pressure acts, `velocity` the velocities after the
-    pressure has acted, and `after` the velocities at the end of the step. The velocities at
-    the start of the step do not contain the step's `gains`.
+    The arrays of velocities are: `before` the pressure acts, `velocity` after the pressure has
+    acted, and `after` at the end of the step. The velocities at the start of the step do not
+    include the step's `gains`.
     """
     t = types(real)
     vec8 = sums(real)
@@ -153,8 +147,7 @@ def make_face_work(real: Any):
 
 @build_once
 def make_wall_work(real: Any):
-    """Kernel of one thread: adds the work that all walls have done since the step began to
-    `sums_out`.
+    """Single-thread kernel: adds the work of all walls since the start of the step to `sums_out`.
 
     `at` is the index of the sum computed with the walls' velocities; the next sum is computed with
     the liquid's velocities.
@@ -180,7 +173,7 @@ def make_wall_work(real: Any):
 def make_shift_work(real: Any):
     """Kernel: adds `sign` times the uniform acceleration times mass and position to `sums_out`.
 
-    A launch with the sign -1 before particles are displaced, and one with 1 afterwards, together
+    One launch with the sign -1 before particles are displaced and one with the sign 1 afterwards
     add the work of the displacements.
     """
 
@@ -200,8 +193,8 @@ def make_shift_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel at the end of a step: adds the impulse and work of forces on particles to the
-    `EXCHANGE` sums.
+    """Kernel: adds the impulse and work of forces on particles to the `EXCHANGE` sums, after a
+    step.
 
     `v_kept` and `C_kept` are the values before the forces act; `v_pushed` and `C_pushed` are the
     values afterwards. The arrays of C are empty if no force changes C.

@@ -1,7 +1,6 @@
-"""Defines the indices of cells in a window of the staggered grid and the sums per cell, and
-measures the extent of the particles.
+"""Indices and sums of the cells in a window of the staggered grid; extent of the particles.
 
-Each cell has a vector with the values at its three low faces and at its centre.
+The values at a cell's three low faces and at its centre are stored as one vector.
 """
 
 from typing import Any
@@ -25,9 +24,7 @@ def sums(real: Any):
 
 @wp.func
 def cell_at(s: Any):
-    """Return the cell that contains a point, whose position is given in cells from the window's
-    corner.
-    """
+    """Return the cell that contains a point; the point is in cells from the window's corner."""
     return wp.vec3i(int(wp.floor(s[0])), int(wp.floor(s[1])), int(wp.floor(s[2])))
 
 
@@ -39,7 +36,7 @@ def number(cell: wp.vec3i, size: wp.vec3i):
 
 @wp.func
 def cell_of(n: int, size: wp.vec3i):
-    """Return the cell (i, j, k) that has the index n."""
+    """Return the cell (i, j, k) with the index n."""
     row = n // size[2]
     i = row // size[1]
     return wp.vec3i(i, row - i * size[1], n - row * size[2])
@@ -60,7 +57,7 @@ def inner(cell: wp.vec3i, size: wp.vec3i, rim: int):
 
 @wp.func
 def stride(axis: int, size: wp.vec3i):
-    """Return the distance in memory between cells that are neighbours along an axis."""
+    """Return the memory stride between neighbouring cells along an axis."""
     step = 1
     if axis == 0:
         step = size[1] * size[2]
@@ -92,9 +89,9 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 
 @build_once
 def make_sum_copies(real: Any, width: int):
-    """Kernel over active cells: adds the cell vectors of all other copies to the first copy.
+    """Kernel over active cells: adds all other copies of the cell vectors to the first copy.
 
-    Copies are added in their order, so that the result depends only on their number.
+    Copies are added in a fixed order, so the result depends only on their number.
     """
     vector = wp.types.vector(width, real)
 

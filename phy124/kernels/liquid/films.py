@@ -1,5 +1,4 @@
-"""Computes the contact areas between bodies of particles and fixed walls, and the pressure in the
-liquid films there.
+"""Contact areas between particle bodies and fixed walls, and the pressure of liquid films there.
 
 The grid does not resolve the thin layer of liquid between a body and the wall on which the body
 lies. The pressure in this layer is therefore taken from the liquid around the contact.
@@ -24,8 +23,8 @@ from phy124.kernels.liquid.walls import centre_of, point, solid_face
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` contains the open fraction of each face, ignoring bodies. The areas have the same signs
-    as the rows that `make_jumps` writes.
+    `still` contains the open fraction of each face, without bodies. The signs of the areas are
+    those of the rows of `make_jumps`.
     """
     t = types(real)
 
@@ -58,8 +57,7 @@ def make_contact(real: Any):
 
 @build_once
 def make_layers(real: Any):
-    """Kernel over the cells of a region: sums densities and counts cells in each layer
-    perpendicular to `up`.
+    """Kernel over the cells of a region: sums densities and counts cells in each horizontal layer.
 
     `low` is the height of the first layer [cells].
     """
@@ -92,7 +90,7 @@ def make_layers(real: Any):
 
 @wp.func
 def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=Any)):
-    """Return the hydrostatic value of q at a point, up to a constant.
+    """Return the hydrostatic value of q at a point, apart from a constant.
 
     `heads` contains the weight of the liquid below each layer, relative to the mean density; it is
     empty if all liquids have the same density.
@@ -110,13 +108,13 @@ def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=
 
 @build_once
 def make_head(real: Any):
-    """Kernel over cells: sums q, minus its hydrostatic part, around the contact of a body with
+    """Kernel over cells: sums q without its hydrostatic part around the contact of a body with
     walls.
 
-    The direction of a contact is the direction in which a film pushes the body: -x, +x, -y, +y, -z
-    or +z. `rows_out` [6] contains three numbers for each direction. The first is the sum over the
-    cells next to the contact, weighted by the area of the body's surface in each cell. The second
-    is the total of these areas, and the third is the area of the contact.
+    The direction of a contact (-x, +x, -y, +y, -z or +z) is the direction in which a film pushes
+    the body. `rows_out` [6] contains three numbers for each direction. The first is the sum over
+    the cells next to the contact, weighted by the area of the body's surface in each cell. The
+    second is the total of these areas, and the third is the area of the contact.
     """
     t = types(real)
 
@@ -173,9 +171,9 @@ def make_head(real: Any):
 def share_of(rim: wp.vec3d, opposite: wp.vec3d):
     """Return the fraction of a contact on which a film acts; `make_head` computes the rows.
 
-    A film needs liquid along half of the contact's perimeter; to compute the perimeter, the contact
-    is assumed to be a square. Films on opposite sides act only as far as their areas differ, since
-    they would squeeze a body that fills the space between two walls.
+    A film exists only if there is liquid along at least half of the contact's perimeter; the
+    contact is assumed to be square. If a body fills the space between two walls, films on both
+    sides would squeeze it. Therefore, only the difference of the areas of opposite films acts.
     """
     unit = wp.float64(1.0)
     wet = wp.min(rim[1] / (wp.float64(2.0) * wp.sqrt(rim[2])), unit)
@@ -187,10 +185,10 @@ def make_film(real: Any):
     """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact; `rims` holds the sums over this liquid for each direction (`make_head`). In
-    a cell of liquid between the body and the wall, the film has the pressure of the cell. All
-    pressures are converted to the body's surface, whose distance from the cell's centre is known.
-    The film acts on the fraction of the contact that `share_of` returns.
+    around the contact; `rims` contains the sums over this liquid for each direction (`make_head`).
+    If a cell between body and wall contains liquid, the film has the pressure of the cell. All
+    pressures are converted to the position of the body's surface. The film acts on the fraction of
+    the contact that `share_of` returns.
     """
     t = types(real)
 

@@ -1,10 +1,9 @@
-"""Sums the impulses that walls exert on the liquid, computed from the pressure in the cells next to
-the walls.
+"""Sums the impulses of walls on the liquid, from the pressure in the cells next to the walls.
 
 The area vector of the solid surface inside a cell is minus the sum of the open faces' area vectors,
-since the area vectors of a closed surface add up to zero. The pressure on that solid surface is the
-pressure at the cell's centre, plus the weight of the liquid between centre and wall. Other forces
-on particles are treated like weight.
+since the area vectors of a closed surface add up to zero. The pressure on this surface is the
+pressure at the cell's centre, plus the weight of the liquid between the centre and the wall. Other
+forces on particles are treated like weight.
 """
 
 from typing import Any
@@ -24,8 +23,7 @@ from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 Sums = wp.array3d(dtype=wp.float64)
 vec7d = wp.types.vector(7, wp.float64)
 COLUMNS = 7
-"""Number of sums for each wall: the impulse on the liquid, the moment of the impulse about the
-origin, and its work.
+"""Number of sums for each wall: impulse on the liquid [3], moment about the origin [3], and work.
 """
 
 
@@ -36,8 +34,8 @@ def way_to_wall(
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
     The wall lies where the signed distance, interpolated linearly between the centre and the face,
-    is zero. At the edge of a solid, nine parallel lines are compared, and the interpolation uses
-    the line that ends deepest in the solid.
+    is zero. Of nine parallel lines, the line that ends deepest in the solid is used; this matters
+    at edges of solids.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]
@@ -60,7 +58,7 @@ def way_to_wall(
 
 @wp.func
 def take_row(sums: Sums, wall: int):
-    """Return the total of the sums of all workers for a wall, and reset these sums to zero."""
+    """Return the total of all workers' sums for a wall, and reset the sums to zero."""
     row = vec7d()
     for worker in range(sums.shape[0]):
         for k in range(7):
@@ -71,9 +69,7 @@ def take_row(sums: Sums, wall: int):
 
 @wp.func
 def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
-    """Return the mean velocity change of the particles around a cell, in a window of `count`
-    cells.
-    """
+    """Return the mean velocity change of the particles around a cell; there are `count` cells."""
     total = gains[n]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k]
@@ -140,8 +136,8 @@ def make_wall_impulses(real: Any):
     """Kernel over parts of the listed cells: adds the impulses of the pressure on walls to
     `sums_out`.
 
-    Walls from index `bodies` on are bodies; `pressed_out` receives the opposite impulses, which act
-    on the bodies.
+    Walls from index `bodies` on are bodies; `pressed_out` receives the opposite impulses on these
+    bodies.
     """
     t = types(real)
 
@@ -184,7 +180,7 @@ def make_wall_impulses(real: Any):
                     owner = wall_across(cell, axis, jump, size, distances, owners, dx)
                     if owner >= 0:
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
-                        # The value of p dt / (density dx) at the wall.
+                        # This is p dt / (density dx) at the wall.
                         here = real(pressure[n])
                         here += head_along(way, axis, clock[0], a, gains, n, densities, dx)
                         if phi[n] > real(0.0):
@@ -217,11 +213,10 @@ def settle(
     totals_out: wp.array2d(dtype=wp.float64),
     all_out: wp.array2d(dtype=wp.float64),
 ):
-    """Add the sums of all workers in a step to the totals of each wall, and to the totals over all
-    walls.
+    """Add the workers' sums of a step to the totals of each wall and to the totals over all walls.
 
-    A single thread clears the step's sums [workers,walls,7]. The totals hold the impulse and moment
-    of each wall. `all_out` has a single row, in the order of `phy124.kernels.work`.
+    A single thread then clears the step's sums [workers,walls,7]. The totals contain the impulse
+    and moment of each wall. `all_out` has one row, in the order of `phy124.kernels.work`.
     """
     for wall in range(walls):
         row = take_row(sums_out, wall)

@@ -1,4 +1,4 @@
-"""Averages a property of several liquids, such as the density, at the faces and centres of cells.
+"""Averages a property of several liquids (such as the density) at the faces and centres of cells.
 
 The property is expressed relative to a reference value. If there is a single liquid, the relative
 value is 1 everywhere.
@@ -34,8 +34,8 @@ def make_mix(real: Any):
     """Kernel over cells: computes the volume average of a property at the centre and at the low
     faces.
 
-    `fills` contains the sums of volume times property, and `cells` the sums of the volume. The
-    average is 1 in a cell that contains no liquid.
+    `fills` contains the sums of volume times property, and `cells` the sums of the volume. In a
+    cell without liquid, the average is 1.
     """
     t = types(real)
     vec8 = sums(real)

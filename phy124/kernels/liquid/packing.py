@@ -1,10 +1,10 @@
-"""Computes displacements out of crowded cells into empty ones, to restore the rest density.
+"""Computes displacements out of crowded cells into empty cells, to restore the rest density.
 
-The displacements are the gradient of the solution of a linear system. The matrix of this system is
-the matrix of the pressure equation, and the right-hand side is the error of the density (Kugelstadt
-et al. 2019, "Implicit density projection for volume conserving liquids"). Below the surface, only
-an excess of density is corrected. In the first row of cells below the surface, the density is
-compared with the density below a flat surface.
+The displacements are the gradient of the solution of a linear system. The system has the matrix of
+the pressure equation, and the density error as its right-hand side (Kugelstadt et al. 2019,
+"Implicit density projection for volume conserving liquids"). Below the surface, only an excess of
+density is corrected. In the first row of cells below the surface, the density is compared with the
+density below a flat surface.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ from phy124.kernels.liquid.surface import opening
 RATE = wp.constant(0.75)
 """Fraction of the density error that one step removes."""
 MOST = 0.5
-"""Upper limit applied to a cell's relative density error, and to a displacement [cells]."""
+"""Upper limit of a cell's relative density error, and of a displacement [cells]."""
 
 
 @wp.func
@@ -34,9 +34,9 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 def make_excess(real: Any):
     """Kernel over cells: computes the part of the density error that this step removes.
 
-    Cells inside a wall have no unknown in the linear system. The density error of a cell inside a
-    wall is therefore added to the cell in front of the wall or, at an edge or corner between walls,
-    to the cell in front of all of these walls.
+    Cells inside a wall have no unknown in the linear system. Their density error is therefore added
+    to the cell in front of the wall. At an edge or corner between walls, the error is added to the
+    cell in front of all these walls.
     """
     t = types(real)
 
@@ -60,8 +60,7 @@ def make_excess(real: Any):
         size = window[1]
         error = real(0.0)
         if liquid[n] == 1 and inner(cell_of(n, size), size, 2):
-            # The loop count is known only at run time, so that the compiler does not unroll the
-            # loops.
+            # The loop count is not a constant, so that the compiler does not unroll the loops.
             last = int(2)
             near = int(0)
             layer = stride(0, size)

@@ -1,12 +1,11 @@
-"""Assembles the pressure equation, and computes the divergence-free velocities after the pressure
-has acted.
+"""Assembles the pressure equation, and makes the velocities divergence-free by the pressure.
 
 The unknown is q = p dt / (rho dx) [m/s] with a reference density rho. The velocity at a face then
 changes by the difference of q across the face, divided by the density at the face relative to rho.
 Walls are represented by the open fractions of faces (Ng, Min and Gibou 2009). At the surface of the
 liquid, p is zero where phi crosses zero between two cells (ghost fluid: Enright et al. 2003; Gibou
-2002). Each cell is slightly compressible, like water. Without this compressibility, the equation
-would be singular in a closed pocket that has no surface.
+2002). Each cell is slightly compressible, like water. Otherwise the equation would be singular in a
+closed volume of liquid without a surface.
 """
 
 from typing import Any
@@ -19,19 +18,17 @@ from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
 
 NEAREST = wp.constant(0.02)
-"""Lower bound of the distance between the surface and a cell's centre [cells]; without this bound,
-the pressure could become arbitrarily large.
+"""Lower bound of the distance between the surface and a cell's centre [cells]; limits the pressure.
 """
 COMPRESSIBLE = wp.constant(1.0e-6)
-"""Compressibility of a cell: the fraction of its diagonal matrix entry that is added to this
-entry.
+"""Compressibility of a cell: the fraction by which the diagonal matrix entry is increased.
 """
 
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the distance of the first of two cells from the surface, divided by the distance
-    between the two cells.
+    """Return the distance of the first of two cells from the surface, divided by the cells'
+    distance.
     """
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
@@ -43,11 +40,10 @@ def beyond(here: Any, there: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over cells: computes the matrix of the pressure equation, which is symmetric and
-    positive.
+    """Kernel over cells: computes the symmetric positive matrix of the pressure equation.
 
-    `diagonal_out` is zero in cells without liquid; `links_out` contains the off-diagonal matrix
-    entries that couple each cell to the next cell along each of the three axes.
+    `diagonal_out` is zero in cells without liquid. `links_out` contains the off-diagonal entries
+    that couple each cell to the next cell along each axis.
     """
     t = types(real)
 
@@ -99,8 +95,7 @@ def make_assemble(real: Any):
 
 @build_once
 def make_divergence(real: Any):
-    """Kernel over cells: computes the net flux into each cell, relative to the motion of its walls
-    [m/s].
+    """Kernel over cells: computes the net flux into each cell relative to moving walls [m/s].
 
     The last solution, multiplied by `carry`, is the first guess of the next solution.
     """
@@ -159,7 +154,7 @@ def rise_to(
     liquid: wp.array(dtype=int),
     pressure: wp.array(dtype=wp.float64),
 ):
-    """Return the increase of q from cell m to the next cell n; at least one of them is liquid."""
+    """Return the increase of q from cell m to the next cell n; one of the two may be empty."""
     rise = type(phi[n])(pressure[n] - pressure[m])
     if liquid[n] == 0:
         rise = -type(phi[n])(pressure[m]) / beyond(phi[m], phi[n])
@@ -173,9 +168,8 @@ def make_anticipate(real: Any):
     """Kernel over cells: adds `factor` times the last differences of q to the velocities at the low
     faces.
 
-    Viscosity then acts on velocities that the pressure has changed, as in a steady flow (the
-    incremental projection of Goda 1979); these differences are subtracted again before the next
-    solution.
+    Viscosity then acts on velocities that include the pressure, as in a steady flow (incremental
+    projection, Goda 1979). The differences are subtracted again before the next solution.
     """
     t = types(real)
 
@@ -216,7 +210,7 @@ def make_gradient(real: Any):
 
     If `shifts` is above 0, the kernel writes only the negated differences, as displacements [m] of
     at most `shifts` cells. `known_out` receives a bit for each open face that touches liquid. The
-    velocities at all other faces become zero.
+    velocities at all other faces are set to zero.
     """
     t = types(real)
 

@@ -1,8 +1,8 @@
-"""Represents the shape of a body of particles in a liquid as a wall.
+"""Represents a particle body immersed in a liquid as a wall of the same shape.
 
 The distance from a body's surface is computed from the fraction of each cell that the body fills,
-like the distance from the liquid's surface (`surface`). Since this distance rounds off edges, the
-surface is shifted outwards until it encloses the volume of the body.
+in the same way as the distance from the liquid's surface (`surface`). This method rounds off edges,
+so the surface is shifted outwards until it encloses the volume of the body.
 """
 
 from typing import Any
@@ -17,8 +17,8 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""Largest fraction of a cell's B-spline inside walls for which the position of a body is computed
-from the cell's fill.
+"""The position of a body is computed from a cell's fill only if walls cover at most this fraction
+of the cell's B-spline.
 """
 
 
@@ -41,7 +41,7 @@ def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
 def make_body_scatter(real: Any):
     """Kernel: adds momentum, mass and volume of a body's particles to the cells.
 
-    Positions are extrapolated with the velocities by the time `ahead` [s].
+    Positions are extrapolated by the velocities times `ahead` [s].
     """
     t = types(real)
 
@@ -96,9 +96,7 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
 
 @wp.func
 def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx: Any):
-    """Return the distance of a cell's centre from a body [cells], computed from the fill outside
-    walls.
-    """
+    """Return the distance of a cell's centre from a body [cells], from the fill outside walls."""
     level = type(dx)(EMPTY)
     if full[n] > type(dx)(0.0):
         level = -depth(filled_share(full[n], shares[n][1], dx))
@@ -146,8 +144,8 @@ def level_near(
 def make_body_level(real: Any):
     """Kernel over the cells of a region: computes the distance from a body's surface [cells].
 
-    A body that touches a wall is continued inside the wall, so that no liquid gets between them.
-    The surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
+    A body that touches a wall is extended into the wall, so that no liquid gets between body and
+    wall. The surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
     `volumes_out`.
     """
     t = types(real)
@@ -200,8 +198,7 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 
 @build_once
 def make_body_volume(real: Any):
-    """Kernel over the cells of a region: sums the volume that is inside a body's surface and
-    outside walls.
+    """Kernel over the cells of a region: sums the volume inside a body's surface and outside walls.
 
     `volumes_out` receives this volume [cells], and its change if the surface is shifted by one
     cell. `vacant` contains the fraction of each eighth of a cell that is outside walls.
@@ -238,8 +235,8 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points with half the grid spacing: stores the distance from the body if it is
-    smaller than the stored distance.
+    """Kernel over points at half the grid spacing: stores the minimum of the stored distance and
+    the distance from a body.
     """
     t = types(real)
 
@@ -269,8 +266,7 @@ def make_body_distance(real: Any):
 
 @build_once
 def make_body_openings(real: Any):
-    """Kernel over the cells of a region: multiplies open fractions by the fraction that a body
-    leaves open.
+    """Kernel over the cells of a region: multiplies open fractions by a body's open fractions.
 
     The kernel changes the open fractions of the low faces and of the eighths of each cell.
     """

@@ -1,14 +1,14 @@
-"""Couples solids to a liquid: the pressure moves the liquid and the solids together.
+"""Couples solids to a liquid: the pressure accelerates both the liquid and the solids.
 
 Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
 velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
 (A + rho dx^3 J M^-1 J^T) q = b, with the solid's mass and inertia M (Batty, Bertails and Bridson
-2007). The added matrix has rank six for each solid, so each iteration of conjugate gradients sums
-J^T s and applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to one solid only.
+2007). Each solid adds a matrix of rank six. Each iteration of conjugate gradients therefore sums
+J^T s and applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to only one solid.
 
-The pressure of a cell acts at its centre. The weight of the liquid between the centre and the
-solid's surface is added. Otherwise the buoyancy would jump when the bottom of the solid passes a
-layer of cell centres.
+The pressure of a cell refers to the cell's centre, so the weight of the liquid between the centre
+and the solid's surface is added. Otherwise the buoyancy would jump when the bottom of the solid
+passes a layer of cell centres.
 """
 
 from typing import Any
@@ -50,7 +50,7 @@ from phy124.kernels.liquid.walls import centre_of, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls: computes the mean velocities, in a step, of the walls that have tracks."""
+    """Kernel over walls: computes the mean velocities of walls with tracks in a step."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
@@ -88,7 +88,7 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
 def make_jumps(real: Any):
     """Kernel over cells: computes the rows of J for a solid's velocity and angular velocity.
 
-    `wall` is the index of the first wall that is a solid; all later walls are solids, too.
+    `wall` is the index of the first wall that is a solid; all later walls are solids as well.
     """
     t = types(real)
 
@@ -144,8 +144,8 @@ def make_jumps(real: Any):
 
 @build_once
 def make_lift(real: Any):
-    """Kernel over parts of the cells: sums the weight of the liquid between cell centres and the
-    surfaces of solids.
+    """Kernel over parts of the cells: sums the weight of the liquid between cell centres and
+    solids.
 
     The sums are the impulse on each solid and the moment of this impulse about the solid's centre,
     both divided by rho dx^3.
@@ -194,11 +194,11 @@ def make_lift(real: Any):
 
 @build_once
 def make_kick(real: Any):
-    """Kernel of one thread: kicks a solid that moves freely, and writes its motion, mobility and
+    """Single-thread kernel: applies gravity to a freely moving solid; writes motion, mobility and
     centre.
 
-    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of a matrix, the
-    inverse inertia times scale.
+    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and the matrix scale
+    times inverse inertia.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
@@ -232,7 +232,7 @@ def make_kick(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel of one thread: accelerates a solid that moves freely by the pressure of the liquid."""
+    """Single-thread kernel: accelerates a freely moving solid by the pressure of the liquid."""
 
     @kernel(f"phy124_liquid_push_{real.__name__}", real, seconds=0.2)
     def push(clock, rates: Vectors, body_out):
@@ -245,7 +245,8 @@ def make_push(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes the motion of each solid before the computed pressure acts on it.
+    """Kernel over solids: writes the predicted motion of each solid, before the pressure acts on
+    it.
 
     The predicted motion is the solid's motion without the liquid, plus the response to the sums of
     `make_lift`.
@@ -272,7 +273,7 @@ def make_predict(real: Any):
 
 @build_once
 def make_respond(real: Any):
-    """Kernel of one thread: applies to a solid the opposite of its impulses on the liquid.
+    """Single-thread kernel: applies the opposite of a solid's impulses on the liquid to the solid.
 
     `total_out` accumulates the impulses on the liquid, as in phy124/kernels/free.
     """

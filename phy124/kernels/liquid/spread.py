@@ -1,10 +1,8 @@
-"""Extrapolates velocities to faces beyond the liquid, which particles near the surface and walls
-need.
+"""Extrapolates velocities to faces beyond the liquid, for particles near the surface and walls.
 
 Faces that touch no liquid get the mean velocity of their known neighbours, layer by layer. Faces
-inside walls then lose the part of their velocity that leads into the wall or out of it. Friction at
-a wall acts on the first layer of faces. It is either Coulomb friction, limited to the coefficient
-times the pressure, or sticking.
+inside walls then lose the velocity component normal to the wall. Wall friction acts on the first
+layer of faces: either Coulomb friction, limited to the coefficient times the pressure, or sticking.
 """
 
 from typing import Any
@@ -72,9 +70,7 @@ def make_spread(real: Any):
 
 @wp.func
 def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
-    """Return the velocity vector at a cell's low face; the tangential components are means over
-    four faces.
-    """
+    """Return the velocity at a cell's low face; tangential components are means over four faces."""
     q = velocity[n]
     v = wp.vector(q[0], q[1], q[2])
     back = stride(axis, size)
@@ -92,9 +88,7 @@ def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
 
 @wp.func
 def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size: wp.vec3i):
-    """Return the direction away from walls at a point that is `at` half cells from a cell's
-    corner.
-    """
+    """Return the direction away from walls at the point `at` [half cells from a cell's corner]."""
     n = wp.vector(
         distances[point(cell, at[0] + 1, at[1], at[2], size)]
         - distances[point(cell, at[0] - 1, at[1], at[2], size)],
@@ -108,13 +102,13 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 
 @build_once
 def make_slide(real: Any):
-    """Kernel over cells: makes the velocities inside walls follow the walls, and applies friction
-    next to walls.
+    """Kernel over cells: makes velocities inside walls follow the walls; applies friction next to
+    walls.
 
     `frictions` contains two numbers for each wall: the coefficient of friction, and 1 if the wall
     is sticky. The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass
-    [kg] of a full cell of liquid with the relative density 1. If `rubs` is 2, viscosity (`viscous`)
-    makes the liquid stick, and this kernel acts only inside walls.
+    [kg] of a full cell of liquid with the relative density 1. If `rubs` is 2, the viscosity
+    (`viscous`) makes the liquid stick, and this kernel acts only inside walls.
     """
     t = types(real)
 
@@ -146,7 +140,7 @@ def make_slide(real: Any):
             return
         size = window[1]
         v = velocity[n]
-        # The spline of a cell that is far from walls does not reach into a solid.
+        # The B-spline of a cell far from walls does not reach into a solid.
         if known[n] > 0 and shares[n][1] > real(0.0):
             cell = cell_of(n, size)
             for axis in range(3):

@@ -1,9 +1,8 @@
-"""Computes the filled fraction (fill) of each cell, and from it the distance to the liquid's
-surface.
+"""Computes the filled fraction (fill) of each cell and, from the fill, the distance to the surface.
 
-`depth` inverts the fill of the quadratic B-spline below a flat surface, so a flat surface is exact
-at any height between two layers of cells. Near walls, the fill is relative to the open part of the
-spline. The thickness of a layer on a wall is the volume in a column of cells.
+`depth` inverts the relation between the fill of a quadratic B-spline and the depth below a flat
+surface, so a flat surface is exact at any height. Near walls, the fill refers to the open part of
+the B-spline. The thickness of a layer on a wall is the volume in a column of cells.
 """
 
 from typing import Any
@@ -16,15 +15,14 @@ from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""Fill of a cell below which its particles are treated as drops in flight, and the cell has no
-pressure.
+"""If the fill of a cell is smaller, the cell has no pressure and its particles are drops in flight.
 """
 
 
 @wp.func
 def depth(fill: Any):
-    """Return the depth [cells] of a quadratic B-spline below a flat surface, computed from its
-    filled fraction.
+    """Return the depth [cells] of a quadratic B-spline below a flat surface from its filled
+    fraction.
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.
@@ -74,7 +72,7 @@ def thickness(
     """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 if there is no
     layer.
 
-    There is a layer only if the next cell away from the wall contains less than the volume `most`.
+    A layer exists only if the next cell away from the wall contains less than the volume `most`.
     """
     result = type(most)(0.0)
     for axis in range(3):
@@ -104,22 +102,22 @@ def level(
     size: wp.vec3i,
     dx: Any,
 ):
-    """Return the fill of a cell, the distance of its centre from the surface, and 1 if the cell is
+    """Return a cell's fill, the distance of its centre from the surface, and 1 if the cell is
     liquid.
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
-    cells. The exception is a layer so thin that its particles count as drops. Only the rim of the
-    B-spline of a cell inside a wall reaches the liquid, so the fill of such a cell counts half.
+    cells. Particles in a very thin layer count as drops instead. For a cell inside a wall, only the
+    rim of the B-spline reaches the liquid, so the fill is halved.
 
     Args:
         cells: Sums over the particles; the sum with the index `component` is the volume.
         component: Index of the volume.
-        open: Open shares of the low faces.
-        shares: Solid shares of the linear kernel and of the B-spline.
-        distances: Distances from the walls at half the spacing [m].
-        owners: Nearest wall of each distance.
-        solid: Index of the first wall that is a body or a solid that moves freely; liquid forms no
-            layers on such walls.
+        open: Open fractions of the low faces. shares: Solid fractions of the linear kernel and of
+            the B-spline.
+        distances: Distances from the walls at points with half the grid spacing [m].
+        owners: Index of the nearest wall for each distance.
+        solid: Index of the first wall that is a body or a freely moving solid; no layers of liquid
+            form on such walls.
         n: Index of the cell.
         size: Size of the window.
         dx: Grid spacing [m].
@@ -152,9 +150,9 @@ def make_levels(real: Any):
     surface.
 
     `known_out` contains a bit for each face that has a velocity. `liquid_out` is 1 in cells of
-    liquid. `hats_out` is the fraction of the linear kernel that liquid or solid fills. `phi_out` is
-    the distance to the surface [cells], negative in the liquid. The kernel also applies the uniform
-    acceleration.
+    liquid. `hats_out` is the fraction of the linear kernel that is filled by liquid or solid.
+    `phi_out` is the distance to the surface [cells], negative in the liquid. The kernel also
+    applies the uniform acceleration.
     """
     t = types(real)
     vec8 = sums(real)
@@ -210,7 +208,7 @@ def make_levels(real: Any):
 
 @build_once
 def make_refill(real: Any):
-    """Kernel over cells: computes densities and the distance to the surface from volumes alone."""
+    """Kernel over cells: computes densities and the distance to the surface only from volumes."""
     t = types(real)
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)

@@ -1,10 +1,10 @@
 """Transfers between particles and the faces of a staggered grid: APIC with quadratic B-splines.
 
 The components of the velocity are stored at different points, so each component has separate
-weights. A particle reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centre differ
-only by a shift of half a cell, which makes some of the four weights zero (Jiang et al. 2015, "The
-affine particle-in-cell method"). On GPUs and in float64, the scalar form in this file is used; in
-float32 on CPUs, the form in native/liquid.h is used.
+weights. A particle reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centres differ
+only by a shift of half a cell, so some of the four weights are zero (Jiang et al. 2015, "The affine
+particle-in-cell method"). The scalar code in this file is used on GPUs and in float64;
+native/liquid.h is used in float32 on CPUs.
 """
 
 from typing import Any
@@ -30,9 +30,7 @@ def at_centres(t: Any):
 
 @wp.func
 def at_faces(t: Any):
-    """Return quadratic weights of the low faces of four cells; t is the offset in the second
-    cell.
-    """
+    """Return quadratic weights of the low faces of four cells; t is as in `at_centres`."""
     zero = type(t)(0.0)
     if t < type(t)(0.5):
         w = spline(t + type(t)(1.0))
@@ -72,8 +70,8 @@ def weights(t: Any, axis: int):
 
 @wp.func
 def offset(s: Any, low: wp.vec3i, axis: int):
-    """Return the distances along an axis from a particle to the three low faces and the centre of
-    the first cell.
+    """Return distances along an axis from a particle to the first cell's three low faces and
+    centre.
     """
     half = type(s[0])(0.5)
     d = type(s[0])(low[axis]) - s[axis] + half
@@ -259,7 +257,7 @@ FORMS = {
     "plain": (scatter, scatter_volume, gather, flow),
     "simd": (scatter_rows, scatter_volume_rows, gather_rows, flow_rows),
 }
-"""The forms of the transfers, by name."""
+"""Implementations of the transfers, by name."""
 
 
 @build_once
@@ -313,9 +311,9 @@ def make_scatter_volume(real: Any, form: str):
 def make_gather(real: Any, form: str):
     """Kernel: gathers the velocity and its gradient from the faces, then moves the particles.
 
-    Positions follow the flow of the faces (midpoint rule). A particle that is a single drop or is
-    outside the window moves along a parabola. The kernel also updates the deformation gradient that
-    the Gaussians follow.
+    Positions follow the flow of the faces (midpoint rule). A single drop, or a particle outside the
+    window, moves along a parabola. The kernel also updates the deformation gradient that the
+    Gaussians follow.
     """
     t = types(real)
     _, _, collect, carry = FORMS[form]
@@ -371,7 +369,7 @@ def make_gather(real: Any, form: str):
                 drift = carry(velocity, size, lowest(there, size), within(middle, there))
         if not inside:
             wp.atomic_max(missed_out, 0, 1)
-        # Kahan's compensated summation: without it, rounding in float32 would stop a slow motion.
+        # Kahan's compensated summation; otherwise, rounding in float32 would stop a slow motion.
         change = dt * drift - residue_out[p]
         moved = x_out[p] + change
         residue_out[p] = (moved - x_out[p]) - change

@@ -1,12 +1,11 @@
-"""Computes the viscosity of a liquid: implicit diffusion of the face velocities, solved by Jacobi's
-method.
+"""Viscosity of a liquid: implicit diffusion of the face velocities, solved by Jacobi's method.
 
 The new velocity u of a face follows from its old velocity u0 and the velocities u' of the
 neighbouring faces: (1 + k sum g) u = u0 + k sum g u', with k = eta dt / (rho dx^2) and g = 1.
 Between two liquids, eta is the harmonic mean of the viscosities at both faces. No momentum diffuses
 across the surface. A sticky wall at the distance d counts as a neighbour with the wall's velocity
 and g = dx / d; a smooth wall stops only the velocity component perpendicular to the wall. The
-velocity components diffuse independently. This neglects the coupling of components at a surface
+velocity components diffuse independently. The coupling of the components at a surface is neglected
 (Batty and Bridson 2008), so jets do not fold or coil correctly.
 """
 
@@ -22,8 +21,8 @@ from phy124.kernels.liquid.spread import normal_at
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 CLOSEST = wp.constant(0.1)
-"""Lower bound of the distance between a face and a wall [cells]; at smaller distances, the wall
-would take all momentum in one step.
+"""Lower bound of the distance between a face and a wall [cells]; a closer wall would absorb all
+momentum in one step.
 """
 
 
@@ -39,8 +38,8 @@ def wall_link(
     frictions: wp.array(dtype=Any),
     motions: wp.array2d(dtype=Any),
 ):
-    """Return the index of the wall next to a face, the sum of the weights g, and the sum of g times
-    the wall's velocity.
+    """Return the index of the wall next to a face, sum g, and the sum of g times the wall's
+    velocity.
 
     Every wall stops the velocity component perpendicular to it. Only a sticky wall stops the
     tangential components.
@@ -78,11 +77,10 @@ def wall_link(
 
 @build_once
 def make_diffuse(real: Any):
-    """Kernel over cells: does one iteration of Jacobi's method, from one array of velocities to
-    another.
+    """Kernel over cells: one iteration of Jacobi's method, from one array of velocities to another.
 
-    `known` has a bit for each face with mass. `viscosity` is eta / (rho dx^2) [1/s] for a relative
-    density and viscosity of 1.
+    `known` contains a bit for each face with mass. `viscosity` is eta / (rho dx^2) [1/s] for a
+    relative density and viscosity of 1.
     """
     t = types(real)
 

@@ -1,8 +1,8 @@
 """Computes distances from walls and the open fractions of faces, and moves particles out of walls.
 
-Distances are stored at the corners, edges, faces and centres of cells. The open fraction of each
-face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell follow from these
-distances. A new shape needs only its distance function (distance.py).
+Distances are stored at the corners and at the centres of edges, faces and cells. The open fraction
+of each face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell are computed
+from the distances. A new shape needs only a distance function (distance.py).
 """
 
 from typing import Any
@@ -20,9 +20,9 @@ from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, 
 SHUT = wp.constant(1.0e-3)
 """Open fraction of a face below which the face counts as closed."""
 GAP = wp.constant(0.02)
-"""Distance in front of a wall to which particles inside the wall are moved [cells]."""
+"""Particles inside a wall are moved to this distance in front of the wall [cells]."""
 NEAR = wp.constant(1.5)
-"""Distance from a wall below which a particle may be behind the wall after a step [cells]."""
+"""A particle may be behind a wall after a step only if its distance was less than this [cells]."""
 
 
 @wp.func
@@ -39,8 +39,8 @@ def point(cell: wp.vec3i, a: int, b: int, c: int, size: wp.vec3i):
 
 @wp.func
 def triangle(a: Any, b: Any, c: Any):
-    """Return the fraction of a triangle in which a linear function, with the values a, b, c at the
-    corners, is positive.
+    """Return the fraction of a triangle in which a linear function with corner values a, b, c is
+    positive.
     """
     zero = type(a)(0.0)
     unit = type(a)(1.0)
@@ -58,8 +58,8 @@ def triangle(a: Any, b: Any, c: Any):
 
 @wp.func
 def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
-    """Return the fraction of a square in which an interpolated function is positive; its values at
-    the corners and at the centre are given.
+    """Return the fraction of a square in which a function is positive, interpolated between its
+    values at the corners and the centre.
     """
     return type(a)(0.25) * (
         triangle(a, b, middle)
@@ -71,10 +71,10 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 
 @wp.func
 def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
-    """Return a position in the frame of a shape, and whether the shape acts.
+    """Return a position in the frame of a shape, and whether the shape is active.
 
-    A wall whose slot is above 0 is displaced by the value of its track. A solid that moves freely
-    has the position and orientation stored in its array (phy124/kernels/free/numbers.py).
+    A wall whose slot is above 0 is displaced by the value of its track. A freely moving solid has
+    the position and orientation in its array (phy124/kernels/free/numbers.py).
     """
     active = type(x[0])(1.0)
     at = x
@@ -99,8 +99,8 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @build_once
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points with half the grid spacing: stores the distance from the walls if it is
-    smaller than the stored distance.
+    """Kernel over points at half the grid spacing: stores the minimum of the stored distance and
+    the distance from the walls.
 
     `walls` contains the indices of the walls, and `geometries` their shapes. Each point stores the
     index of the nearest wall. `slots` contains the index of each wall's displacement, or 0 for a
@@ -152,7 +152,7 @@ def make_wall_distance(shape: str, real: Any):
 
 @wp.func
 def speed_of(motions: wp.array2d(dtype=Any), wall: int, x: Any):
-    """Return the velocity of a wall at a point [m/s]; `motions` holds V, w and the centre of each
+    """Return the velocity of a wall at a point [m/s]; `motions` contains V, w and centre of each
     wall.
     """
     return motions[wall, 0] + wp.cross(motions[wall, 1], x - motions[wall, 2])
@@ -192,10 +192,10 @@ def wall_across(
 ):
     """Return the index of the wall that closes a cell's face, or -1 if no wall closes the face.
 
-    The wall that closes a face is the wall nearest to the middle of the face. Where walls meet,
-    nine points on the face are compared: the result is the wall nearest to the point at which the
-    distance changes most along the axis. At the bottom of a tank, for example, the result is the
-    floor, not a side.
+    This is the wall nearest to the middle of the face. If several walls meet, nine points on the
+    face are compared, and the result is the wall nearest to the point at which the distance changes
+    most along the axis. At the bottom of a tank, for example, the result is the floor instead of a
+    side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)
@@ -217,12 +217,11 @@ def wall_across(
 
 @build_once
 def make_openings(shape: str, real: Any):
-    """Kernel over cells: multiplies the open fractions of low faces by the fractions that walls
-    leave open.
+    """Kernel over cells: multiplies the open fractions of low faces by each wall's open fraction.
 
     For a plane, the open fraction is computed from the distances at the corners of the face. For
     other shapes, it is computed from 64 points on the face, since distances are not linear at
-    edges. The product is exact where walls are perpendicular to each other.
+    edges. The product is exact if the walls are perpendicular to each other.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -239,8 +238,8 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance from a wall at the point of a face that is a and b [m] from the
-        middle of the face.
+        """Return the distance from a wall at a point of a face; a and b [m] are measured from its
+        middle.
         """
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
@@ -301,7 +300,8 @@ def make_openings(shape: str, real: Any):
                         )
                     else:
                         part = real(0.0)
-                        # Counted at run time, so that the loops are not unrolled.
+                        # The loop count is not a constant, so that the compiler does not unroll the
+                        # loops.
                         points = int(8)
                         for a in range(points):
                             for b in range(points):
@@ -331,10 +331,9 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies the open fraction of each by the fraction that each
-    wall leaves open.
+    """Kernel over eighths of cells: multiplies their open fractions by each wall's open fraction.
 
-    The product is exact where walls are perpendicular to each other. The kernel has the same
+    The product is exact if the walls are perpendicular to each other. The kernel has the same
     arguments as the kernel of `make_wall_distance`.
     """
     t = types(real)
@@ -378,7 +377,7 @@ def make_eighths(shape: str, real: Any):
 
 @build_once
 def make_solid_shares(real: Any):
-    """Kernel over cells: computes the fractions of two B-splines that lie inside walls.
+    """Kernel over cells: computes which fractions of two B-splines are inside walls.
 
     The two B-splines are the linear and the quadratic B-spline around the cell's centre.
     """
@@ -411,7 +410,7 @@ def make_solid_shares(real: Any):
             hats = vec6(real(0.0), real(0.125), real(0.375), real(0.375), real(0.125), real(0.0))
             k = real(1.0) / real(48.0)
             splines = vec6(k, real(7.0) * k, real(16.0) * k, real(16.0) * k, real(7.0) * k, k)
-            # Counted at run time, so that the loops are not unrolled.
+            # The loop count is not a constant, so that the compiler does not unroll the loops.
             parts = int(6)
             for a in range(parts):
                 for b in range(parts):
@@ -440,8 +439,8 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return the velocity of a particle after contact with a wall of velocity u, which stops
-        motion into the wall and exerts friction.
+        """Return the velocity of a particle after contact, with friction, with a wall of velocity
+        u.
         """
         along = wp.dot(v - u, normal)
         if along >= real(0.0):

@@ -1,13 +1,12 @@
-"""Device functions in C++, for features that Warp lacks: CPU vector instructions and some GPU
-atomics.
+"""Device functions in C++, for CPU vector instructions and GPU atomics that Warp lacks.
 
-A file `NAME.h` in this folder holds function bodies, which refer to the arguments by their names in
-the Python signature. A line `//: PIECE` begins a named piece of the file. The text becomes part of
-a Warp module, and therefore of its hash: a module whose text has changed is compiled again. Inside
-a body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
+A file `NAME.h` in this folder contains function bodies, which refer to the arguments by their names
+in the Python signature. A line `//: PIECE` begins a named piece of the file. The text is part of a
+Warp module and of the module's hash, so a change of the text causes a new compilation. Inside a
+body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
 
-For each C++ function, a plain form in Python defines the result, and a test compares the two forms.
-The comment at the top of each file names the plain form and the test.
+For each C++ function, a plain Python function defines the result, and a test compares both. The
+comment at the top of each file names the Python function and the test.
 """
 
 import inspect
@@ -41,7 +40,7 @@ def code(*pieces: str) -> str:
 
 
 def constants(kind: str, **values: Any) -> str:
-    """Return C++ declarations of constants and arrays; their type is "float" or "double"."""
+    """Return C++ declarations of constants and arrays of type "float" or "double"."""
     parts = []
     for name, value in values.items():
         numbers = [repr(float(number)) for number in np.ravel(value)]
@@ -51,11 +50,11 @@ def constants(kind: str, **values: Any) -> str:
 
 
 def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any = None) -> Any:
-    """Return a device function in C++ that takes a thread index and a kernel's arguments.
+    """Return a C++ device function that takes a thread index and the arguments of a kernel.
 
     Args:
         body: The function's C++ body, in which `thread` is the thread index.
-        like: Function of the kernel, which declares the parameters.
+        like: Function of the kernel; its signature declares the parameters.
         name: Name of the device function.
         returns: Return type, or None.
     """
@@ -68,10 +67,10 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
 def native_kernel(
     module: str, body: str, *, name: str = "", seconds: float = 0.0
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
+    """Return a decorator that adds a kernel, which only calls C++, to a Warp module.
 
-    The decorated function declares the parameters. The decorated function either has no code or is
-    the plain form of the kernel (`plain.func`).
+    The decorated function declares the parameters. It either has no code or is the plain version of
+    the kernel (`plain.func`).
 
     Args:
         module: The module's name.
@@ -91,12 +90,12 @@ def native_kernel(
 
 
 def _declare(like: Callable[..., Any]) -> str:
-    """Return the parameters of a function as source text, in which `types` supplies their types."""
+    """Return the parameters of a function as source text, with types taken from `types`."""
     return ", ".join(f"{name}: types[{name!r}]" for name in inspect.signature(like).parameters)
 
 
 def _define(source: str, name: str, like: Callable[..., Any], **known: Any) -> Any:
-    """Return the function defined by a source text, registered so that Warp can read the text."""
+    """Return the function defined by a source text; register the text so that Warp can read it."""
     file = f"<{like.__module__}.{name}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     space = {"wp": wp, "types": like.__annotations__, "__name__": like.__module__, **known}

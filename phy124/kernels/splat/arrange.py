@@ -16,17 +16,16 @@ AMONG = wp.constant(1)
 BEHIND = wp.constant(2)
 """Rank of glass that is behind all Gaussians."""
 THIN = wp.constant(0.2)
-"""A box whose thickness is below this fraction of its width is a plate."""
+"""A box counts as a plate if its thickness is less than this fraction of its width."""
 GIVE = wp.constant(0.3)
-"""Fraction of half a plate's thickness; an object that penetrates the plate by less counts as
-outside the plate.
+"""An object counts as outside a plate if it penetrates the plate by less than this fraction of half
+the thickness.
 """
 
 
 @wp.func
 def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
-    """Return the rank of a solid seen from `eye`: in front of, among or behind the contents of a
-    box.
+    """Return the rank of a solid seen from `eye`: before, among or behind the contents of a box.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
     the box. If the eye is on the same side as the box, no ray to the box meets the solid before the
@@ -54,7 +53,7 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
 def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
     """Return a corner of a solid's box: its position on the screen [px] and its depth [m].
 
-    Each bit of the corner's index tells, for one axis, on which side of the centre the corner lies.
+    Each bit of the corner's index gives the side of the centre along one axis.
     """
     away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
     for axis in range(3):
@@ -110,7 +109,7 @@ def outline(view: View, solid: Solid) -> Outline:
                 inwards = -inwards
             c = 0.5 - wp.dot(inwards, wp.vec2(start[0], start[1]))
             seen.sides[seen.count] = wp.vec3(inwards[0], inwards[1], c)
-            # The same half plane in space: a x + b y + c at the screen position of a ray, times the
+            # The half plane in space is a x + b y + c at the screen position of a ray, times the
             # ray's depth.
             seen.planes[seen.count] = wp.transpose(view.rotation) * wp.vec3(
                 view.focal * inwards[0],
@@ -133,8 +132,8 @@ def arrange(
 ):
     """Sort the solids by rank and compute their outlines, one thread per solid.
 
-    `low` and `high` are the corners of a box around all Gaussians; `counts_out` receives the number
-    of solids in front of, among and behind the Gaussians.
+    `low` and `high` are the corners of a box around all Gaussians; `counts_out` receives the
+    numbers of solids before, among and behind the Gaussians.
     """
     k = wp.tid()
     own_rank = rank(solids[k], view.eye, low, high)

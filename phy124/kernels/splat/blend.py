@@ -1,9 +1,9 @@
 """Blends splats front to back, with one thread per pixel (CUDA), per tile, or per tile in C++
 (CPUs).
 
-The two forms per tile use the same algorithm; tests/test_render.py compares them. `gather_pixels`
-is the adjoint: for each splat, it sums the pixels' values, weighted by the splat's contribution to
-each pixel.
+Both versions with one thread per tile use the same algorithm; tests/test_render.py compares their
+results. `gather_pixels` is the adjoint: for each splat, it sums the pixels' values weighted by the
+splat's contribution to each pixel.
 """
 
 import warp as wp
@@ -83,7 +83,9 @@ def blend_tiles(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """Blend the splats with one thread per tile, splat by splat; T < 0 marks a finished pixel."""
+    """Blend the splats, one after the other, with one thread per tile; if T < 0, a pixel is
+    finished.
+    """
     tile = first + wp.tid()
     left = (tile % view.columns) * TILE
     top = (tile / view.columns) * TILE
@@ -132,7 +134,7 @@ STORE_TILE = code("tile:store")
 blend_tiles_simd = native_kernel(
     "phy124_blend_simd", SUM_TILE + STORE_TILE, name="blend_tiles_simd"
 )(blend_tiles.func)
-"""Blend like `blend_tiles`, with the vector instructions of a CPU."""
+"""Blend as `blend_tiles` does, with vector instructions of a CPU."""
 
 
 @kernel("phy124_gather")
@@ -147,9 +149,7 @@ def gather_pixels(
     sums_out: wp.array(dtype=wp.vec3),
     weights_out: wp.array(dtype=float),
 ):
-    """Add each pixel's weighted value, and the weight, to the splats of the pixel; one thread per
-    pixel.
-    """
+    """Add each pixel's weighted value, and the weight, to the pixel's splats (a thread per pixel)."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -173,6 +173,6 @@ def gather_pixels(
 gather_tiles_simd = native_kernel(
     "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
 )(gather_pixels.func)
-"""Gather like `gather_pixels`, on a CPU with one tile per thread; tiles are processed one after the
-other, since they share splats.
+"""Gather as `gather_pixels` does, on a CPU; tiles are processed one after the other, since they
+have common splats.
 """

@@ -1,7 +1,6 @@
-"""Draws boundaries as glass: finds the points where a ray enters and leaves a solid, and the
-opacities there.
+"""Draws boundaries as glass: intersects rays with solids, and computes the faces' opacities.
 
-The player draws the same glass in its shaders (phy124/io/viewer/stage.js), function by function.
+The shaders of the player (phy124/io/viewer/stage.js) contain the same functions.
 """
 
 import warp as wp
@@ -17,8 +16,8 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and width of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""Fraction of the distance along a ray to the surface behind the glass. A face beyond this fraction
-counts as lying on that surface, so it is not drawn.
+"""A face is not drawn if its distance along a ray is more than this fraction of the distance to the
+surface behind it, because it then counts as lying on this surface.
 """
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""
@@ -26,7 +25,7 @@ TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 
 @wp.struct
 class Solid:
-    """A box along its own axes, or a capsule along its first axis; a ball is a short capsule."""
+    """A box with its own axes, or a capsule along its first axis; a ball is a short capsule."""
 
     centre: wp.vec3  # [m]
     axes: wp.mat33  # a unit vector in each row
@@ -56,10 +55,10 @@ class Hit:
 
 @wp.func
 def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
-    """Return the opacity of a box's face at a point in the box's axes; it is higher at edges.
+    """Return the opacity of a box's face at a point in the box's axes; edges are more opaque.
 
-    A point on a face has one coordinate at its limit. The nearest edge is determined by whichever
-    of the other two coordinates is closer to its limit.
+    A point on a face has one coordinate at its limit. Of the other two coordinates, the one closer
+    to its limit determines the nearest edge.
     """
     a = wp.abs(solid.half[0] - wp.abs(at[0]))
     b = wp.abs(solid.half[1] - wp.abs(at[1]))
@@ -108,8 +107,8 @@ def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
-    """Return the distances at which a ray enters and leaves a ball; if it misses, the exit is
-    before the entry.
+    """Return the distances at which a ray enters and leaves a ball; the exit is first if the ray
+    misses.
     """
     o = origin - centre
     a = wp.dot(ray, ray)
@@ -135,7 +134,7 @@ def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
         ends = other
     elif other[1] >= other[0]:
         ends = wp.vec2(wp.min(ends[0], other[0]), wp.max(ends[1], other[1]))
-    # Perpendicular to the axis the tube is a disc; along the axis it is a slab.
+    # The tube is the intersection of a disc, perpendicular to the axis, and a slab along the axis.
     o = origin - solid.centre
     along = wp.dot(ray, axis)
     across = ray - along * axis
@@ -176,7 +175,7 @@ def veil(solid: Solid, origin: wp.vec3, ray: wp.vec3, limit: float, pixel: float
         clear *= 1.0 - hit.first
     if hit.leaves < NEARLY * limit:
         clear *= 1.0 - hit.second
-    # The solid fades towards its outline, where rays only graze it.
+    # The solid becomes transparent towards its outline, where rays only graze it.
     chord = (hit.leaves - wp.max(hit.enters, 0.0)) * wp.length(ray)
     return (1.0 - clear) * wp.clamp(chord / (WIDTH * pixel * hit.leaves), 0.0, 1.0)
 

@@ -87,7 +87,7 @@ def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
 
 @wp.func
 def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: View) -> Splat:
-    """Return the splat without its colour; the splat's box is empty if it is invisible or not
+    """Return the splat without colour; the splat's box is empty if the splat is invisible or not
     finite.
     """
     splat = Splat()
@@ -106,7 +106,8 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     det = area + low * (xx + yy) + view.low_area
     d = yy + low
     mean = view.focal * wp.vec2(p[0], p[1]) / p[2] + view.centre
-    # Normalising would turn a NaN quaternion into a finite rotation, so check it first.
+    # Normalising would turn a NaN quaternion into a finite rotation, so the quaternion is checked
+    # first.
     if not finite(quat[0] + quat[1] + quat[2] + quat[3] + det + mean[0] + mean[1] + opacity):
         return splat
     if view.keeps_light != 0:
@@ -140,8 +141,8 @@ def project(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """Project one Gaussian per thread, and write +-1 at the corners of its rectangle of tiles to
-    `corners_out`.
+    """Project one Gaussian per thread; write +1 and -1 to `corners_out` at the corners of its
+    tiles.
     """
     i = wp.tid()
     p = view.rotation * means[i] + view.translation
@@ -236,9 +237,7 @@ def bin_serial(
     ends_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the lists of all tiles in a single thread, for CPUs, in the depth order given by
-    `order`.
-    """
+    """Fill the lists of all tiles in a single thread, for CPUs; `order` sorts splats by depth."""
     ...
 
 
@@ -273,10 +272,10 @@ def start_lists(
     starts_out: wp.array(dtype=int),
     ends_out: wp.array(dtype=int),
 ):
-    """Start an empty list for each tile, after the entries of all tiles before it.
+    """Set the start of each tile's list after the entries of all previous tiles.
 
-    All lists together have space for `room` entries; a start beyond the last entry is moved to the
-    end.
+    There is space for `room` entries in all lists together; a start beyond this space is moved to
+    the end.
     """
     tile = wp.tid()
     start = wp.min(before[tile], room)
@@ -298,8 +297,7 @@ def bin_parallel(
     ranks_out: wp.array(dtype=int),
     pairs_out: wp.array(dtype=int),
 ):
-    """Fill the lists of all tiles with one thread per splat, for GPUs; the caller then sorts the
-    lists by rank.
+    """Fill the lists of all tiles with one thread per splat, for GPUs; the caller sorts the lists.
 
     If the number of entries, `total`, exceeds the available space, `room`, the lists stay empty.
     """

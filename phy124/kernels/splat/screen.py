@@ -1,8 +1,8 @@
-"""Defines the camera, a splat on the screen, and the splat's alpha at a pixel, for all stages.
+"""The camera, a splat on the screen, and the splat's alpha at a pixel, for all stages.
 
 The conventions follow Kerbl et al. 2023 (3D Gaussian Splatting, section 4). Alpha is limited to
-0.99, contributions below 1/255 are skipped, and a pixel is finished before its transmittance would
-fall below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
+0.99, and contributions below 1/255 are skipped. A pixel is finished before its transmittance falls
+below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 """
 
 import warp as wp
@@ -40,7 +40,7 @@ class Splat:
 
     With the screen covariance ((a, b), (b, d)) the exponent is a sum of two squares, -1/2 ((dx -
     shear dy)^2 precision_x + dy^2 precision_y), shear = b/d, precision_x = d/det, precision_y =
-    1/d. The sum of squares is never positive, and is exact for needles, unlike the expanded conic.
+    1/d. Unlike the expanded conic, this form is never positive, and is exact for needles.
     """
 
     mean: wp.vec2  # [px]
@@ -69,9 +69,7 @@ def alpha_at(splat: Splat, x: int, y: int) -> float:
 
 @wp.func
 def tiles_of(splat: Splat) -> wp.vec4i:
-    """Return the tiles that the box of a splat touches: the first column and row, and the column
-    and row after the last ones.
-    """
+    """Return the tiles that a splat's box touches: first column and row, and end column and row."""
     box = splat.box
     if box[2] <= box[0] or box[3] <= box[1]:
         return wp.vec4i(0, 0, 0, 0)
@@ -80,7 +78,5 @@ def tiles_of(splat: Splat) -> wp.vec4i:
 
 @wp.func
 def blend_over(light: wp.vec3, transmittance: float, background: wp.vec3) -> wp.vec3:
-    """Return the colour of a pixel: the light of its splats plus the transmitted background, at
-    most 1.
-    """
+    """Return the colour of a pixel: the splats' light plus the transmitted background, up to 1."""
     return wp.min(light + transmittance * background, wp.vec3(1.0, 1.0, 1.0))

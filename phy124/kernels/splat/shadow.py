@@ -1,4 +1,4 @@
-"""Computes the optical depth of the Gaussians over the floor, seen from the light, in layers of
+"""Computes the optical depth of the Gaussians above the floor, along the light, in layers of
 height.
 """
 
@@ -125,7 +125,7 @@ cover_simd = native_kernel(
     + code("shadow"),
     name="cover_simd",
 )(cover.func)
-"""Add optical depth like `cover`, with the vector instructions of a CPU, for maps of at least
-sixteen cells. Each thread handles sixteen Gaussians. tests/test_stage_shadow.py compares the two
-forms.
+"""Add optical depth as `cover` does, with vector instructions of a CPU, for maps of at least
+sixteen cells. Each thread handles sixteen Gaussians. tests/test_stage_shadow.py compares both
+versions.
 """

@@ -1,9 +1,9 @@
 """Draws the surroundings of the object: backdrop, floor with shadow, and boundaries as glass.
 
-Backdrop and floor are drawn behind all Gaussians, pixel by pixel, and glass in front of all
-Gaussians is blended over their light. Glass that lies among the Gaussians is drawn differently: a
-Gaussian behind the glass is tinted with its colour. Blending is linear, so the tint has the same
-effect as blending the glass at its depth, but needs no depth per pixel.
+The backdrop and the floor are drawn behind all Gaussians, and glass in front of all Gaussians is
+blended over their light. If glass is among the Gaussians, the Gaussians behind the glass are tinted
+with the colour of the glass instead. Blending is linear, so this has the same effect as blending
+the glass at its depth, but needs no depth per pixel.
 """
 
 import warp as wp
@@ -32,7 +32,7 @@ class Setting:
 
 @wp.func
 def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: float) -> float:
-    """Return the interpolated fraction of light that the shadow removes; it is 0 outside the map.
+    """Return the interpolated fraction of light that the shadow removes; 0 outside the map.
 
     The outermost cells have no shadow.
     """
@@ -50,9 +50,7 @@ def shade_at(setting: Setting, shade: wp.array2d(dtype=wp.uint16), u: float, v: 
 
 @wp.func
 def pool_at(x: float, y: float) -> float:
-    """Return the relative brightness of the pool of light on the floor; x and y are in units of
-    `reach`.
-    """
+    """Return the brightness of the light spot on the floor; x and y are relative to `reach`."""
     rest = wp.max(1.0 - 0.5 * (x * x + y * y), 0.0)
     return rest * rest
 
@@ -70,9 +68,7 @@ def ray_through(view: View, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
-    """Return the distance at which a ray meets the floor from above, or 1e30 if it does not meet
-    the floor.
-    """
+    """Return the distance at which a ray meets the floor from above; 1e30 if it does not."""
     if setting.floor == 1 and eye[2] > setting.height and ray[2] < 0.0:
         return (setting.height - eye[2]) / ray[2]
     return 1.0e30
@@ -91,14 +87,14 @@ def draw_setting(
     # in place: light of the Gaussians, finally the whole frame
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """Draw the surroundings with one thread per pixel. This kernel is the plain form of
+    """Draw the surroundings with one thread per pixel. This is the plain version of
     `blend_staged_simd`, and also runs on GPUs.
 
     The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """
     pixel = wp.tid()
     open = 1.0 - coverage[pixel]
-    # A residual transmittance of the Gaussians below one grey level of a byte is ignored.
+    # If the transmittance of the Gaussians is less than one grey level of a byte, it is ignored.
     if open <= 1.0e-3:
         if before == 0:
             return
@@ -157,8 +153,7 @@ def tint_splats(
     splats_out[i].colour = TINT + clear * (splats_out[i].colour - TINT)
 
 
-# A separate function, because inlining it into the function that sums splats made the sum 1/60
-# slower.
+# A separate function: inlined into the function that sums splats, it made this sum 1/60 slower.
 APART = "__attribute__((noinline))"
 DRAW = f"const auto draw = [&]() {APART} {{ {VEIL + code('stage')} }};\ndraw();"
 
@@ -191,6 +186,5 @@ def blend_staged_simd(
 tint_splats_simd = native_kernel(
     "phy124_stage_simd", VEIL + code("stage:tint"), name="tint_splats_simd"
 )(tint_splats.func)
-"""Tint like `tint_splats`, with the vector instructions of a CPU and sixteen Gaussians per
-thread.
+"""Tint as `tint_splats` does, with vector instructions of a CPU; sixteen Gaussians per thread.
 """
