@@ -167,7 +167,7 @@ def limiter(s: Progress, bounds: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether a particle or wall may move too far in a substep (by more than about a cell)."""
+    """Return whether a particle or wall may move too far in a substep: more than about a cell."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, bounds.wall) * dt > bounds.stride

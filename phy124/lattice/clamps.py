@@ -1,4 +1,4 @@
-"""Represents clamps on a lattice, and transfers contact impulses on clamped nodes to the clamps.
+"""Clamps on a lattice, and the transfer of contact impulses from clamped nodes to clamps.
 
 Nodes inside a clamp have the clamp's velocity. The node next to the clamp's surface moves in the
 opposite direction to its free neighbour, so that the interpolated motion vanishes at the surface.
@@ -24,22 +24,20 @@ from phy124.mpm.model import Model
 from phy124.mpm.tracks import Track, Tracks
 
 HELD = 0.5
-"""Distance from the surface of a clamp [cells] up to which a held node moves opposite to its free
+"""A clamped node within this distance of the clamp's surface [cells] moves opposite to its free
 neighbour, so that the motion vanishes at the surface. Nodes farther inside the clamp do not move.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion of the material is set to zero [cells]. A B-spline that
-vanishes at a surface is also flat there, so a plate held at the surface would be too short by about
-this depth.
+vanishes at a surface is also flat there. A plate that is clamped at the surface would therefore be
+too short by about this depth.
 """
 STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
-"""The track for walls that never move."""
+"""Track of walls that never move."""
 
 
 class Clamp:
-    """The nodes that a clamp holds, and the launch that gives these nodes the velocity of the
-    clamp.
-    """
+    """The nodes in a clamp, and the launches that set their velocities to the clamp's velocity."""
 
     def __init__(
         self,
@@ -52,26 +50,26 @@ class Clamp:
         row: int,
         holder: wp.array,
     ) -> None:
-        """Find the nodes that a clamp holds.
+        """Find the nodes in a clamp.
 
         Args:
             part: The clamp.
             model: The constants of the run.
             lattice: The lattice at rest.
             nodes: Arrays of the nodes.
-            tracks: The tracks, to which the clamp's displacement is added.
+            tracks: The tracks of the run, to which the clamp's displacement is added.
             sums: Sums of the clamp's impulse and work.
             row: Index of these sums.
-            holder: Row of the clamp that holds each node [N], which the launches write.
+            holder: Row of each node's clamp [N], written by the launches.
 
         Raises:
-            InputError: The clamp holds only some directions.
+            InputError: The clamp fixes only some directions.
         """
         if part.contact != "sticky":
             raise InputError(
                 f"boundaries.{type(part).__name__.lower()}.contact",
                 part.contact,
-                "a body on a lattice can only be held in all directions.",
+                "a body on a lattice can only be fixed in all directions.",
                 'Use contact = "sticky", or accuracy.solver = "mpm".',
             )
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
@@ -92,8 +90,8 @@ class Clamp:
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
         """Record the launches of one substep.
 
-        If a node is inside several active clamps, the last of these clamps holds it. A node inside
-        a clamp belongs to this clamp, even if the node is also at the surface of another clamp.
+        If a node is inside several active clamps, it belongs to the last of them. A node inside a
+        clamp belongs to this clamp even if the node is also at the surface of another clamp.
 
         Args:
             earlier: The clamps that precede this clamp in the scene.
@@ -118,7 +116,7 @@ class Clamp:
 
 
 class PassedOn:
-    """Records launches that add the contact impulses on held nodes to the sums of the clamps."""
+    """Records launches that add the contact impulses on clamped nodes to the clamps' sums."""
 
     def __init__(
         self,
@@ -135,7 +133,7 @@ class PassedOn:
             model: The constants of the run.
             nodes: Arrays of the nodes.
             clock: The clock of the substeps.
-            holder: Row of `sums` of the clamp that holds each node [N].
+            holder: Row in `sums` of each node's clamp [N].
             sums: Sums of all simple walls [W,16].
             impulses: Sums per surface point and node; None if impulses are not summed.
         """
@@ -152,14 +150,14 @@ class PassedOn:
         force: wp.array,
         sums: wp.array | None = None,
     ) -> wp.Launch:
-        """Record the launch for listed points; the launch has one thread per listed point.
+        """Record the launch for listed points, with one thread per point.
 
         Args:
             near: Indices of the points.
             points: Nodes and weights of each point.
             force: Mean force on each point in a substep [S,3], N.
-            sums: Sums of the wall or body that exerts the force, including the work; None if there
-                are no such sums.
+            sums: Sums, including the work, of the wall or body that exerts the force; None if there
+                are none.
         """
         nodes, kernel = self._nodes, make_pass_on(self._model.real)
         inputs = [near, *points, nodes.movable, nodes.inverse, self._holder, nodes.rest, nodes.u]
@@ -171,8 +169,7 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the pairs of the last held and the first free node in each column, and the ratios of
-    their motions.
+    """Return pairs of the last clamped and the first free node in columns, with motion ratios.
 
     Args:
         lattice: The lattice at rest.
@@ -186,7 +183,7 @@ def pins(
     step = np.zeros((len(middle), 3), np.int64)
     step[np.arange(len(middle)), axis[middle]] = np.sign(lean[middle]).astype(np.int64)
     front = lattice.step_from(middle, step)
-    # A node may be the first free node of one column only, so that no two threads write to it.
+    # A node may be the first free node of only one column, so that no two threads write to it.
     present = np.flatnonzero(front >= 0)
     _, first = np.unique(front[present], return_index=True)
     chosen = present[first]
@@ -198,7 +195,7 @@ def pins(
 def slots_at(
     nodes: NDArray[np.int64], clamps: Sequence[tuple[int, NDArray[np.int64]]], device: str
 ) -> wp.array:
-    """Return the tracks of the clamps that contain each node [K,L]; -1 means no clamp.
+    """Return, for each node, the tracks of the clamps that contain it [K,L]; -1 means no clamp.
 
     Args:
         nodes: Indices of nodes [K].
@@ -212,7 +209,7 @@ def slots_at(
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return, for each of K bodies, whether a simple wall acts on the body [K]."""
+    """Return for each of K bodies whether a simple wall acts on it [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
     if part.object not in model.names:
@@ -221,8 +218,8 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return the normals of a simple wall and the signed distances from it [m] at points [N,3], as
-    rows [N,4].
+    """Return the normal of a simple wall and the signed distance [m] at points [N,3], as rows
+    [N,4].
     """
     t = types(model.real)
     shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)

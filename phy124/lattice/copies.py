@@ -1,9 +1,9 @@
-"""Arranges the copies of nodes in memory so that cells still touch rows of three nodes along z.
+"""Arranges copies of nodes in memory so that each cell still uses rows of three nodes along z.
 
-A node has copies where separate pieces of a body lie in the support of the node
-(phy124/particles/pieces.py). In a row of three nodes, a copy may follow a node that several rows
-share. Each such row is stored separately, and repeats the shared node. A repeated node is tied with
-weight 1 to the node that it repeats, so the rest of the code can treat it like other tied nodes.
+A node has copies if separate pieces of a body lie in the support of the node
+(phy124/particles/pieces.py). In a row of three nodes, a copy may follow a node that belongs to
+several rows. Each of these rows is stored separately and repeats the common node. A repeated node
+is tied, with weight 1, to the node that it repeats, so it is treated like other tied nodes.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 
 
 class Layout(NamedTuple):
-    """Order in which D distinct nodes, some of them repeatedly, are stored in memory."""
+    """Order of D distinct nodes in memory; some nodes are stored repeatedly."""
 
     node: NDArray[np.int64]
-    """Index of the distinct node that is stored at each place in memory [N]."""
+    """Index of the distinct node at each position in memory [N]."""
     home: NDArray[np.int64]
-    """Main place in memory of each distinct node [D]; other places repeat the node."""
+    """Main position in memory of each distinct node [D]; other positions repeat the node."""
     rows: NDArray[np.int64]
-    """First place in memory of each of a cell's nine rows of three nodes along z [C,9]."""
+    """First position in memory of each of a cell's nine rows of three nodes along z [C,9]."""
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
-        """Whether each place in memory only repeats a node whose main place is elsewhere [N]."""
+        """Whether each position in memory only repeats a node with another main position [N]."""
         mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
         return mask
 
@@ -37,12 +37,12 @@ class Layout(NamedTuple):
         ties: scipy.sparse.csr_matrix,
         pushes: scipy.sparse.csr_matrix,
     ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return the tied nodes, including repeated nodes, their ties [T,N], and the matrix [N,N]
-        that moves forces.
+        """Return tied nodes (including repeated nodes), their weights [T,N], and the force matrix
+        [N,N].
 
         Args:
             tied: Indices of the distinct nodes that are tied.
-            ties: Ties of these nodes [T,D].
+            ties: Weights of the donors of these nodes [T,D].
             pushes: Weights of pushes on distinct nodes [D,D], as in `RestLattice.pushes`.
         """
         count, distinct = len(self.node), len(self.home)
@@ -64,7 +64,7 @@ def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -
 
     Args:
         index: Indices of the distinct nodes, sorted by x, y, z and copy [D,3].
-        copy: Number of the copy that each node is [D]; it is 0 for a node without copies.
+        copy: Copy number of each node [D]; 0 for a node without copies.
         cells: The distinct nodes of each cell [C,27].
     """
     rows, which = np.unique(cells.reshape(-1, 3), axis=0, return_inverse=True)
@@ -80,8 +80,8 @@ def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -
     order = np.lexsort((index[node, 2], run, index[node, 1], index[node, 0]))
     place = np.empty(len(node), np.int64)
     place[order] = np.arange(len(node))
-    # The main places of first copies are in the rows of whole nodes; those of other copies are in
-    # their first chain.
+    # The main position of a first copy is in the rows of nodes without copies; the main position of
+    # another copy is in its first chain.
     home = np.full(len(index), len(node))
     np.minimum.at(home, node[len(first) :], place[len(first) :])
     home[first] = place[: len(first)]
@@ -98,7 +98,7 @@ def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -
 
 
 def _chain(rows: NDArray[np.int64]) -> list[list[int]]:
-    """Join rows of three nodes that overlap by two nodes, and return lists of nodes."""
+    """Join rows of three nodes that overlap by two nodes; return lists of nodes."""
     chains: list[list[int]] = []
     open_ends: dict[tuple[int, int], list[int]] = {}
     for a, b, c in rows.tolist():

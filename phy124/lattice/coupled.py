@@ -1,8 +1,8 @@
 """CoupledSolver: advances bodies on lattices together with bodies of particles.
 
-Bodies on lattices and bodies of particles take the same substeps. In a substep, the particles'
-grids are updated and the lattices' nodes are kicked. After the kick, all contact acts, and walls
-act on the grids. Finally, particles and lattices move.
+Lattices and particles take the same substeps. In a substep, the particles' grids are updated and
+forces change the velocities of the lattices' nodes. Then all contact acts, and walls act on the
+grids. Finally, particles and lattices move.
 """
 
 from __future__ import annotations
@@ -25,13 +25,11 @@ from phy124.mpm.pairs import fill_of
 from phy124.mpm.timestep import Substep
 
 STATE = ("x", "v", "C", "F")
-"""Names of those arrays of `State` that exist for the points of a lattice."""
+"""Names of the arrays of `State` that exist for the points of a lattice."""
 
 
 class CoupledClock(Clock):
-    """The clock of the particles, which takes substeps that are also short enough for the
-    lattices.
-    """
+    """The clock of the particles, with substeps that are also short enough for the lattices."""
 
     lattice: Clock | None = None
     """The clock of the lattices."""
@@ -61,13 +59,13 @@ class CoupledSolver(Solver):
         ceiling: float = math.inf,
         **options: Any,
     ) -> None:
-        """Divide the bodies between the solver of lattices and the solver of particles.
+        """Divide the bodies between the lattice solver and the particle solver.
 
         Args:
             model: All particles; the bodies `Model.wet` are on lattices.
             surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
-            state: Initial state of the particles.
-            uniform: The forces on the lattices, which must be uniform.
+            state: Initial state of the particles. uniform: Forces on the lattices, which must be
+                uniform.
             walls: The boundaries for the lattices.
             pairs: Pairs of bodies whose contact differs from the default.
             copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
@@ -137,12 +135,12 @@ class CoupledSolver(Solver):
 
     @property
     def guest(self) -> CoupledSolver:
-        """This solver, whose `launch` runs after the grids are updated and before the walls act."""
+        """This solver; its `launch` runs after the grids are updated and before the walls act."""
         return self
 
     @property
     def meetings(self) -> Any:
-        """Contact of the bodies on lattices with each other."""
+        """Contact between the bodies on lattices."""
         return self.lattice.meetings
 
     @property
@@ -180,11 +178,11 @@ class CoupledSolver(Solver):
             self.rejection.keep(_Undo(self))
 
     def stages(self, passed: PassedOn | None) -> list[list[Any]]:
-        """Return the launches of the lattices for contact between lattices and particles.
+        """Return the kernel launches that handle contact between lattices and particles.
 
         Args:
-            passed: Records launches that transfer impulses on held nodes to clamps; None if there
-                are no clamps.
+            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
+                there are no clamps.
         """
         for material in self.materials:
             material.pass_on(passed)
@@ -194,7 +192,7 @@ class CoupledSolver(Solver):
         ]
 
     def launch(self) -> None:
-        """Kick the nodes of the lattices, then apply all contact impulses of the lattices."""
+        """Apply forces and then all contact impulses to the nodes of the lattices."""
         if self._lattice is not None:
             self._lattice.start_step(*self._kick)
 
@@ -206,10 +204,10 @@ class CoupledSolver(Solver):
         Args:
             until: The time at which to stop [s].
             after: Called after each substep.
-            each: Whether `after` must be called after each substep, which it always is.
+            each: Not used; `after` is called after each substep in any case.
 
         Raises:
-            Unstable: A particle left the grid's window or is no longer finite.
+            Unstable: A particle left the grid's window, or a value is not finite.
         """
         lattice = self.lattice
         lattice.rejection.begin(self.clock.time, until)
@@ -245,8 +243,8 @@ class CoupledSolver(Solver):
         super()._stable_step(until)
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep in which velocities change for the time `kick` [s], and positions and F
-        for the time `drift` [s].
+        """Take one substep: change velocities for the time `kick` [s], positions and F for `drift`
+        [s].
         """
         super().step(kick, drift)
         self.lattice.end_step(drift)
@@ -274,19 +272,17 @@ class CoupledSolver(Solver):
         self.flying = False
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs to continue bit for bit."""
+        """Return a snapshot from which `restore` continues bit for bit."""
         return {**super().snapshot(), **_Undo(self).snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
-        same.
-        """
+        """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
         super().restore(snapshot)
         _Undo(self).restore(snapshot)
 
 
 class _Undo:
-    """The parts of the lattices' state that are restored after a rejected substep."""
+    """The part of the lattices' state that is restored after a rejected substep."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         self._solver = solver
@@ -304,7 +300,7 @@ class _Undo:
 
 
 def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model:
-    """Return a model that contains only some of the bodies, numbered in the given order."""
+    """Return a model with some of the bodies, numbered in the given order."""
     groups, runs, start = [], [], 0
     for place, body in enumerate(bodies):
         for group in model.groups:

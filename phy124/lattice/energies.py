@@ -1,9 +1,8 @@
-"""Energies: sums the work on bodies separately for each cause, in every substep of a run that
-requests it.
+"""Energies: sums the work on bodies in every substep, for each cause separately.
 
-Two phases are inserted before the drift. The first phase sums the forces of viscosity alone, and
-the second phase multiplies all forces by the mean velocities of the substep. The work of contact
-and of clamps is summed by their kernels.
+This needs two additional phases before the nodes move. The first phase sums only the viscous
+forces, and the second phase multiplies all forces by the mean velocities of the substep. The
+kernels for contact and clamps sum the work of contact and clamps.
 """
 
 from __future__ import annotations
@@ -24,30 +23,27 @@ from phy124.lattice.work import ContactWork
 from phy124.mpm.stage import Named
 
 STAGE = "dissipation"
-"""Name of the stages in reports, which is the same as for other materials."""
+"""Name of the stages in reports; the name is the same for all materials."""
 EXTERNAL = "external work"
-"""Name of the stage that sums the impulse and the work of forces on points, for the balance of
-momentum and energy.
+"""Name of the stage that sums impulse and work of forces on points, for the balances of momentum
+and energy.
 """
 ROOM = 24
-"""Length of the array of sums of each worker; with this length, no two workers write to the same
-cache line.
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line.
 """
 
 
 class Works(NamedTuple):
-    """Work on all bodies since the start [J], separately for each cause; negative if the bodies
-    lost energy.
-    """
+    """Work on all bodies since the start [J], by cause; negative if the bodies lost energy."""
 
     forces: float
     """Work of the uniform acceleration and of forces on points."""
     walls: float
-    """Work of walls due to their motion."""
+    """Work due to the motion of walls."""
     held: float
-    """Work of clamps due to their motion."""
+    """Work due to the motion of clamps."""
     solids: float
-    """Work of rigid solids that move freely, including their friction."""
+    """Work of freely moving rigid solids, including friction."""
     elastic: float
     """Work of the elastic stress."""
     viscous: float
@@ -57,17 +53,16 @@ class Works(NamedTuple):
     friction: float
     """Work of the tangential impulses of walls."""
     impacts: float
-    """Work of the normal impulses of walls and of the impulses of clamps, without the part due to
-    their motion.
+    """Work of normal impulses of walls and of clamps, without the part due to motion.
     """
     itself: float
-    """Work of the contact of bodies with themselves."""
+    """Work of contact of bodies with themselves."""
     pairs: float
-    """Work of the contact of bodies with each other."""
+    """Work of contact between bodies."""
 
 
 class Energies:
-    """Adds the launches that sum work; no work is summed before `start` is called."""
+    """Adds launches that sum work; sums nothing until `start` is called."""
 
     def __init__(self, solver: Any) -> None:
         """Store the solver; its launches are not recorded yet."""
@@ -76,12 +71,11 @@ class Energies:
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
         self.pushes: wp.array | None = None
-        """Sums of impulse and work of forces on points, for each worker [W,16]; None if they are
-        not summed.
+        """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed.
         """
         self._clamps = np.zeros(2)
-        """Work [J] since the start of the clamps that have been replaced, and the part of it that
-        is due to the clamps' motion.
+        """Work [J] of clamps that have been replaced since the start, and the part due to the
+        clamps' motion.
         """
 
     def start(self) -> None:
@@ -93,7 +87,7 @@ class Energies:
         self._solver.record()
 
     def attach(self) -> None:
-        """Make the contact sum its work, from the next recording of the contact's launches on."""
+        """Let the contact sum its work, as soon as the contact's launches are recorded again."""
         solver = self._solver
         self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls
@@ -103,7 +97,7 @@ class Energies:
             solver.walls.work = solver.meetings.work = solver.free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases that sum work before the drift of a substep.
+        """Insert the phases that sum work before the nodes move in a substep.
 
         Args:
             pushed: Whether forces act on points.
@@ -118,7 +112,7 @@ class Energies:
             worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:
-        """Return the launches with which a worker sums the forces of viscosity alone."""
+        """Return the launches with which a worker sums only the viscous forces."""
         solver, crew = self._solver, self._solver.crew
         worker = solver.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
@@ -176,12 +170,12 @@ class Energies:
         self._clamps = -self._of_clamps()
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the sums as plain data."""
+        """Return a snapshot of the sums."""
         rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
         return {"rows": rows, "clamps": self._clamps.tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers changed, the first worker gets the total."""
+        """Restore the sums; if the number of workers differs, the first worker gets the total."""
         kept, rows = np.array(snapshot["rows"]), np.zeros(self._sums.shape)
         if rows.shape == kept.shape:
             rows[:] = kept
@@ -191,8 +185,8 @@ class Energies:
         self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of clamps, and the part due to the clamps' motion, computed from the sums
-        of the walls.
+        """Return the work of clamps and the part due to their motion, from the sums of walls and
+        clamps.
         """
         if self._walls is None:
             return np.zeros(2)
@@ -201,5 +195,5 @@ class Energies:
 
 
 def _rename(launches: Sequence[Named]) -> list[Named]:
-    """Return the launches, renamed so that their time is counted as time of the sums of work."""
+    """Rename the launches, so that their time counts as time for summing work."""
     return [(STAGE, launch) for _, launch in launches]

@@ -1,4 +1,4 @@
-"""Sums the impulses of walls on each surface point, and the impulses of clamps on each node.
+"""Sums the impulses of walls on surface points, and of clamps on nodes.
 
 Impulses are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
 """
@@ -28,7 +28,7 @@ class Impulses:
             model: The constants of the run.
             points: Number of surface points.
             nodes: Arrays of the nodes.
-            tracks: The tracks, which contain the clock.
+            tracks: The tracks of the run, with the clock.
         """
         self._model, self._nodes, self._clock = model, nodes, tracks.clock
         count = points + len(nodes.rest)
@@ -38,11 +38,10 @@ class Impulses:
         """Impulse on each node [N,3], N s."""
 
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
-        """Record the launch that adds the impulses of a wall on the points near the wall to the
-        sums.
+        """Record the launch that adds a wall's impulses on nearby points to the sums.
 
         Args:
-            near: Indices of the points; the launch's size is their number.
+            near: Indices of the points; the launch has one thread per point.
             force: Mean force on each point in a substep [S,3], N.
         """
         kernel = make_add_impulse(self._model.real)
@@ -50,7 +49,7 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the launches of clamps, enclosed by launches that sum the momenta of held nodes.
+        """Return the launches of clamps, between launches that sum the momenta of clamped nodes.
 
         Args:
             clamps: The launches of all clamps.

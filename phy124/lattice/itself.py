@@ -1,14 +1,14 @@
-"""Computes contact between the surface points of two bodies, or of two parts of a body.
+"""Contact between the surface points of two bodies, or of two parts of a body.
 
-Every point is paired with an opposite position on the other surface. At first, the opposite
-position is the nearest point of the other surface. Later, it follows the paired point along the
-other surface. The weights of the pair are the weights of the point minus the weights of the
-opposite position, so that an impulse along the surface's normal acts on both parts along one line,
-with opposite signs. Impulses are computed like the impulses of walls.
+Every point is paired with an opposite position on the other surface. Initially, this is the nearest
+point of the other surface; later, the opposite position follows the paired point along the other
+surface. The weights of the pair are the weights of the point minus the weights of the opposite
+position. An impulse along the surface's normal therefore acts on both parts along one line, with
+opposite signs. Impulses are computed in the same way as the impulses of walls.
 
 The pairs are determined again when a part has moved relative to the mean motion of both parts. A
-sample of the surface points shows whether parts are near each other; if they are not, nothing else
-is computed.
+sample of the surface points shows whether two parts are near each other; if they are not, nothing
+else is computed.
 """
 
 from __future__ import annotations
@@ -34,16 +34,15 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED, BETWEEN = 0.6, 0.15
-"""Half of the relative displacement [cells] after which the distances of two parts of a body
-(`MOVED`), or of two bodies (`BETWEEN`), are compared again.
+"""The distances of two parts of a body (`MOVED`), or of two bodies (`BETWEEN`), are compared again
+after twice this relative displacement [cells].
 """
 SLID = 0.4
-"""Distance [cells] along the other surface by which a point may move before the pairs are
-determined again.
+"""The pairs are determined again after a point has moved this distance along the other surface
+[cells].
 """
 FRICTION = 0.5
-"""Friction coefficient of the contact of a body with itself, which is also the default for pairs of
-objects.
+"""Friction coefficient for contact of a body with itself, and default for pairs of objects.
 """
 
 
@@ -65,26 +64,26 @@ class Meeting:
         sticky: bool = False,
         sums: wp.array | None = None,
     ) -> None:
-        """Prepare the contact; the list of pairs is empty at first.
+        """Prepare the contact; the list of pairs is initially empty.
 
         Args:
             surface: Points that may touch.
             model: The constants of the run.
             nodes: Arrays of the nodes.
-            tracks: The tracks, which hold the clock.
-            partners: Searches for points that may touch.
+            tracks: The tracks of the run, with the clock.
+            partners: Object that searches for points that may touch.
             restore: Gain of the speed at which points that penetrate each other separate [1/s].
             sample: Indices of the sampled points of the two bodies [K].
             bodies: Indices of the two bodies, equal for a body with itself.
             friction: Coefficient of Coulomb friction.
             sticky: Whether points that have touched stick together.
-            sums: Sums of the impulse of the first body on the second and of its moment; None for a
-                body with itself.
+            sums: Sums of impulse and moment of the first body on the second; None for a body with
+                itself.
         """
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction
         self.reach = REACH * model.dx
-        """Distance within which contact is computed [m]."""
+        """Largest distance for which contact is computed [m]."""
         self._response = "sticky" if sticky else "separate"
         self._surface, self._model, self._nodes, self._tracks = surface, model, nodes, tracks
         self._partners = partners
@@ -100,20 +99,19 @@ class Meeting:
         self._points: NDArray[np.int64] = np.zeros(0, np.int64)
         """Points that have a partner [K]."""
         self.most = 0
-        """Largest number of pairs in any substep so far."""
+        """Largest number of pairs so far."""
         self._work: ContactWork | None = None
         self._passed: PassedOn | None = None
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
-        """Whether pairs were determined near each sampled point."""
+        """For each sampled point, whether pairs near the point were determined."""
         self.slack = 0.0
-        """Additional relative displacement [m] after which the distances of the parts are compared
-        again.
+        """Further relative displacement [m] after which the parts' distances are compared again.
         """
         self._away = self._between or bool(surface.side[sample].any())
-        """Whether pairs must be determined at the next call, because bodies were far from each
-        other or pieces may be near each other at rest.
+        """Whether the next call must determine the pairs, because bodies were far apart or pieces
+        may be near each other at rest.
         """
 
     def _reserve(self, count: int) -> None:
@@ -172,15 +170,15 @@ class Meeting:
             self._pass = self._passed.of(every, points, pairs["force"])
 
     def record(self, work: ContactWork | None, passed: PassedOn | None) -> list[Named]:
-        """Return the stages that apply the previous impulses, correct them and sum them.
+        """Return the stages that apply, correct and sum the impulses.
 
         Args:
             work: Records the launch that sums the work of the impulses; None if the work is not
                 summed.
-            passed: Records launches that transfer impulses on held nodes to clamps; None if there
-                are no clamps.
+            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
+                there are no clamps.
         """
-        # Pairs of a body with itself are never on nodes that clamps hold.
+        # Pairs of a body with itself never use nodes in clamps.
         passed = passed if self._between else None
         if work is not self._work or passed is not self._passed:
             kept, self._work, self._passed = self.snapshot(), work, passed
@@ -205,7 +203,7 @@ class Meeting:
         return [stage(0), stage(1), *([stage(*sums)] if sums else [])]
 
     def follow(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs again if parts have moved relative to each other.
+        """Determine the pairs again if the parts have moved relative to each other.
 
         Args:
             x: Current positions of the sampled points [K,3], m.
@@ -218,7 +216,7 @@ class Meeting:
             self.slack = most
 
     def part(self) -> None:
-        """Remove all pairs of points; call this method if the bodies are far from each other."""
+        """Remove all pairs of points, because the bodies are far from each other."""
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
@@ -239,8 +237,8 @@ class Meeting:
             self._list(self._mine[flagged[self._nearest]])
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of some points; points that already had a partner keep their contact
-        forces.
+        """Determine the pairs of some points; points that have a partner already keep their contact
+        force.
         """
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
@@ -259,11 +257,10 @@ class Meeting:
         self._fill(a, {**pairs, **partners})
 
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the depth by which the surfaces of separate pieces overlap at rest at each pair
-        [K], m.
+        """Return how deep the surfaces of separate pieces overlap at rest, for each pair [K], m.
 
-        Such overlaps occur because surfaces are only as exact as voxels. Contact does not push
-        apart surfaces that overlap at rest.
+        Surfaces are only as exact as voxels, so they may overlap at rest. Contact does not push
+        such surfaces apart.
         """
         surface = self._surface
         way = surface.x[a] - surface.x[b]
@@ -282,7 +279,7 @@ class Meeting:
                 array[: len(points)].assign(pairs[name])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the pairs and their forces."""
+        """Return a snapshot: the pairs and their forces."""
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
         places = {"seen": self._seen.copy(), "flagged": self._flagged.copy(), "away": self._away}

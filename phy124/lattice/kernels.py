@@ -1,4 +1,4 @@
-"""Lists the kernels of a run on lattices, so that all of them can be compiled before the run."""
+"""Lists the kernels of a run on lattices, so that they can be compiled before the run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def of_bodies(
     Args:
         materials: Materials of the bodies.
         boundaries: Boundaries of the run.
-        shapes: Shapes of the rigid solids that move freely.
+        shapes: Shapes of the freely moving rigid solids.
         real: wp.float32 or wp.float64.
         device: Name of the device.
         dx: Side of a cell [m].

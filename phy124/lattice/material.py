@@ -1,7 +1,7 @@
-"""Computes the contact of surface points on lattices with bodies of the material point method.
+"""Contact of surface points on lattices with particle bodies (material point method).
 
-Contact is computed on the grid of the particles, after the grid is updated in a substep and before
-walls act.
+In each substep, contact is computed on the particles' grid after the grid update and before walls
+act.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from phy124.mpm.pairs import Pair
 
 
 class Material:
-    """Contact of the surface points of one body with one body of particles."""
+    """Contact of one body's surface points with one particle body."""
 
     def __init__(
         self,
@@ -39,15 +39,14 @@ class Material:
         body: int,
         moves: bool,
     ) -> None:
-        """Prepare the contact; the list of points is empty at first.
+        """Prepare the contact; the list of points is initially empty.
 
         Args:
             surface: Surface points of all bodies on lattices.
             nodes: The nodes of the lattices.
             model: The constants of the bodies on lattices.
             pair: The contact of the two bodies.
-            fill: Volume fraction that particles fill around a node per unit mass at the node
-                [1/kg].
+            fill: Volume fraction around a node per unit mass of particles at the node [1/kg].
             body: Index of the body among the bodies on lattices.
             moves: Whether the particles may move.
         """
@@ -64,7 +63,7 @@ class Material:
         self._gap, self._on, self._place = zeros(t.vec4), zeros(t.vec4), zeros(t.vec3)
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
-        """Impulse of the particles on the body, and the moment of this impulse about the origin."""
+        """Impulse of the particles on the body, and the impulse's moment about the origin."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=device),
             model.array(surface.weights, model.real),
@@ -82,7 +81,7 @@ class Material:
         Args:
             grid: The grid of the particles.
             clock: The clock of the substeps.
-            recovery: Gain of the speed at which points inside the material move out [1/s].
+            recovery: Gain of the speed at which points inside the material are moved out [1/s].
         """
         model, nodes, rows = self._model, self._nodes, self._nodes.rows
         on_grid = [grid.lattice, grid.window, grid.nodes]
@@ -103,14 +102,14 @@ class Material:
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def pass_on(self, passed: PassedOn | None) -> None:
-        """In the last stage, add impulses on held nodes to the sums of the given clamps (None if
-        there are no clamps).
+        """In the last stage, add impulses on clamped nodes to the clamps' sums (None: there are no
+        clamps).
         """
         points = self._points[0], self._points[1]
         self._passed = None if passed is None else passed.of(self._list, points, self.force)
 
     def stage(self, number: int) -> Callable[[], None]:
-        """Return a stage of the substep, which applies impulses, corrects them, or sums them."""
+        """Return a stage of the substep that applies, corrects or sums impulses."""
 
         def act() -> None:
             if number == 0 and self.due:
@@ -126,7 +125,7 @@ class Material:
         return act
 
     def _list_near(self) -> None:
-        """List the points that have material around them."""
+        """List the points with material around them."""
         self.due = False
         if self._look is None:
             return
@@ -143,7 +142,7 @@ class Material:
                 self._list[: len(near)].assign(self._near)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the contact forces and the sums of impulses."""
+        """Return a snapshot: the contact forces and the sums of impulses."""
         near = self._near.copy()
         return {"force": self.force.numpy().copy(), "sums": self.sums.numpy().copy(), "near": near}
 

@@ -1,7 +1,7 @@
-"""Meetings: computes all contact of bodies with each other, and of each body with itself.
+"""Meetings: computes all contact between bodies, and of each body with itself.
 
-A sample of the surface shows whether two bodies, or two parts of a body, are near each other. If
-all of them are apart, nothing else is computed.
+A sample of the surface points shows whether two bodies, or two parts of a body, are near each
+other. If they are not, nothing else is computed.
 """
 
 from __future__ import annotations
@@ -31,9 +31,7 @@ SAMPLED = 1.5
 
 
 class Meetings:
-    """Contact between all pairs of bodies that may touch, and of bodies that may touch
-    themselves.
-    """
+    """Contact between all bodies that may touch, and of bodies that may touch themselves."""
 
     def __init__(
         self,
@@ -44,22 +42,23 @@ class Meetings:
         pairs: Pairs,
         restore: float,
     ) -> None:
-        """Prepare the contact, at first without any pairs of points.
+        """Prepare the contact; there are initially no pairs of points.
 
         Args:
             surface: Points that may touch.
             model: The constants of the run.
             nodes: Arrays of the nodes.
-            tracks: The tracks, which hold the clock.
-            pairs: Friction of pairs of bodies, and the sums of their impulses.
-            restore: Gain by which points come out of each other [1/s].
+            tracks: The tracks of the run, with the clock. pairs: Friction of pairs of bodies, and
+                the sums of their impulses.
+            restore: Gain of the speed at which penetration is reduced [1/s].
         """
         self.work: ContactWork | None = None
         """Records launches that sum the work of contact; None if the work is not summed."""
         self.way = math.inf
-        """Upper bound of the displacement of all points since sampled points were compared [m]."""
+        """Upper bound of all points' displacements since sampled points were last compared [m].
+        """
         self._slack = 0.0
-        """Relative displacement [m] since that comparison after which bodies must be compared
+        """Relative displacement [m] since the last comparison after which bodies must be compared
         again.
         """
         self._dx = model.dx
@@ -102,21 +101,21 @@ class Meetings:
 
     @property
     def every(self) -> list[Meeting]:
-        """All contacts; the contacts of bodies with themselves come first."""
+        """All contacts; first the contacts of bodies with themselves."""
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply earlier impulses, correct them and sum them.
+        """Return the launches of a substep that apply, correct and sum impulses.
 
         Args:
-            passed: Records launches that transfer impulses on held nodes to clamps; None if there
-                are no clamps.
+            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
+                there are no clamps.
         """
         stages = [meeting.record(self.work, passed) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 
     def follow(self, step: float) -> None:
-        """Determine the pairs of points again where bodies have moved relative to each other.
+        """Determine the pairs of points again if bodies have moved relative to each other.
 
         Args:
             step: Largest distance that a point moves in a substep [m].
@@ -146,7 +145,7 @@ class Meetings:
             self._slack = 0.0
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the pairs of points and their forces."""
+        """Return a snapshot: the pairs of points and their forces."""
         return {str(number): meeting.snapshot() for number, meeting in enumerate(self.every)}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

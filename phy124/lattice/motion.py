@@ -1,6 +1,4 @@
-"""Creates the nodes of a lattice at the start of a run, with velocities computed from the motion of
-the points.
-"""
+"""Creates the nodes of a lattice at the start of a run, with velocities from the points' motion."""
 
 from __future__ import annotations
 
@@ -15,14 +13,13 @@ from phy124.mpm.model import Model, State
 
 
 def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
-    """Return nodes at their rest positions, with velocities computed from the points (exactly for
-    affine motions).
+    """Return nodes at rest positions, with velocities from the points (exact for affine motions).
 
     Args:
-        model: The constants of the run; the nodes of held bodies do not move.
+        model: The constants of the run; the nodes of fixed bodies do not move.
         lattice: The lattice at rest.
         state: The motion of the points.
-        vectors: Whether rows of nodes are read with the vector instructions of a CPU.
+        vectors: Whether rows of nodes are read with vector instructions of a CPU.
     """
     t, count = types(model.real), len(lattice)
     free = (lattice.mass > 0) & ~np.isin(lattice.body, list(model.held))
@@ -43,13 +40,13 @@ def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: boo
 
 
 def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
-    """Return the velocities of the nodes [N,3]: means over the neighbouring cells' velocities,
-    extrapolated with C.
+    """Return the node velocities [N,3]: means of the neighbouring cells' velocities, extrapolated
+    with C.
     """
     v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
     if not v.any() and not C.any():
         return np.zeros((len(lattice), 3))
-    # Cells may use only repetitions of a node with copies, so all repetitions contribute to that
+    # Cells may use only repetitions of a node that has copies, so all repetitions contribute to the
     # node.
     nodes = np.repeat(lattice.source[lattice.nodes_of()], 8, axis=0)
     total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))

@@ -1,4 +1,4 @@
-"""Searches for surface points that may touch, and for the position opposite to each point."""
+"""Searches for surface points that may touch, and for the positions opposite to the points."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 
 FAR = 3.0
-"""Distance between two sampled points [cells] below which the surfaces around them may touch."""
+"""If two sampled points are closer than this [cells], the surfaces around the points may touch."""
 REACH, NEAR = 1.4, 1.0
 """Largest distance between points that may touch [cells], within one body and between two
 bodies.
 """
 LEAST = 0.05
-"""Smallest volume ratio used to map displacements on the surface to the body at rest."""
+"""Smallest volume ratio for mapping displacements on the surface to the body at rest."""
 BUCKETS = 32
-"""Number of buckets along each axis of the grid in which points are searched."""
+"""Number of buckets along each axis of the search grid."""
 
 
 class Partners:
-    """Searches for points that may touch, among the surface points of all bodies."""
+    """Searches for points that may touch among the surface points of all bodies."""
 
     def __init__(self, surface: Surface, model: Model, nodes: Nodes) -> None:
         """Prepare the search.

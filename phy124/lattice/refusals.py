@@ -1,6 +1,6 @@
-"""Decides which scenes the lattice solver supports; errors name the unsupported field.
+"""Checks whether the lattice solver supports a scene; errors name the unsupported field.
 
-An argument `scene` is a `phy124.scene.Scene`, whose module imports this one.
+An argument `scene` is a `phy124.scene.Scene`; the module of this class imports this module.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from phy124.materials import LAWS, Material
 from phy124.materials.elastic import Elastic
 
 TRANSFERS = ("transfer", "gradient", "rpic_damping")
-"""Settings of the accuracy that concern transfers, which the lattice solver does not have."""
+"""Accuracy options that concern transfers, which the lattice solver does not have."""
 REMEDY = 'Use accuracy.solver = "mpm", or remove {field}.'
 
 
 class Refusal(NamedTuple):
-    """A choice that the lattice solver does not support."""
+    """An option that the lattice solver does not support."""
 
     field: str
     value: object
@@ -29,11 +29,11 @@ class Refusal(NamedTuple):
 def reason_for_particles(scene: Any) -> str:
     """Return the reason why a scene's elastic objects cannot use lattices; empty if they can.
 
-    The reason does not depend on `accuracy.solver`, and is determined without Gaussians. If the
-    scene has a file of properties, the constitutive laws are read from this file.
+    The result does not depend on `accuracy.solver`, and needs no Gaussians. If the scene has a
+    properties file, the constitutive laws are read from this file.
 
     Raises:
-        InputError: The scene's file of properties cannot be read.
+        InputError: The scene's properties file cannot be read.
     """
     accuracy = scene.resolution
     for name in TRANSFERS:
@@ -54,7 +54,7 @@ def reason_for_particles(scene: Any) -> str:
 
 
 def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
-    """Check that the lattice solver can run a scene.
+    """Check that the lattice solver supports a scene.
 
     Args:
         scene: The scene.
@@ -69,9 +69,7 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 
 
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield the scene's features that the lattice solver lacks, in the order of the scene's
-    fields.
-    """
+    """Yield the scene's unsupported features, in the order of the scene's fields."""
     if scene.couples:
         yield from _refusals_of_couples(scene)
     yield from _refusals_of_materials(scene, materials)
@@ -84,15 +82,13 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     for boundary in scene.boundaries:
         if boundary.holds and boundary.contact != "sticky":
             field = f"boundaries.{boundary.kind}.contact"
-            limit = "a body on a lattice can only be held in all directions."
+            limit = "a body on a lattice can only be fixed in all directions."
             remedy = 'Use contact = "sticky", or accuracy.solver = "mpm".'
             yield Refusal(field, boundary.contact, limit, remedy)
 
 
 def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield an error for each plastic or fluid law of an object that the scene declares as
-    elastic.
-    """
+    """Yield an error for each plastic or fluid law in an object that is declared as elastic."""
     remedy = 'Use accuracy.solver = "mpm", or an elastic law.'
     for section in materials:
         if not is_elastic(section) and not scene.couples:
@@ -107,8 +103,8 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
 
 
 def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
-    """Yield the features that are not supported in a scene with both lattices and particles."""
-    limit = "it is not supported if objects on lattices and objects of particles are mixed."
+    """Yield the features that are not supported if a scene has both lattices and particles."""
+    limit = "it is not supported if a scene has objects on lattices and objects made of particles."
     for number, force in enumerate(scene.acting):
         if not force.uniform:
             yield Refusal(f"forces.{number}", force.kind, limit)
@@ -123,5 +119,5 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
 
 
 def is_elastic(section: Material) -> bool:
-    """Return whether a material's law can run on a lattice: an elastic law that phy124 provides."""
+    """Return whether a material's law can run on a lattice: phy124's own elastic laws can."""
     return isinstance(section, Elastic) and section.device_law.project is None

@@ -1,15 +1,14 @@
-"""Builds the lattices of bodies at rest: nodes, cells, weights of points, masses and ties.
+"""Builds the lattices of bodies at rest: nodes, cells, weights of points, masses and tied nodes.
 
-Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells
-i - 1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore touch the same 27
-nodes, and each weight is a single polynomial in the cell. If the points were placed between nodes
-instead of between knots, some motions of cut cells would have no stiffness.
+Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells i -
+1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore touch the same 27 nodes,
+and each weight is a single polynomial in the cell. If the points were between nodes instead, some
+motions of partly filled cells would have no stiffness.
 
-A body that only partly fills its cells has nodes with almost no mass and almost no stiffness. Nodes
-lighter than `LIGHTEST` are tied to heavier nodes: the motion of a tied node is extrapolated
-linearly from heavier nodes, and the transpose of this extrapolation distributes the force and the
-mass of the tied node over these nodes. Tying nodes in this way conserves momentum and angular
-momentum.
+If a body only partly fills its cells, some nodes have almost no mass and stiffness. Nodes lighter
+than `LIGHTEST` are tied: their motion is extrapolated linearly from heavier nodes. The transpose of
+this extrapolation distributes a tied node's force and mass over these heavier nodes, so that
+momentum and angular momentum are conserved.
 """
 
 from __future__ import annotations
@@ -28,25 +27,24 @@ from phy124.lattice.copies import lay_out
 from phy124.particles.lattice import PER_CELL
 
 LIGHTEST = 1e-3
-"""Mass below which a node is tied, as a fraction of the mass of a node inside the body. With a
-value of 0.01, plates with a thickness of 0.3 cells would be 4 to 14 % too stiff.
+"""A node is tied if its mass is less than this fraction of the mass of a node inside the body. With
+a value of 0.01, plates with a thickness of 0.3 cells would be 4 to 14 % too stiff.
 """
 CORNER = 0.01
-"""Like `LIGHTEST`, but for a node that belongs to a single cell. Large forces would turn this cell
-inside out, because its points are only slightly strained even if the node is displaced by many
-cells.
+"""Like `LIGHTEST`, but for a node that belongs to a single cell. Even if such a node moves by many
+cells, the points of the cell are only slightly strained, so large forces would turn the cell inside
+out.
 """
 LIGHT, GIVING = 0.02, 0.2
-"""Nodes that are not tied get at least the mass `LIGHT`, which is taken from nodes with at least
-the mass `GIVING`. Both values are fractions of the mass of a node inside the body. Lighter nodes
-vibrate too fast where the body is squeezed.
+"""Nodes that are not tied get at least the mass `LIGHT`; the added mass is taken from nodes with at
+least the mass `GIVING`. Both values are relative to the mass of a node inside the body. Lighter
+nodes would vibrate too fast in squeezed parts of the body.
 """
 DONORS, NEAR = 27, 3.0
-"""The motion of a tied node is extrapolated from at most `DONORS` nodes, at distances below `NEAR`
-[cells].
+"""The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells].
 """
 ROW = 9
-"""Number of rows of three nodes along z that a cell touches."""
+"""Number of rows of three nodes along z of a cell."""
 STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Indices of the 27 nodes of a cell, relative to the cell's middle node."""
 
@@ -65,22 +63,21 @@ class RestLattice:
     """Position of each point relative to its cell's first node [P,3], in cells, about 0.5 to 1.5.
     """
     mass: NDArray[np.float64]
-    """Mass of each node plus the mass of the nodes tied to it [N], kg; 0 for a tied node."""
+    """Mass of each node, including the mass of nodes tied to it [N], kg; 0 for a tied node."""
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights with which the motions of all nodes contribute to the motion of each tied node
-    [T,N].
+    """Weights of all nodes in the motion of each tied node [T,N].
     """
     pushes: scipy.sparse.csr_matrix
-    """Weights with which pushes on other nodes are added to the push on each node [N,N]. Pushes on
-    tied nodes, and on mass that was moved to another node, thereby act on the nodes that have the
-    mass. A uniform push then accelerates all nodes equally.
+    """Weights with which pushes on other nodes are added to the push on each node [N,N]. A push on
+    a tied node, or on mass that was moved to another node, then acts on the node that has the mass,
+    and a uniform push accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
     source: NDArray[np.int64]
-    """Index of the node that each node repeats [N]; the node's index if it repeats no other
+    """Index of the node that each node repeats [N]; the node's own index if it repeats no other
     node.
     """
 
@@ -94,7 +91,8 @@ class RestLattice:
         spans: Sequence[slice] = (slice(None),),
         copies: NDArray | None = None,
     ) -> RestLattice:
-        """Return the lattices for the integration points of all bodies; bodies do not share nodes.
+        """Return the lattices for the integration points of all bodies; no node belongs to two
+        bodies.
 
         Args:
             x: Positions of the points at rest [P,3], m; eight consecutive points form a cell.
@@ -171,7 +169,7 @@ class RestLattice:
             len(nodes),
         )
         density = float(mass.sum() / volume.sum())
-        # A body of needles or thin sheets has no node that is as heavy as a node inside a body.
+        # In a body of needles or thin sheets, no node is as heavy as a node inside a body.
         whole = min(density * dx**3, of_nodes.max() / GIVING)
         corner = (np.bincount(number.ravel()) == 1) & (of_nodes < CORNER * whole)
         tied, ties, of_nodes = _tie_light(index, number, of_nodes, LIGHTEST * whole, corner)
@@ -179,8 +177,8 @@ class RestLattice:
         carried = ties.T @ _rows(tied, len(index))
         pushes = scipy.sparse.csr_matrix(carried + shares + shares @ carried)
         rows, source = number[:, ::3], np.arange(len(index))
-        # Cells may use only later copies of a node; the first copy that cells use becomes the
-        # node's first copy.
+        # If cells use only later copies of a node, the first copy that they use becomes the node's
+        # first copy.
         copy = np.arange(len(nodes)) - np.searchsorted(nodes // room, nodes // room)
         if copy.any():
             layout = lay_out(index, copy, number)
@@ -215,8 +213,8 @@ class RestLattice:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """Number of the separate piece to which each cell belongs [C]; 0 for a cell whose nodes
-        have no copies.
+        """Number of the piece to which each cell belongs [C]; 0 for a cell whose nodes have no
+        copies.
 
         Cells that use the same copy of a node belong to the same piece.
         """
@@ -237,8 +235,8 @@ class RestLattice:
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
         """Return the nodes at a given step from each node [K]; -1 if there is no such node.
 
-        If the node or the node at the step has copies, the result is the copy of the same piece,
-        that is, a node that shares a cell with the first node.
+        If there are copies, the result belongs to the same piece as the first node: some cell
+        contains both nodes.
 
         Args:
             nodes: Indices of nodes [K].
@@ -268,15 +266,15 @@ class RestLattice:
 
     @property
     def across(self) -> int:
-        """Sum of the largest extents of all bodies [cells]."""
+        """Sum, over all bodies, of the largest extent [cells]."""
         bodies = [self.index[self.body == body] for body in np.unique(self.body)]
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the accelerations of the points [P], m/s^2, under forces [P], N, along one
+        """Return the accelerations of the points [P], m/s^2, due to forces [P], N, along one
         direction.
 
-        Accelerations are computed in the cells on which forces act, and are 0 elsewhere.
+        Accelerations are computed only in cells on which forces act, and are 0 elsewhere.
         """
         chosen = np.repeat(force.reshape(-1, PER_CELL).any(axis=1), PER_CELL)
         rows = np.repeat(self.rows, PER_CELL, axis=0)[chosen]
@@ -293,7 +291,7 @@ class RestLattice:
         return result
 
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
-        """Return the indices of the nodes at the given grid positions; -1 where there is no node.
+        """Return the indices of the nodes at given grid positions; -1 if there is no node.
 
         If a node has copies, the first copy is returned.
 
@@ -304,7 +302,9 @@ class RestLattice:
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
         shape = (int(self.body[-1]) + 1, *size.tolist())
         keys: NDArray = np.asarray(np.ravel_multi_index((self.body, *(self.index - low).T), shape))
-        order = np.argsort(keys, kind="stable")  # The first copy of a node precedes the others.
+        order = np.argsort(
+            keys, kind="stable"
+        )  # The first copy of a node comes before the other copies.
         keys = keys[order]
         inside = ((index >= low) & (index < low + size)).all(axis=-1)
         at = np.clip(index - low, 0, size - 1)
@@ -315,7 +315,7 @@ class RestLattice:
 
 
 def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
-    """Return the copies of nodes that the cells of a body use; None if nodes have no copies.
+    """Return the copies that the cells of a body use; None if nodes have no copies.
 
     Args:
         copies: Copies of all bodies [C,27].
@@ -350,18 +350,17 @@ def _tie_light(
     least: float,
     corner: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, NDArray[np.float64]]:
-    """Return the tied nodes, the weights of the nodes that carry them, and the masses of all nodes,
-    which are 0 for tied nodes.
+    """Return the tied nodes, the weights of their donors, and the masses of all nodes (0 if tied).
 
     Args:
         index: Indices of the nodes [N,3].
         cells: The nodes of each cell [C,27].
         mass: Masses of the nodes [N], kg.
-        least: Mass below which a node is tied [kg].
-        corner: Whether a node is tied in any case [N].
+        least: A node is tied if its mass is smaller [kg].
+        corner: Whether each node is tied regardless of its mass [N].
     """
     candidates, light = mass, corner
-    # Weights of ties can be negative, so nodes that would be left without mass are tied, too.
+    # Weights can be negative, so nodes that would lose their mass are tied as well.
     while True:
         candidates = np.where(light, 0, candidates)
         tied, ties = _tie(index, cells, candidates, least, least)
@@ -380,12 +379,11 @@ def _share(
     least: float,
     giving: float,
 ) -> tuple[NDArray[np.float64], scipy.sparse.csr_matrix]:
-    """Return the masses after mass has been moved from heavy nodes to nodes lighter than `least`
-    [kg].
+    """Move mass from heavy nodes to nodes lighter than `least` [kg]; return the new masses.
 
     The total mass and its centre are preserved. No node loses more than half of its mass. The
-    matrix [N,N] moves forces with the mass, since the moved mass has the acceleration of the light
-    node.
+    returned matrix [N,N] moves forces along with the mass, since the moved mass has the
+    acceleration of the light node.
     """
     light, weights = _tie(index, cells, mass, least, giving)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
@@ -404,7 +402,7 @@ def _share(
 
 
 def _rows(chosen: NDArray[np.int64], count: int) -> scipy.sparse.csr_matrix:
-    """Return the chosen rows of the identity matrix of the given size."""
+    """Return some rows of the identity matrix of a given size."""
     shape, ones = (len(chosen), count), np.ones(len(chosen))
     return scipy.sparse.csr_matrix((ones, (np.arange(len(chosen)), chosen)), shape=shape)
 
@@ -416,12 +414,12 @@ def _tie(
     least: float,
     giving: float,
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
-    """Return the nodes lighter than `least` [kg], and the weights that extrapolate them.
+    """Return the nodes lighter than `least` [kg], and the weights that extrapolate their motion.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
-    of at least `giving` [kg]. Nodes that share a cell with the light node are preferred. Other
-    nodes may belong to another part of the body, such as a leaf near a stem, and the light node
-    would be glued to this part. A light node that has no such heavy node nearby is not tied.
+    of at least `giving` [kg]. Nodes in a common cell with the light node are preferred: other nodes
+    may belong to another part of the body, such as a leaf near a stem, and would glue the light
+    node to this part. A light node without a heavy node nearby is not tied.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
@@ -430,7 +428,9 @@ def _tie(
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
     weight, complete = _extrapolate(index, light, donors, distance)
     alone = np.flatnonzero(~complete)
-    if len(alone) and len(np.unique(index, axis=0)) < count:  # The nearest may be on another piece.
+    if (
+        len(alone) and len(np.unique(index, axis=0)) < count
+    ):  # The nearest node may be on another piece.
         donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
         weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
     elif len(alone):
@@ -453,19 +453,17 @@ def _nearest_in_cells(
     *,
     chained: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the heavy nodes that share a cell with each of some nodes, sorted by distance.
+    """Return the heavy nodes in a common cell with each of some nodes, sorted by distance.
 
     Args:
         index: Indices of the nodes [N,3].
         cells: The nodes of each cell [C,27].
         some: The nodes whose neighbours are returned [T].
         heavy: The nodes that may be returned [H].
-        chained: Whether to include neighbours of neighbours: nodes that share a cell with a node in
-            one of the node's cells.
+        chained: Whether to include neighbours of neighbours (by common cells).
 
     Returns:
-        The neighbours [T,`DONORS`] and their distances [cells], which are infinite where there is
-        no neighbour.
+        The neighbours [T,`DONORS`] and their distances [cells]; infinite if there is no neighbour.
     """
     of_cells = np.repeat(np.arange(len(cells)), cells.shape[1])
     entries = (np.ones(cells.size, np.float32), (cells.ravel(), of_cells))
@@ -488,14 +486,14 @@ def _nearest_in_cells(
 def _extrapolate(
     index: NDArray[np.int64], light: NDArray, donors: NDArray, distance: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the weights of the heavier nodes [T,K], and whether these nodes determine every linear
-    function [T].
+    """Return the weights of the donors [T,K], and whether the donors determine linear functions
+    [T].
 
     Args:
         index: Indices of the nodes [N,3].
         light: The nodes that are extrapolated [T].
         donors: The nodes from which each light node is extrapolated [T,K].
-        distance: Distances of the donors [T,K], cells; infinite where there is no donor.
+        distance: Distances of the donors [T,K], cells; infinite if there is no donor.
     """
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)

@@ -1,11 +1,10 @@
-"""Handles fast compression by an artificial viscosity, and by the shorter substeps that this
-viscosity needs.
+"""Handles fast compression by an artificial viscosity with shorter substeps.
 
 An impact near the speed of sound would squeeze the first layer of points flat before the stress of
 the next layer stops it. The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads such
-a shock over a few cells. The viscosity acts while opposite sides of a cell approach each other fast
-(`largest_calm_rate`). The rate of compression alone does not indicate a shock, because slow motions
-have a high rate where a crease squeezes a few points flat.
+a shock over a few cells. It acts while opposite sides of a cell approach each other fast
+(`largest_calm_rate`). The rate of compression alone does not indicate a shock: if a crease squeezes
+a few points flat, even slow motions have a high rate of compression.
 """
 
 from __future__ import annotations
@@ -21,35 +20,34 @@ from phy124.mpm.timestep import Extremes, Substep, decay
 
 FAST = 0.25
 """Closing rate above which the artificial viscosity acts, relative to c / dx. If an undamped block
-is pressed to a fifth of its height, points enter walls by up to 0.36 cells; with a value of 0.6,
-they would enter by up to 0.66 cells.
+is pressed to a fifth of its height, points penetrate walls by up to 0.36 cells; with a value of
+0.6, this would be 0.66 cells.
 """
 LEAST = 0.1
 """Largest compression in a substep while the artificial viscosity acts. The viscosity grows with
-the rate, so it is stable up to a fixed compression. With a value of 0.2, cells would invert in
-impacts at ten times the speed of sound.
+the rate of compression, so it is stable up to a fixed compression per substep. With a value of 0.2,
+cells would invert in impacts at ten times the speed of sound.
 """
 IMPACT = 0.3
-"""Distance that a point moves in a substep [cells] above which a wall may squeeze the point too
-much.
+"""If a point moves farther than this in a substep [cells], a wall may squeeze the point too much.
 """
 UNSEEN = 0.6
 """Longest distance that a point may move after its velocity was last measured [cells]. At a wall,
-several short substeps together squeeze the point as much as a long substep.
+several short substeps squeeze a point as much as one long substep.
 """
 FORGET = 4
-"""Factor by which earlier frequencies and closing rates are forgotten faster than in the default
-solver, because both are those of a few points that are squeezed for a short time.
+"""Earlier frequencies and closing rates decay faster than in the default solver by this factor,
+because both are determined by a few points that are squeezed for a short time.
 """
 COLLAPSED = 1e-6
-"""Fraction of the undeformed body's substep; the motion is no longer sound if substeps are shorter.
+"""Smallest valid substep, relative to the substep of the undeformed body.
 """
 STALLED = 1000
-"""Number of substeps that must together last at least as long as one substep of the undeformed
+"""This number of substeps must together last at least as long as one substep of the undeformed
 body.
 """
 KEPT = ("closing", "lasting", "seen")
-"""Names of further numbers in the clock's state."""
+"""Names of additional numbers in the clock's state."""
 
 
 class LatticeClock(Clock):
@@ -60,13 +58,12 @@ class LatticeClock(Clock):
     shocked = 0
     """Number of substeps with artificial viscosity."""
     closing = lasting = 0.0
-    """Largest closing rate in the last measurement, and largest recent closing rate, which decays
-    slowly [1/s].
+    """Largest closing rates [1/s]: in the last measurement, and recently (decays slowly).
     """
     seen = 0.0
-    """Time at which all points had the velocities that were last measured [s]."""
+    """Time of the last measurement of velocities [s]."""
     _marked = (0, 0.0)
-    """Number of substeps, and time [s], when the progress was last examined."""
+    """Number of substeps and time [s] when progress was last examined."""
 
     @property
     def _rate(self) -> float:
@@ -83,7 +80,7 @@ class LatticeClock(Clock):
         return max(self.closing, self.lasting) > self.calm
 
     def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
-        """Use measured values as limits, as in `Clock`; `closing` must already be set."""
+        """Use measured values as limits, as in `Clock`; `closing` must be set before."""
         self.lasting = max(self.closing, decay(self.lasting, FORGET * self.since_measured))
         super().limit_by(extremes, complete=complete, acceleration=acceleration)
 
@@ -95,7 +92,7 @@ class LatticeClock(Clock):
         return limit
 
     def may_crush(self, speed: float, drift: float) -> bool:
-        """Return whether the motion must be measured before a substep moves any point.
+        """Return whether the motion must be measured before a substep of length `drift`.
 
         Args:
             speed: Largest speed relative to a wall [m/s].
@@ -105,8 +102,7 @@ class LatticeClock(Clock):
         return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
     def stalls(self, usual: float) -> bool:
-        """Return whether the last `STALLED` substeps together are shorter than a single substep at
-        rest.
+        """Return whether the last `STALLED` substeps are together shorter than one substep at rest.
 
         Args:
             usual: Length of a substep at rest [s].
@@ -118,7 +114,7 @@ class LatticeClock(Clock):
         return taken >= STALLED and 0 <= elapsed < usual
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         return {**super().snapshot(), **{name: getattr(self, name) for name in KEPT}}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -131,8 +127,8 @@ class LatticeClock(Clock):
 def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
     """Return the closing rate above which the artificial viscosity acts [1/s].
 
-    Up to the rate eta / (rho dx^2), the pressure due to the damping eta of the material is larger
-    than the pressure due to the artificial viscosity.
+    Up to the rate eta / (rho dx^2), the damping eta of the material causes more pressure than the
+    artificial viscosity.
 
     Args:
         materials: The materials of all bodies.

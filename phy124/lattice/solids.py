@@ -1,4 +1,4 @@
-"""Solids: rigid solids that move freely and exchange impulses with the surface points of bodies.
+"""Solids: freely moving rigid solids, which exchange impulses with the surface points of bodies.
 
 The contact of each solid with each body is computed. Each impulse acts on the solid and, with the
 opposite sign, on the body, so that momentum is conserved.
@@ -31,15 +31,14 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""Depth of a point in a box [cells], measured along the point's normal, up to which this normal is
-used for contact.
+"""The normal at a point is used for contact with a box up to this depth along the normal [cells].
 """
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""
 
 
 class Solids(FreeBodies):
-    """All rigid solids that move freely in a run on lattices."""
+    """All freely moving rigid solids of a run on lattices."""
 
     def __init__(
         self, model: Model, solids: Sequence[FreeBody], surface: Surface, nodes: Nodes
@@ -60,13 +59,12 @@ class Solids(FreeBodies):
         """Records launches that sum the work of contact; None if the work is not summed."""
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
-        """Sums of the impulses of each solid on each body [F,bodies,16], in the same layout as the
-        sums of walls.
+        """Sums of the impulses of each solid on each body [F,bodies,16]; layout as for walls.
         """
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Speed at which points inside a solid move out, per unit depth [1/s]."""
+        """Speed at which points inside a solid are moved out, per unit depth [1/s]."""
         self._points = [
             wp.array(surface.nodes, dtype=int, device=model.device),
             model.array(surface.weights, model.real),
@@ -74,7 +72,7 @@ class Solids(FreeBodies):
         ]
         self._touches: list[_Touch] = []
         self._reach_points = 0.0
-        """Distance within which points touch solids until the next measurement [m]."""
+        """Distance at which points may touch solids before the next measurement [m]."""
 
     def _total(self) -> NDArray[np.float64]:
         """Return the sums of impulse and work of each solid on each body [F,bodies,EXCHANGE]."""
@@ -83,7 +81,7 @@ class Solids(FreeBodies):
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Set new flat walls for the solids, and keep the impulses of the last substep.
+        """Replace the flat walls for the solids; keep the impulses of the last substep.
 
         Args:
             planes: The walls.
@@ -96,11 +94,11 @@ class Solids(FreeBodies):
                 impulses.assign(kept)
 
     def prepare(self, tracks: Tracks, recovery: float) -> None:
-        """Prepare the contact with bodies, after `bind` and the upload of the tracks.
+        """Prepare the contact with bodies; call after `bind` and after the upload of the tracks.
 
         Args:
             tracks: The tracks, which hold the clock.
-            recovery: Gain of the speed at which points inside a solid move out [1/s].
+            recovery: Gain of the speed at which points inside a solid are moved out [1/s].
         """
         self.recovery, forces, sides = recovery, self._forces(), self._sides()
         self._touches = [
@@ -112,11 +110,11 @@ class Solids(FreeBodies):
         self._put_sides(sides)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply impulses, correct them and sum them.
+        """Return the launches of a substep that apply, correct and sum impulses.
 
         Args:
-            passed: Records launches that transfer impulses on held nodes to clamps; None if there
-                are no clamps.
+            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
+                there are no clamps.
         """
         model, tracks = self._model, getattr(self, "_tracks", None)
         if tracks is None:
@@ -153,7 +151,7 @@ class Solids(FreeBodies):
             touch.list_near(self._reach_points, LISTED * self._model.dx)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue; it is empty if there are no solids."""
+        """Return a snapshot of the state; empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -193,9 +191,7 @@ class Solids(FreeBodies):
         return {str(i): touch.side.numpy().copy() for i, touch in enumerate(self._touches)}
 
     def _put_sides(self, sides: dict[str, NDArray]) -> None:
-        """Set the normals at points on flat parts of the surface; they are updated only when limits
-        are measured.
-        """
+        """Set the normals at points on flat parts of the surface, whenever limits are measured."""
         for number, touch in enumerate(self._touches):
             if str(number) in sides:
                 touch.side.assign(sides[str(number)])
@@ -248,7 +244,7 @@ class _Touch:
         self._launches.append(cast("wp.Launch", launch))
 
     def stage(self, number: int) -> Callable[[], None]:
-        """Return a stage of the substep, which applies impulses, corrects them, or sums them."""
+        """Return a stage of the substep that applies, corrects or sums impulses."""
 
         def act() -> None:
             if len(self._near):
@@ -263,11 +259,11 @@ class _Touch:
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Add launches to the last stage; pass None to add none.
+        """Add launches to the last stage; None adds no launch.
 
         Args:
             work: Records launches that sum the work of the impulses for each cause.
-            passed: Records launches that transfer impulses on held nodes to clamps.
+            passed: Records launches that transfer impulses on clamped nodes to clamps.
         """
         points = self._solids._points[0], self._solids._points[1]
         sums = cast("wp.array", self._solids._sums[self._index, self._body])

@@ -1,8 +1,9 @@
 """LatticeSolver: explicit substeps of elastic bodies on lattices of their shapes at rest.
 
-A substep sums the forces of the stress on the nodes, kicks the nodes, lets clamps and walls act,
-and lets the nodes drift. Points serve only for integration. Their x, v, C and F are computed from
-the nodes before forces on particles act, when limits are measured, and at the end of `advance`.
+A substep sums the forces of the stress on the nodes, changes the velocities of the nodes by forces,
+clamps and walls, and moves the nodes. Points serve only for integration. Their x, v, C and F are
+computed from the nodes before forces on particles act, when limits are measured, and at the end of
+`advance`.
 """
 
 from __future__ import annotations
@@ -51,16 +52,17 @@ SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.25, 0.25
 """`STRAIN`: largest strain between two measurements of the largest frequency. `WAY`: largest
-displacement of a point [cells] between two measurements of the point's distance from walls.
+displacement of a point [cells] between two measurements of its distance from walls.
 """
 TRAVEL = 3.0
-"""Distance by which points may approach walls before all distances are measured again [cells]."""
+"""Largest approach of points to walls before distances are measured again [cells].
+"""
 VIOLENT = 0.35
-"""Strain rate times substep length above which the limits are measured before every substep."""
+"""If strain rate times substep length is larger, the limits are measured before every substep."""
 KEPT = ("u", "residue", "v", "lagging")
 """Names of the node arrays that belong to the state."""
 PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
-"""Names of the solver's parts that have a state, in the order in which they are restored."""
+"""Names of the solver's components with a state, in the order in which they are restored."""
 
 
 class LatticeSolver:
@@ -96,15 +98,14 @@ class LatticeSolver:
             accumulators: Sums that are updated in every substep.
             planes: Flat walls with which freely moving solids collide.
             pairs: Pairs of bodies whose contact differs from the default.
-            free: Rigid solids that move freely.
+            free: Freely moving rigid solids.
             copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: chosen according to the numbers of free cores and
-                of points.
-            vectors: Whether to use the vector instructions of a CPU where vectorised kernels exist.
+            threads: Number of CPU threads; None: chosen from the numbers of free cores and points.
+            vectors: Whether to use vectorised CPU kernels if they exist.
 
         Raises:
-            InputError: The region of a force holds no particle, or a clamp holds only some
+            InputError: The region of a force holds no particle, or a clamp fixes only some
                 directions.
         """
         self.state = State.of(model) if state is None else state
@@ -112,8 +113,8 @@ class LatticeSolver:
         self.clock.calm = largest_calm_rate(model.materials, model.dx)
         # Viscosity is part of the measured stiffness.
         self.clock.viscous = math.inf
-        # Since the frequency is measured, `accuracy.cfl` is a fraction of the largest stable
-        # squared frequency.
+        # The frequency is measured, so `accuracy.cfl` is relative to the largest stable squared
+        # frequency.
         self.clock.cfl = math.sqrt(model.cfl)
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         spans = [model.particles(body) for body in range(model.bodies)]
@@ -129,13 +130,13 @@ class LatticeSolver:
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
         self.free = Solids(model, free, self.surface, self.nodes_state)
-        # Bodies on lattices do not use these attributes; observers and reports read them.
+        # The lattice solver does not use these attributes, but observers and reports read them.
         self.repair = Repair(model, self.state, needed=False)
         self.outliers = Outliers(model, self.state)
         self.guests: list[Any] = []
-        """Further kinds of contact, with launches like those of walls."""
+        """Further kinds of contact, whose launches run along with the launches of walls."""
         self.softened = 1.0
-        """Factor by which the stiffness of all materials is currently multiplied."""
+        """Current factor on the stiffness of all materials."""
         nodes, lattice, complete = self.nodes_state, self.lattice, self.runner.complete
         with self.runner.on_threads():
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: complete(TRIAL))
@@ -145,12 +146,12 @@ class LatticeSolver:
         self._probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Upper bound of the strain since the frequency was measured, and the substep in which it
-        was measured.
+        """Upper bound of the strain since the last measurement of the frequency, and the substep of
+        this measurement.
         """
         self._travel, self._measured = 0.0, 0.0
-        """Upper bound of the displacement of points and walls since points near walls were listed
-        [m], and the time of the last measurement [s].
+        """Upper bound of the displacements of points and walls since points near walls were listed
+        [m]; time of the last measurement [s].
         """
         self.bind(forces, boundaries, accumulators, planes)
 
@@ -163,8 +164,8 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        The contact forces and the times of measurements are kept, so that live runs can be repeated
-        bit for bit.
+        Contact forces and times of measurements are kept, so that live runs are bitwise
+        reproducible.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -173,7 +174,7 @@ class LatticeSolver:
             planes: Flat walls with which freely moving solids collide.
 
         Raises:
-            InputError: The region of a force holds no particle, or a clamp holds only some
+            InputError: The region of a force holds no particle, or a clamp fixes only some
                 directions; in this case nothing has changed.
         """
         model, state = self.model, self.state
@@ -200,9 +201,7 @@ class LatticeSolver:
         self._measured = measured
 
     def keep_pushes(self, sums: wp.array) -> None:
-        """From now on, add the impulse and the work of forces on points to a row of sums for each
-        worker.
-        """
+        """From now on, sum the impulse and the work of forces on points, in one row per worker."""
         self.energies.pushes = sums
         self.record()
 
@@ -225,11 +224,11 @@ class LatticeSolver:
         self.workers[0].phases[-1] += launches(last)
         self.energies.extend(pushed=pushed)
         self._summed = 2 if pushed else 0
-        """Index of the phase after which the forces on all nodes are known."""
+        """Index of the phase that completes the forces on all nodes."""
 
     def _contact(self) -> list[Named]:
-        """Return the launches of all kinds of contact, which apply all impulses before they correct
-        any impulse.
+        """Return the launches of all kinds of contact; all impulses are applied before any is
+        corrected.
         """
         passed, parts = self.walls.passed_on(), (self.walls, self.meetings, self.free, *self.guests)
         everything = [part.stages(passed) for part in parts]
@@ -238,8 +237,8 @@ class LatticeSolver:
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return the launches with which a worker applies forces on points; the first worker runs
-        all of them if one cannot be divided.
+        """Return the launches with which a worker applies forces on points; if one of the launches
+        cannot be divided, the first worker runs all of them.
         """
 
         def record(stages: Sequence[Stage]) -> list[Any]:
@@ -257,7 +256,7 @@ class LatticeSolver:
 
     @property
     def boundaries(self) -> Sequence[Stage]:
-        """Stages of boundaries on a grid; there are none, because walls act on surface points."""
+        """Stages of boundaries on a grid: none, because walls act on surface points."""
         return ()
 
     @property
@@ -273,16 +272,16 @@ class LatticeSolver:
         Args:
             until: The time at which to stop [s].
             after: Called after each substep.
-            each: Whether `after` must be called after each substep, which it always is.
+            each: Not used; `after` is called after each substep in any case.
 
         Raises:
-            Unstable: A number is no longer finite.
+            Unstable: A value is not finite.
         """
         del each
         self.rejection.begin(self.clock.time, until)
         self.clock.interval = min(self.clock.interval, self._interval())
         if len(self.workers) > 1:
-            # Loading kernels is not thread-safe, so the kernels of the measurement are loaded here.
+            # Loading kernels is not thread-safe, so the measurement's kernels are loaded here.
             self.measure_if_due()
         with self.runner.on_threads():
             while self.clock.time < until:
@@ -302,8 +301,8 @@ class LatticeSolver:
         zero.
 
         Args:
-            carry: Function that computes new positions and velocities [N,3] of the nodes from the
-                present values.
+            carry: Function that computes the new positions and velocities [N,3] of the nodes from
+                the current values.
             body: Index of the body.
         """
         nodes, rest, mine = self.nodes_state, self.lattice.x, self.lattice.body == body
@@ -323,7 +322,7 @@ class LatticeSolver:
         self.follow()
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep; its stable length divides the remaining time evenly."""
+        """Take one substep; stable substeps of this length divide the remaining time evenly."""
         self.measure_if_due()
         clock = self.clock
         limit = run_timed(self.timings, SCHEDULE, clock.stable)
@@ -333,18 +332,17 @@ class LatticeSolver:
         taken = self.step(kick, dt)
         if taken == rest:
             clock.time = until
-        # After a shortened substep, velocities lag less behind positions, or are even ahead of
-        # them.
+        # After a shortened substep, velocities are less than half a substep behind positions, or
+        # even ahead.
         clock.last_dt = dt if taken == dt else clock.last_dt + 2 * (taken - kick)
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def step(self, kick: float, drift: float) -> float:
-        """Take one substep in which velocities change for the time `kick` [s] and displacements for
-        the time `drift` [s].
+        """Take one substep: change velocities for the time `kick` [s], and displacements for
+        `drift` [s].
 
-        Returns:
-            The time over which displacements changed [s], which is shorter than `drift` if a point
-            would be squeezed too much.
+        Returns: The time over which displacements changed [s]; shorter than `drift` if a point
+        would be squeezed too much.
         """
         self.start_step(kick, drift)
         if self.clock.may_crush(self._fastest(), drift):
@@ -357,13 +355,13 @@ class LatticeSolver:
         """Return a duration of at most `drift` [s] in which no point is squeezed too much."""
         self.runner.join()
         self.runner.complete(MEASURE)
-        # The maxima are not reset: if the stress kernels measure, the end of the substep also reads
-        # them.
+        # The maxima are not reset, because the end of the substep also reads them if the stress
+        # kernels measure.
         speed, gradient, self.clock.closing = self.crew.maxima()
         self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
         self.clock.seen = self.clock.time
         longest = STRAIN_PER_STEP / max(gradient, 1e-30)
-        # If the stress kernels measure, they also measure the motion in the next substeps.
+        # If the stress kernels measure, they also do so in the next substeps.
         if longest < drift or self.clock.in_shock or not self.crew.measuring:
             self.clock.expire()
         return min(drift, longest)
@@ -373,7 +371,9 @@ class LatticeSolver:
         return max(self.clock.extremes.speed, self.rejection.wall, self.free.fastest())
 
     def start_step(self, kick: float, drift: float) -> None:
-        """Kick the nodes and apply the contact impulses: all of a substep except the drift."""
+        """Change the velocities of the nodes by forces and contact: all of a substep but the
+        motion.
+        """
         self.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock
@@ -401,7 +401,7 @@ class LatticeSolver:
     def _threads(self) -> AbstractContextManager[None]:
         """Return a context within which each worker runs on a separate thread."""
         if len(self.workers) > 1:
-            # Loading kernels is not thread-safe, so the kernels of the measurement are loaded here.
+            # Loading kernels is not thread-safe, so the measurement's kernels are loaded here.
             self.measure_if_due()
         return self.runner.on_threads()
 
@@ -423,7 +423,7 @@ class LatticeSolver:
         passed = FORGET * clock.since_complete
         clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self._interval()
-        # Before the next measurement, the strain grows at the present rate.
+        # Until the next measurement, the strain grows at the present rate.
         ahead = clock.interval * clock.extremes.gradient * clock.stable().dt
         late = clock.substeps + clock.interval > self._probed + SLOWEST
         self._probing = late or not self._strain + ahead < STRAIN
@@ -434,7 +434,7 @@ class LatticeSolver:
         run_timed(self.timings, "free", lambda: self.free.list_near(self._step()))
 
     def _read(self, elapsed: float) -> None:
-        """Limit substeps according to the largest speed and rate of strain; raises Unstable.
+        """Limit substeps by the largest speed and strain rate; raises Unstable.
 
         Args:
             elapsed: Time since the last measurement [s].
@@ -445,7 +445,7 @@ class LatticeSolver:
         fastest = max(speed, extremes.speed) + self.rejection.wall
         way = elapsed * (fastest + elapsed * pull)
         self._travel, self.meetings.way = self._travel + way, self.meetings.way + way
-        # The rate grows while a point is squeezed by the last substep.
+        # While the last substep squeezes a point, the rate grows.
         gradient /= max(0.1, 1 - gradient * self.clock.last_dt)
         self._strain += gradient * elapsed
         self.clock.extremes = extremes._replace(speed=speed, gradient=gradient)
@@ -453,10 +453,10 @@ class LatticeSolver:
             self.clock.expire()
 
     def _refuse_collapse(self) -> None:
-        """Raise Unstable if a number is not finite, or if substeps have become too short.
+        """Raise Unstable if a value is not finite, or if substeps have become too short.
 
-        The next attempt then takes substeps of half the length at rest; with the present short
-        substeps, the run would never end.
+        The next attempt then takes substeps of half the length at rest, because a run with the
+        current short substeps would never end.
         """
         clock, lost = self.clock, int(self.crew.stray.numpy()[0])
         usual = min(self.substep_at_rest, clock.ceiling)
@@ -470,9 +470,7 @@ class LatticeSolver:
         raise Unstable(f"the body was squeezed so fast that {what}")
 
     def _measure_frequency(self) -> None:
-        """Measure the largest frequency; call this method after forces are summed and before they
-        act.
-        """
+        """Measure the largest frequency, after forces are summed and before they act."""
         self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
         self.runner.join()
         run_timed(self.timings, "frequency", self.spectrum.follow)
@@ -491,7 +489,7 @@ class LatticeSolver:
         self.walls.list_near(self._travel + 2 * WAY * self.model.dx, self._step())
 
     def _step(self) -> float:
-        """Return the largest distance by which a point approaches a wall in a substep [m]."""
+        """Return by how much a point may approach a wall in a substep [m]."""
         dt = self.clock.stable().dt
         speed = self.clock.extremes.speed + max(self.rejection.wall, self.free.fastest())
         return speed * dt if math.isfinite(dt) else math.inf
@@ -511,9 +509,9 @@ class LatticeSolver:
         return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs to continue bit for bit.
+        """Return a snapshot from which `restore` continues bit for bit.
 
-        The points are not included, because their state is computed from the nodes.
+        The points are not part of the snapshot, because their state is computed from the nodes.
         """
         nodes = self.nodes_state
         return {
@@ -533,7 +531,7 @@ class LatticeSolver:
         self._strain, self._probed = snapshot["probed"]
         self.crew.stray.zero_()
         self.crew.take_maxima()
-        # Distances from moving walls are the distances at the time of the snapshot.
+        # The distances from moving walls refer to the time of the snapshot.
         self.clock.begin(0.0, 0.0)
         self._sample.launch()
         self._look()

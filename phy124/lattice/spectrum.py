@@ -1,8 +1,8 @@
-"""Spectrum: measures the largest angular frequency of the body, which limits the substep.
+"""Spectrum: measures the largest angular frequency of the bodies, which limits the substep.
 
-At rest, the frequency is found by power iteration. In motion, one more iteration is made every few
-substeps, from the last shape and the current accelerations. The accelerations direct the iteration
-to material that has just been squeezed, or that begins to vibrate more strongly.
+At rest, the frequency is found by power iteration. In motion, there is one more iteration every few
+substeps, which starts from the last shape plus the current accelerations. The accelerations are
+large in material that has just been squeezed or that begins to vibrate more strongly.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ materials differ, additional iterations start from an arbitrary shape. `TRIAL`: 
 displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
-"""A measurement takes one iteration, but takes `FOLLOWED` iterations if the squared frequency
-exceeds its value at rest by the factor `SQUEEZED` and the damping ratio of the fastest vibration is
-below `UNDAMPED`. The fastest vibration then moves through the body faster than single iterations
-can follow, and without viscosity it grows.
+"""A measurement takes one iteration. It takes `FOLLOWED` iterations if the squared frequency
+exceeds its value at rest by the factor `SQUEEZED`, and the damping ratio of the fastest vibration
+is below `UNDAMPED`. The fastest vibration then moves through the body too fast for single
+iterations, and would grow without viscosity.
 """
 MIXED = 0.1
-"""Size of the accelerations, relative to the last shape, that are added to the shape at the start
-of an iteration.
+"""Size of the accelerations that are added to the shape before an iteration, relative to the shape.
 """
 MISSED = 1.1
-"""Factor by which squared frequencies are multiplied, because the iterations underestimate them."""
+"""Factor on squared frequencies, because the iterations underestimate frequencies."""
 
 
 class Spectrum:
@@ -57,10 +56,10 @@ class Spectrum:
 
         Args:
             model: The constants of the run.
-            crew: Computes accelerations of nodes.
+            crew: The workers, which compute accelerations of nodes.
             nodes: The nodes, at rest.
             lattice: The lattice at rest.
-            run_trials: Runs the trials of all workers.
+            run_trials: Function that runs the trials of all workers.
         """
         self._model, self._crew, self._run_trials = model, crew, run_trials
         self._nodes = nodes
@@ -76,7 +75,7 @@ class Spectrum:
         crew.accelerate(trial=True)
         crew.a.assign(crew.trial_a)
         self._least = MISSED * self._iterate(0.0, ROUNDS)
-        if self._least == 0:  # All bodies are held, so no node moves; assume unbounded material.
+        if self._least == 0:  # All bodies are fixed, so no node moves; assume unbounded material.
             fastest = max(section.sound_speed() for section in model.materials)
             self._least = (2 * fastest / model.dx) ** 2
         self._delay = 0.0
@@ -95,14 +94,13 @@ class Spectrum:
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
         self._stiffened = 1.0
-        """Ratio of the stiffness of all materials to the initial stiffness, at least 1."""
+        """Factor (at least 1) on the initial stiffness of all materials."""
 
     def stiffen(self, factor: float) -> float:
-        """Set the factor by which the initial stiffness of all materials is multiplied, and return
-        `stiffness`.
+        """Set the factor on the initial stiffness of all materials, and return `stiffness`.
 
-        A larger factor shortens substeps at once, because the frequency is measured only after a
-        substep. A factor below 1 is ignored, so substeps at rest are then shorter than necessary.
+        A larger factor shortens substeps immediately, because the frequency is measured only after
+        a substep. A factor below 1 is ignored; substeps at rest are then shorter than necessary.
         """
         stiffened = max(1.0, factor)
         ratio, self._stiffened = stiffened / self._stiffened, stiffened
@@ -113,7 +111,7 @@ class Spectrum:
 
     @property
     def _damping_ratio(self) -> float:
-        """Damping ratio of the fastest vibration, as last measured."""
+        """Damping ratio of the fastest vibration in the last measurement."""
         return math.sqrt(self.square) * self._delay
 
     @property
@@ -128,8 +126,8 @@ class Spectrum:
         return 2 / math.sqrt(self._least) / _shorten(z)
 
     def follow(self) -> None:
-        """Measure the largest frequency in the current state; the forces of all points must already
-        be summed.
+        """Measure the largest frequency in the current state, after the forces of all points are
+        summed.
         """
         self._crew.accelerate()
         largest = float(np.abs(self._crew.a.numpy()).max())
@@ -141,9 +139,8 @@ class Spectrum:
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
-        The norm of the shape gives the largest motions the largest weight. The norm therefore
-        measures the fastest vibration, which moves few nodes, although the shape also contains
-        small motions of all nodes.
+        The norm gives large motions a large weight. It therefore measures the fastest vibration,
+        which moves few nodes, although the shape also contains small motions of all nodes.
 
         Args:
             share: Factor with which the accelerations are added to the shape.
@@ -153,7 +150,7 @@ class Spectrum:
         """
         square, peak = 0.0, self._peak()
         for _ in range(rounds):
-            if not peak > 0:  # The trial motion of a needle, its only motion, vanished in rounding.
+            if not peak > 0:  # The only trial motion of a needle vanished by rounding.
                 return square
             for index, value in enumerate((1 / peak, share, self._size)):
                 self._try.set_param_at_index(index, value)
@@ -176,7 +173,7 @@ class Spectrum:
         return float(np.abs(self._shape.numpy()).max())
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the last shape and frequency."""
+        """Return a snapshot: the last shape and frequency."""
         shape, factor = self._shape.numpy().copy(), self._stiffened
         return {"shape": shape, "square": self.square, "stiffened": factor}
 
@@ -190,14 +187,14 @@ class Spectrum:
 def _shorten(z: float) -> float:
     """Return the factor by which a damping ratio z shortens stable substeps.
 
-    Viscosity acts on delayed velocities (`RECENT`), so that only half of it damps the vibration
-    that limits the substep.
+    Viscosity acts on delayed velocities (`RECENT`), so only half of the viscosity damps the
+    vibration that limits the substep.
     """
     half = (2 * RECENT - 1) * z
     return math.sqrt(1 + half * half) + half
 
 
 def _norm(values: NDArray[Any]) -> float:
-    """Return the 4-norm (fourth root of the sum of fourth powers) of values of at most about 1."""
+    """Return the 4-norm (fourth root of the sum of fourth powers) of values up to about 1."""
     squares = values * values
     return float(np.vdot(squares, squares)) ** 0.25

@@ -1,12 +1,11 @@
-"""Finds a body's surface points, with the nodes and weights by which contact acts on them.
+"""Finds the surface points of bodies, with the nodes and weights through which contact acts.
 
-The weights of a surface point are computed at a position a quarter of a cell inside the body,
-ignoring the tied nodes. They are then corrected so that they reproduce every linear function at the
-point. The exact weights at the surface would act mostly on the lightest nodes, which would vibrate.
+The weights of a surface point are computed a quarter of a cell inside the body, without tied nodes.
+They are then corrected to reproduce every linear function at the point. With the exact weights at
+the surface, contact would act mostly on the lightest nodes, which would vibrate.
 
-Points are sorted by eight colours; points of the same colour are at least about one cell apart. In
-the order of colours, the error after a pass of Gauss-Seidel is a tenth of the error after a pass
-from row to row.
+Points are sorted by eight colours; points of one colour are at least about one cell apart. In this
+order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to row.
 """
 
 from __future__ import annotations
@@ -25,27 +24,25 @@ from phy124.particles.lattice import APART, PER_CELL
 INSIDE = 0.25
 """Depth below the surface at which a point's weights are computed [cells]."""
 SUPPORTED = 0.5
-"""Smallest allowed sum of a point's weights on nodes that are not tied; points with a smaller sum
-are removed.
+"""Points are removed if the sum of their weights on nodes that are not tied is smaller than this.
 """
 FLAT = 0.9
-"""Length of the mean of the normals within a cell of a point below which the point counts as lying
-at an edge.
+"""A point counts as lying at an edge if the mean normal within a cell is shorter than this.
 """
 SHARP, CLOSEST = 0.6, 24
-"""`SHARP`: length of the mean of the normals within a cell below which a part counts as a tip, a
-hair or a sheet. `CLOSEST`: largest number of normals in such a mean.
+"""`SHARP`: a part counts as a tip, a hair or a sheet if the mean normal within a cell is shorter
+than this. `CLOSEST`: largest number of normals in such a mean.
 """
 
 REGULAR = 1e-5
-"""Smallest ratio of the determinant of a matrix of second moments to the cube of its trace for
-which the matrix is inverted by cofactors.
+"""A matrix of second moments is inverted by cofactors if its determinant is at least this fraction
+of its trace cubed.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points at which the body can touch walls, and the weights of these points."""
+    """Points at which bodies can touch walls, with the points' weights."""
 
     x: NDArray[np.float64]
     """Positions at rest [S,3], m."""
@@ -54,8 +51,8 @@ class Surface:
     body: NDArray[np.int64]
     """Index of the body of each point [S]."""
     side: NDArray[np.int64]
-    """Number of the separate piece to which each point belongs [S]; 0 where no node has copies.
-    Points with two different numbers above 0 belong to different pieces.
+    """Number of the piece to which each point belongs [S]; 0 if its nodes have no copies. Points
+    with different numbers above 0 belong to different pieces.
     """
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
@@ -97,12 +94,12 @@ class Surface:
 
     @cached_property
     def flat(self) -> NDArray[np.bool_]:
-        """Whether the normal at each point agrees with the normals at its neighbours, as on flat
-        parts of the surface [S].
+        """Whether each point is on a flat part of the surface, where neighbouring normals agree
+        [S].
         """
         near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
         a, b = np.concatenate([near, near[:, ::-1]]).T
-        # Points on the other side of a thin part are ignored.
+        # Points on the opposite side of a thin part are ignored.
         same = (self.body[a] == self.body[b]) & ((self.normal[a] * self.normal[b]).sum(1) > OTHER)
         a, b = a[same], b[same]
         near_sum = [np.bincount(a, n, self.count) for n in self.normal[b].T]
@@ -112,7 +109,7 @@ class Surface:
 
 
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
-    """Return the surface points that have enough weight on the nodes of the lattice.
+    """Return the surface points with enough weight on the nodes of the lattice.
 
     Args:
         points: Positions [m], outward normals and indices of bodies [S,7].
@@ -155,7 +152,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
 def _nearest_pieces(
     at: NDArray[np.float64], body: NDArray[np.int64], lattice: RestLattice
 ) -> NDArray[np.int64]:
-    """Return the cells whose integration points are nearest to the given positions [K].
+    """Return the cells with the nearest integration point to each position [K].
 
     Args:
         at: Positions [K,3], cells.
@@ -174,8 +171,8 @@ def _nearest_pieces(
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
     """Return weights [S,27] that are 0 in every group except at three consecutive nodes.
 
-    The three nodes with the largest sum of weights keep their weights. Within a group, a copy of a
-    node may be stored far away in memory from a node without copies.
+    In each group, the three consecutive nodes with the largest sum of weights keep their weights. A
+    copy of a node may be far away in memory from the other nodes of a group.
 
     Args:
         nodes: Nodes of the points [S,27].
@@ -190,10 +187,10 @@ def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float
 
 
 def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64]:
-    """Return the integration points in sharp parts as surface points without a normal [K,7].
+    """Return the integration points in sharp parts, as surface points without a normal [K,7].
 
-    A tip smaller than a cell can rotate into a wall although its surface points stay outside,
-    because the tip moves with tied nodes, which the weights of surface points ignore.
+    A tip that is smaller than a cell moves with tied nodes, which the weights of surface points
+    ignore. Such a tip can rotate into a wall while its surface points stay outside.
 
     Args:
         points: Positions [m], outward normals and indices of bodies [S,7].
@@ -222,7 +219,7 @@ def _consecutive(
     """Return nodes and weights [S,27] in nine groups of three nodes that are consecutive in memory.
 
     The nodes of a lattice are sorted along z, so the existing nodes of a group are consecutive. A
-    group of fewer than three nodes is filled up with neighbours in memory, which have weight 0.
+    group of fewer than three nodes is completed by neighbours in memory with weight 0.
 
     Args:
         nodes: Nodes of the points [S,27].
@@ -240,9 +237,7 @@ def _consecutive(
 
 
 def _inverses(moments: NDArray) -> NDArray[np.float64]:
-    """Return the inverses of matrices of second moments [K,3,3]; for singular matrices, the
-    pseudoinverses.
-    """
+    """Return the inverses of matrices of second moments [K,3,3], or pseudoinverses if singular."""
     turned = _cofactors(moments)
     det = (moments[:, 0] * turned[:, 0]).sum(axis=1)
     # The ratio of the smallest to the largest eigenvalue is at least det / trace^3.

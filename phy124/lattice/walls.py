@@ -1,4 +1,4 @@
-"""Records the launches of walls and clamps on a lattice, which also sum the impulse and the work.
+"""Records the launches of walls and clamps on a lattice, including sums of impulse and work.
 
 Walls act on surface points, and clamps act on nodes (phy124/lattice/clamps.py).
 """
@@ -42,28 +42,28 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 REACH = 0.6
-"""Largest distance from a wall within which contact is computed [cells]."""
+"""Largest distance from a wall at which contact is computed [cells]."""
 AHEAD, CLOSE = 2.0, 0.1
-"""Contact is computed within a distance of `AHEAD` times the displacement in a substep plus `CLOSE`
+"""Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`
 [cells].
 """
 STEP = 0.5
-"""Size of the steps in which the distance up to which points are listed grows [cells]."""
+"""Increment of the distance up to which points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Gain of the speed at which points inside a wall move out, in units of (pi / 2 H)^2 / dt, for a
-body of H cells and substeps dt at rest. The slowest angular frequency of a body that stands on the
-wall is pi c / 2 H. Bodies that a wall holds also rock and shear, at lower frequencies.
+"""Gain of the speed at which points inside a wall are moved out, in units of (pi / 2 H)^2 / dt, for
+a body of H cells and substeps dt at rest. A body that stands on the wall has the slowest angular
+frequency pi c / 2 H. Bodies that stick to a wall also rock and shear, at lower frequencies.
 """
 
 
 class Boundary(Protocol):
-    """The members of a boundary (phy124.boundaries) that the contact on lattices reads."""
+    """The members of a boundary (phy124.boundaries) that contact on lattices uses."""
 
     holds: ClassVar[bool]
-    """Whether the boundary holds material in place instead of only blocking it."""
+    """Whether the boundary fixes material instead of only blocking it."""
 
     def parts(self) -> list[Any]:
-        """Return the simple walls of which the boundary consists."""
+        """Return the simple walls that the boundary consists of."""
         ...
 
 
@@ -88,13 +88,13 @@ class Nodes:
     inverse: wp.array
     """Inverse masses [N], 1/kg; 0 for tied nodes."""
     movable: wp.array
-    """Inverse masses [N], 1/kg; 0 for tied nodes and for nodes that a clamp holds."""
+    """Inverse masses [N], 1/kg; 0 for tied nodes and for nodes in a clamp."""
     rows: Rows
     """Functions on the nodes of a surface point."""
 
 
 class Walls:
-    """All walls of a run, with their launches, and their impulse and work on the body."""
+    """All walls of a run, with their launches, and with their impulses and work on the bodies."""
 
     def __init__(
         self,
@@ -114,11 +114,11 @@ class Walls:
             lattice: The lattice at rest.
             surface: Points that touch walls.
             nodes: Arrays of the nodes.
-            tracks: The tracks to which displacements of walls are added.
+            tracks: The tracks of the run, to which displacements of walls are added.
             substep: Length of a substep at rest [s].
 
         Raises:
-            InputError: A clamp holds only some directions, which the lattice cannot do.
+            InputError: A clamp fixes only some directions, which is not possible on lattices.
         """
         simple = [(boundary.holds, part) for boundary in boundaries for part in boundary.parts()]
         self.sums = wp.zeros((len(simple), SUMS), dtype=wp.float64, device=model.device)
@@ -134,7 +134,7 @@ class Walls:
         self._around = model, surface.count, nodes, tracks
         points = _Points.of(surface, lattice, model, substep)
         self.recovery = RESTORE["separate"] * points.slowest
-        """Speed at which points inside a wall move out, per unit depth [1/s]."""
+        """Speed at which points inside a wall are moved out, per unit depth [1/s]."""
         self._holder = wp.zeros(len(nodes.rest), dtype=int, device=model.device)
         # Clamps that no longer exist have released their nodes.
         wp.copy(nodes.movable, nodes.inverse)
@@ -155,12 +155,12 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
-        """Make `stages` return launches that also sum impulses per surface point and node."""
+        """From now on, sum impulses per surface point and node as well."""
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the object that records the launches that add impulses to the sums of clamps; None
-        if there are no clamps.
+        """Return the recorder of launches that add impulses to clamps' sums; None if there are no
+        clamps.
         """
         if not self._clamps:
             return None
@@ -168,17 +168,18 @@ class Walls:
         return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply earlier impulses, correct them and sum them.
+        """Return the launches of a substep that apply, correct and sum impulses.
 
         Clamps act before the impulses.
 
         Args:
-            passed: Records launches that transfer impulses on held nodes to clamps; None if there
-                are no clamps.
+            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
+                there are no clamps.
         """
         every = self._clamps
         records = [clamp.record(every[:i], every[i + 1 :]) for i, clamp in enumerate(every)]
-        # In reverse order, because a clamp that no longer holds a node lets contact move it.
+        # The order is reversed, because after a clamp has released a node, contact may move the
+        # node.
         ordered = [item for kind in zip(*records[::-1], strict=True) for item in kind]
         clamps = launches([("clamp", item) for item in ordered])
         if clamps and self.impulses is not None:
@@ -224,15 +225,13 @@ class Walls:
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the contact forces of the last substep, unless the forces belong to another set of
-        walls.
-        """
+        """Set the contact forces of the last substep, unless they belong to another set of walls."""
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the sums and the contact forces."""
+        """Return a snapshot: the sums and the contact forces."""
         kept = {"sums": wp.clone(self.sums), "forces": self.forces()}
         return kept if self.impulses is None else {**kept, "impulses": wp.clone(self.impulses.sums)}
 
@@ -286,11 +285,11 @@ class _Contact:
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._affected = acts_on(part, model, points.body)
         self.reach = REACH * model.dx
-        """Distance from the wall within which contact is computed [m]."""
+        """Largest distance from the wall at which contact is computed [m]."""
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
-        """Whether clamps may hold nodes; if so, the response of points differs between substeps."""
+        """Whether clamps exist; if so, the response of points changes between substeps."""
         count, device = points.count, model.device
         self._list = wp.zeros(count, dtype=int, device=device)
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
@@ -345,7 +344,7 @@ class _Contact:
             known = self._gap, self.force, self._slot if self._moving else 0
             self._of_all.append(work.of(WALLS, self._list, points, *known))
         (yields, *sums), (first, second, *works) = self._of_each, self._of_all
-        # Responses of all points; later they change only where clamps hold or release nodes.
+        # Responses of all points; they change only if clamps fix or release nodes.
         self._list.assign(np.arange(self._points.count, dtype=np.int32))
         yields.launch()
         if len(self._near):
@@ -362,16 +361,14 @@ class _Contact:
             launch.set_dim(max(1, len(self._near)))
 
     def _yield(self) -> wp.Launch:
-        """Record the launch that computes the velocity change of points per unit impulse."""
+        """Record the launch that computes the points' velocity change per unit impulse."""
         points, nodes = self._points, self._nodes
         inputs = [self._list, points.nodes, points.weights, nodes.movable, nodes.inverse]
         kernel = make_yields(self._model.real, nodes.rows)
         return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
-        """Record the launch that finds touching points and applies the previous impulses on
-        them.
-        """
+        """Record the launch that finds touching points and applies their previous impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
             self._list, 0, REACH * model.dx, self._shape, self._slot, points.nodes,

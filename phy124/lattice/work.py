@@ -20,7 +20,7 @@ class ContactWork:
         Args:
             model: The constants of the run.
             nodes: Arrays of the nodes.
-            tracks: The tracks, which contain the clock and the velocities of walls.
+            tracks: The tracks of the run, with the clock and the velocities of walls.
             sums: The sums to which work is added (phy124/kernels/lattice/work.py).
         """
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
@@ -34,8 +34,8 @@ class ContactWork:
         force: wp.array,
         slot: int = 0,
     ) -> wp.Launch:
-        """Record the launch that sums the work on listed points; the launch's parameter 1 is their
-        number.
+        """Record the launch that sums the work on listed points; parameter 1 is the number of
+        points.
 
         Args:
             at: Index of the first of three sums of work.

@@ -1,8 +1,8 @@
 """Workers: the cells and nodes that each thread processes, and the launches of a substep.
 
-Cells and nodes are sorted by x, so consecutive cells touch consecutive nodes. Each worker adds the
-forces of its cells to private memory. The sums of all workers are then added for each node, in the
-order of the workers, so that a run repeats bit for bit with the same number of threads.
+Cells and nodes are sorted by x, so consecutive cells use consecutive nodes. Each worker adds the
+forces of its cells to private memory. For each node, the sums of all workers are then added in a
+fixed order, so that runs with equal numbers of threads are bitwise equal.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from phy124.mpm.workers import Timings, run_launches
 from phy124.particles.lattice import PER_CELL
 
 MEASURE, TRIAL = -1, -2
-"""Two tasks in addition to the phases: measure the motion, and compute the forces of a trial."""
+"""Two tasks besides the phases: measuring the motion, and computing the forces of a trial."""
 LINE = 16
-"""Number of values per cache line; no two workers write to the same cache line."""
+"""Number of values per cache line; no two workers write to one cache line."""
 
 
 @dataclass
@@ -41,15 +41,15 @@ class Worker:
     """The points and nodes of one thread, and the thread's launches."""
 
     points: slice
-    """Span of the worker's points, which fill a whole number of cells."""
+    """Span of the worker's points; the points fill a whole number of cells."""
     nodes: slice
     """Span of the nodes that the worker moves."""
     touched: slice
-    """Span of the nodes that the worker's cells touch."""
+    """Span of the nodes that the worker's cells use."""
     forces: wp.array
-    """Forces on the touched nodes by the stress in the worker's cells, N."""
+    """Forces of the stress in the worker's cells on the nodes, N."""
     pushes: wp.array
-    """Forces on the touched nodes by pushes on the worker's points, N."""
+    """Forces on the nodes due to pushes on the worker's points, N."""
     maxima: wp.array
     """Largest speed and strain rate of the worker's points."""
     trial: wp.array
@@ -59,8 +59,8 @@ class Worker:
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     measures: list[Named] = field(default_factory=list)
-    """Launches that measure the largest speed and rate of strain. Vectorised kernels of viscous
-    stress also measure both.
+    """Launches that measure the largest speed and strain rate. Vectorised kernels of viscous stress
+    measure these as well.
     """
     trials: list[Named] = field(default_factory=list)
     """Launches that compute `trial`."""
@@ -90,15 +90,15 @@ class Crew:
         *,
         vectors: bool = True,
     ) -> None:
-        """Divide the cells and nodes evenly among the workers.
+        """Divide cells and nodes evenly among the workers.
 
         Args:
             model: The integration points.
-            state: State of the points, which follows the nodes.
+            state: State of the points, which is computed from the nodes.
             lattice: The lattice at rest.
             nodes: Arrays of the nodes.
             count: Number of workers.
-            vectors: Whether to use the vector instructions of a CPU where vectorised kernels exist.
+            vectors: Whether to use vectorised CPU kernels if they exist.
         """
         self._model, self._state, self._nodes = model, state, nodes
         self._lattice = lattice
@@ -115,7 +115,7 @@ class Crew:
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
         self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
-        """Each worker's part of a pool, which holds the forces of all workers."""
+        """Each worker's part of a pool; a pool contains the forces of all workers."""
         self._pool, self._pushes, self._trial_pool = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(3)
         )
@@ -142,13 +142,13 @@ class Crew:
         self.a, self.trial_a, self.trial_u = (
             wp.zeros(len(lattice), dtype=t.vec3, device=device) for _ in range(3)
         )
-        """Accelerations of the nodes, their accelerations after trial displacements, and these
+        """Accelerations of the nodes, accelerations after trial displacements, and these
         displacements [N,3].
         """
         self._still = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero."""
         self._middle = wp.zeros_like(self.a)
-        """Output [N,3] that is not used: velocities after pushes and before all other forces."""
+        """Unused output [N,3]: velocities after pushes and before all other forces."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress kernels measure the largest speed and strain rate in every substep."""
@@ -158,23 +158,25 @@ class Crew:
             worker.trials = self.force(worker, trial=True)
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
-        """Return the ties on the device: one row per node, with the indices and weights of other
-        nodes.
-        """
+        """Return the sparse matrices of tied nodes and donors on the device, with one row per node."""
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
-        if ties.shape[0] != count:  # There is a row per tied node; the other nodes get empty rows.
+        if (
+            ties.shape[0] != count
+        ):  # Only tied nodes have entries; the rows of other nodes are empty.
             lengths = np.zeros(count, np.int64)
             lengths[lattice.tied] = np.diff(starts)
             starts = np.concatenate([[0], np.cumsum(lengths)])
-        elif ties.shape[1] != count:  # There is a column per tied node.
+        elif ties.shape[1] != count:  # Each tied node is a column.
             columns = lattice.tied[columns]
         numbers = [np.asarray(values, np.int32) for values in (starts, columns)]
         arrays = [wp.array(values, dtype=int, device=model.device) for values in numbers]
         return [*arrays, model.array(ties.data, model.real)]
 
     def locate(self, worker: Worker) -> list[Named]:
-        """Return the launch that computes x and v of a worker's points, before forces on points."""
+        """Return the launch that computes x and v of a worker's points, before forces act on
+        points.
+        """
         nodes, state, span, model = self._nodes, self._state, worker.points, self._model
         outputs = [state.x, state.v, self._kept]
         if self._vectors and span.stop > span.start:
@@ -198,7 +200,7 @@ class Crew:
         Args:
             worker: The worker.
             pushes: The tracks of forces on points; None: no force acts on points.
-            trial: Whether to compute the forces that trial displacements cause.
+            trial: Whether to compute the forces due to trial displacements.
             v: Velocities of the nodes on which viscosity acts [N,3], m/s; None: `Nodes.lagging`.
         """
         out, v = worker.trial if trial else worker.forces, self._nodes.lagging if v is None else v
@@ -211,12 +213,12 @@ class Crew:
         return [("clear", worker.pushes.zero_), *launches([self._push(worker, pushes)]), *stress]
 
     def shock(self, worker: Worker, out: wp.array | None = None) -> list[Named]:
-        """Return the launch that adds the force of the artificial viscosity to the nodes.
+        """Return the launch that adds the forces of the artificial viscosity to the nodes.
 
         Args:
             worker: The worker.
-            out: The worker's part of a pool to which the force is added after the kick; None: it is
-                added to the worker's forces before the kick.
+            out: The worker's part of a pool that receives the forces after the kick; None: the
+                forces are added to the worker's forces before the kick.
         """
         nodes, span, model = self._nodes, worker.points, self._model
         outputs = [worker.forces if out is None else out]
@@ -238,9 +240,9 @@ class Crew:
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return the launches that add the force of viscosity to the nodes, after the kick.
+        """Return the launches that compute the viscous forces on the nodes after the kick.
 
-        The force of viscosity is computed as the force of a material without stiffness.
+        The viscous forces are computed as the forces of a material without stiffness.
 
         Args:
             worker: The worker.
@@ -271,7 +273,7 @@ class Crew:
         Args:
             worker: The worker.
             at: Index of the sum (phy124/kernels/lattice/work.py).
-            tracks: The tracks, which hold the clock and the uniform acceleration.
+            tracks: The tracks of the run, with the clock and the uniform acceleration.
             out: The sums.
             pool: The forces; None: the forces of the stress, or the forces of pushes if `at` is
                 `PUSHED`.
@@ -292,8 +294,8 @@ class Crew:
 
         Args:
             worker: The worker.
-            tracks: The tracks, which hold the clock.
-            out: Sums in the order of phy124/kernels/work.py.
+            tracks: The tracks of the run, with the clock. out: Sums in the order of
+                phy124/kernels/work.py.
         """
         nodes, span, model = self._nodes, worker.nodes, self._model
         count = span.stop - span.start
@@ -338,10 +340,10 @@ class Crew:
 
         Args:
             worker: The worker.
-            group: The group, whose points also belong to other workers.
+            group: The group; some of its points belong to other workers.
             motion: Displacements and velocities of the nodes.
-            outputs: Forces on nodes, maxima of the motion, and number of points that are not
-                finite; only vectorised kernels compute the latter two.
+            outputs: Forces on nodes, and, for vectorised kernels, maxima of the motion and number
+                of non-finite points.
         """
         model, span = self._model, _common(worker.points, group.particles)
         name = f"stress {group.law.name}"
@@ -355,9 +357,7 @@ class Crew:
         return name, model.launch(kernel, span.stop - span.start, inputs, outputs[:1])
 
     def vectors(self, group: Group) -> bool:
-        """Return whether the stress of a group is computed with the vector instructions of a
-        CPU.
-        """
+        """Return whether the stress of a group is computed by vectorised CPU kernels."""
         return self._vectors and simd.has_stress(group.law)
 
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
@@ -376,7 +376,7 @@ class Crew:
 
         Args:
             worker: The worker.
-            tracks: The tracks, which hold the clock and the uniform acceleration.
+            tracks: The tracks of the run, with the clock and the uniform acceleration.
             pushed: Whether forces act on points.
         """
         span, v, before, clock = worker.nodes, self._nodes.v, self._nodes.before, tracks.clock
@@ -403,7 +403,7 @@ class Crew:
     def _over_nodes(
         self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
     ) -> list[Named]:
-        """Return the launch of a kernel over a span of nodes, in scalar or in vectorised form."""
+        """Return the launch of a scalar or vectorised kernel over a span of nodes."""
         count, kernel = span.stop - span.start, plain
         if self._vectors:
             count, kernel = -(-count // simd.NODES), make_simd()
@@ -444,16 +444,14 @@ class Crew:
             launch()
 
     def _record_accelerate(self, *, trial: bool) -> list[Named]:
-        """Return launches that kick resting nodes for one second without uniform acceleration."""
+        """Return launches that accelerate resting nodes for one second without gravity."""
         model, pool = self._model, self._trial_pool if trial else self._pool
         clock, out = model.array([1.0, 1.0, 0.0], model.real), self.trial_a if trial else self.a
         every = slice(0, len(out))
         return self._kick(every, pool, self._donors, clock, self._still, out, self._middle)
 
     def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
-        """Record the launch that displaces nodes by a trial shape, and the launch that computes the
-        next shape.
-        """
+        """Record the launches that displace nodes by a trial shape, and compute the next shape."""
         model, shift = self._model, [0.0, 0.0, 0.0, *self._tied, self._nodes.u, self.a, shape]
         trying, comparing = (
             make(model.real) for make in (node_kernels.make_try, node_kernels.make_compare)
@@ -492,17 +490,17 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 
 def _sections(group: Group, model: Model) -> list[Any]:
-    """Return the materials that have the law of a group."""
+    """Return the materials with the law of a group."""
     return [section for section in model.materials if section.device_law.name == group.law.name]
 
 
 def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
-    """Return the range of nodes touched by the cells c with first <= c < last."""
+    """Return the range of nodes used by the cells c with first <= c < last."""
     rows = lattice.rows[first:last]
     return slice(int(rows.min()), int(rows.max()) + 3) if len(rows) else slice(0, 0)
 
 
 def _common(a: slice, b: slice) -> slice:
-    """Return the span of indices that two spans have in common."""
+    """Return the intersection of two spans."""
     start = max(a.start, b.start)
     return slice(start, max(start, min(a.stop, b.stop)))
