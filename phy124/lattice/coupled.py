@@ -64,8 +64,8 @@ class CoupledSolver(Solver):
         Args:
             model: All particles; the bodies `Model.wet` are on lattices.
             surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
-            state: Initial state of the particles. uniform: Forces on the lattices, which must be
-                uniform.
+            state: Initial state of the particles.
+            uniform: Forces on the lattices, which must be uniform.
             walls: The boundaries for the lattices.
             pairs: Pairs of bodies whose contact differs from the default.
             copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.

@@ -48,8 +48,8 @@ class Meetings:
             surface: Points that may touch.
             model: The constants of the run.
             nodes: Arrays of the nodes.
-            tracks: The tracks of the run, with the clock. pairs: Friction of pairs of bodies, and
-                the sums of their impulses.
+            tracks: The tracks of the run, with the clock.
+            pairs: Friction of pairs of bodies, and the sums of their impulses.
             restore: Gain of the speed at which penetration is reduced [1/s].
         """
         self.work: ContactWork | None = None

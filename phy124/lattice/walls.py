@@ -225,7 +225,7 @@ class Walls:
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the contact forces of the last substep, unless they belong to another set of walls."""
+        """Set the last contact forces, unless they belong to another set of walls."""
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])

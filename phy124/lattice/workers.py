@@ -158,7 +158,7 @@ class Crew:
             worker.trials = self.force(worker, trial=True)
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
-        """Return the sparse matrices of tied nodes and donors on the device, with one row per node."""
+        """Return the sparse matrices of tied nodes and donors on the device; each node is a row."""
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
         if (
@@ -174,9 +174,7 @@ class Crew:
         return [*arrays, model.array(ties.data, model.real)]
 
     def locate(self, worker: Worker) -> list[Named]:
-        """Return the launch that computes x and v of a worker's points, before forces act on
-        points.
-        """
+        """Return the launch that computes x and v of a worker's points, before forces act."""
         nodes, state, span, model = self._nodes, self._state, worker.points, self._model
         outputs = [state.x, state.v, self._kept]
         if self._vectors and span.stop > span.start:
@@ -294,8 +292,8 @@ class Crew:
 
         Args:
             worker: The worker.
-            tracks: The tracks of the run, with the clock. out: Sums in the order of
-                phy124/kernels/work.py.
+            tracks: The tracks of the run, with the clock.
+            out: Sums in the order of phy124/kernels/work.py.
         """
         nodes, span, model = self._nodes, worker.nodes, self._model
         count = span.stop - span.start

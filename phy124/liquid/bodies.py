@@ -1,9 +1,8 @@
-"""Couples bodies of other materials to a liquid; another solver moves these bodies between steps of
-the liquid.
+"""Couples bodies of other materials, which another solver moves, to a liquid.
 
-For the liquid, a body is a wall whose shape is computed from the particles of the body. The
-liquid's pressure acts on the particles at a body's surface during the substeps that follow. The
-exchange conserves momentum exactly.
+For the liquid, a body is a wall; its shape is computed from the particles of the body. The bodies
+move in substeps between the steps of the liquid. During these substeps, the liquid's pressure acts
+on the particles at the bodies' surfaces. Momentum is conserved exactly.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from phy124.mpm.tracks import Tracks
 STAGE = "bodies"
 """Name of the stages in reports."""
 FIRST, MOST = 8, 0.7
-"""`FIRST`: number of steps in which the surface of a new body is shifted until its volume is right.
-`MOST`: largest shift [cells].
+"""`FIRST`: number of steps in which the surface of a new body is shifted until the enclosed volume
+is right. `MOST`: largest shift [cells].
 """
 
 
 class Bodies:
-    """The bodies of other materials in a run, each of which is a wall for the liquid."""
+    """The bodies of other materials in a run; each body is a wall for the liquid."""
 
     def __init__(self, model: Model, state: State, grids: Sequence[Grid], free: FreeBodies) -> None:
         """Allocate the arrays of the particles.
@@ -47,15 +46,15 @@ class Bodies:
         Args:
             model: All particles of the run, including those of the liquid.
             state: State of the particles.
-            grids: Grid of each body; its window covers the body.
-            free: Rigid solids that move freely; they are numbered before the bodies.
+            grids: Grid of each body; the grid's window covers the body.
+            free: Freely moving rigid solids; they are numbered before the bodies.
         """
         self._model, self._state, self._grids = model, state, grids
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
         """Indices of the bodies."""
         t, device, count = types(model.real), model.device, len(self.numbers)
         self.free, self.first = FreeSolids(model, free), len(free.all)
-        """Rigid solids that move freely, and their number."""
+        """Freely moving rigid solids, and their number."""
         shape = (count, kernels.MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=device)
         self._pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
@@ -69,20 +68,20 @@ class Bodies:
         self.pushed = False
         """Whether forces act on particles in the substeps."""
         self.period = math.inf
-        """Shortest period of vibration of the bodies that close the space below a liquid [s]."""
+        """Shortest vibration period of bodies below a liquid [s]."""
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
         every = self.first + count
         self._films = np.zeros((every, 2, 3))
-        """Impulses and moments of films in the last step, which are included in `impulses`."""
+        """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
-        """Centre of mass of each solid and body [m], and the force [N] and torque [N m] that acted
-        on it in the last step, without the liquid's and the weight's.
+        """Centre of mass of each solid and body [m], and the force [N] and torque [N m] on it in
+        the last step, except those of the liquid and the weight.
         """
         self._impulses = np.zeros((every, 2, 3))
-        """Impulse of the liquid on each solid and body in the last step, and the moment of the
-        impulse about the origin.
+        """Impulse of the liquid on each solid and body in the last step, and moment about the
+        origin.
         """
 
     @property
@@ -93,15 +92,14 @@ class Bodies:
 
     @property
     def impulses(self) -> NDArray[np.float64]:
-        """Impulse [N s] of the liquid on each body in the last step, and its moment [N m s],
-        [B,2,3].
+        """Impulse [N s] and moment [N m s] of the liquid on each body in the last step [B,2,3].
 
         Moments are about the origin.
         """
         return self._impulses[self.first :]
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
-        """Connect the bodies with the arrays of all solids, in which the bodies come last."""
+        """Connect the bodies with the arrays of all solids; bodies come last in the arrays."""
         self._solids, self._mobility = solids, mobility
         device, shape = self._model.device, (len(mobility), 2)
         self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
@@ -124,7 +122,7 @@ class Bodies:
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps; from now on, the last pressure does not contribute to the bound of the
+        """End the substeps; the last pressure no longer contributes to the bound of the
         acceleration.
         """
         self._limit = 0.0
@@ -137,8 +135,7 @@ class Bodies:
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Solid fractions of the splines, and open fractions of the eighths of cells, if there were
-        no bodies.
+        """Solid fractions of the B-splines, and open fractions of eighths of cells, without bodies.
         """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
@@ -183,8 +180,8 @@ class Bodies:
                     launch.launch()
 
     def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
-        """Compute distances from the surface of a body, and shift the surface so that it encloses
-        the body's volume.
+        """Compute distances from a body's surface, which is shifted to enclose the body's
+        volume.
         """
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
@@ -199,7 +196,7 @@ class Bodies:
             self._shifts[body] = min(max(shift, -MOST), MOST)
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
-        """Predict the motion of each solid and body in a step as if there were no liquid.
+        """Predict the motion of each solid and body in a step without the liquid.
 
         Args:
             kick: Duration of the step [s].
@@ -243,10 +240,10 @@ class Bodies:
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse [N s] of everything except the liquid, and its moment.
+        """Return the impulse [N s] of all forces except the liquid's, and its moment.
 
-        A force other than the weight is included only to the extent that it acted in both of the
-        last two steps, so that an impact is not assumed to continue in the next step.
+        Forces other than the weight are included only as far as they acted in both of the last two
+        steps, so that an impact is not assumed to continue.
         """
         weight = np.stack([motion.mass * pull, np.zeros(3)])
         if not self._before or self._kick == 0:
@@ -307,7 +304,8 @@ class Bodies:
         for index in range(len(self.numbers)):
             self._press_film(cells, tracks, sums, densities, index)
             self.period = min(self.period, self._vibration(index))
-        # The velocities of bodies do not lag by half a step, so their first impulse is not halved.
+        # The velocities of bodies are not half a step behind positions, so their first impulse is
+        # not halved.
         exchanged, lasts = np.array(self._exchanged.numpy(), np.float64), drift / self._kick
         self._films, self._impulses = (exchanged - before) * lasts, exchanged * lasts
         solids = slice(self.first)
@@ -352,7 +350,7 @@ class Bodies:
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the period [s] of a body's vibration on a wall; infinite if liquid surrounds the
+        """Return the vibration period [s] of a body on a wall; infinite if liquid surrounds the
         contact.
 
         The period is four times the time in which a wave crosses the body.
@@ -368,8 +366,7 @@ class Bodies:
     def _weigh_layers(
         self, cells: Cells, region: Region, densities: wp.array | None
     ) -> tuple[float, wp.array]:
-        """Return the height of the lowest layer of liquid around a body, and the weight of each
-        layer.
+        """Return the height of the lowest liquid layer around a body, and the weight of each layer.
 
         Heights are in cells. Weights are relative to the mean density. The list of weights is empty
         if there is a single liquid.
@@ -418,7 +415,7 @@ class Bodies:
         wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=self._model.device)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the impulses and motions of the last step."""
+        """Return a snapshot: the impulses and motions of the last step."""
         before = [[momentum.tolist(), angular.tolist()] for momentum, angular in self._before]
         impulses, shifts = self._impulses.tolist(), self._shifts.tolist()
         centres = self._centres.tolist()
@@ -443,11 +440,11 @@ class Bodies:
 
 
 Advance = Callable[[float], None]
-"""Moves the bodies up to a time [s]."""
+"""Function that moves the bodies up to a time [s]."""
 
 
 def _stiffness(model: Model, body: int) -> float:
-    """Return a body's stiffness per surface cell [N/m], from the speed of waves across it."""
+    """Return a body's stiffness per surface cell [N/m], from the speed of waves in the body."""
     if body in model.held:
         return math.inf
     run = model.particles(body)

@@ -1,6 +1,4 @@
-"""Cells: holds the arrays of a liquid, in a window of the staggered grid that follows the
-particles.
-"""
+"""Cells: arrays of a liquid in a window of the staggered grid that follows the particles."""
 
 from __future__ import annotations
 
@@ -20,23 +18,23 @@ from phy124.mpm.grid import FARTHEST
 from phy124.mpm.stage import Repeatable
 
 MARGIN = 10
-"""Number of cells between the particles and the border of a new window."""
+"""Margin around the particles in a new window [cells]."""
 LEAST = 5
-"""Number of cells between the particles and the border below which the window is renewed. A step
-moves particles by up to two cells, and the B-splines around each particle reach two cells further.
+"""If the margin around the particles is smaller [cells], the window is renewed. A step moves
+particles by up to two cells, and the B-splines around each particle reach two cells further.
 """
 LARGEST = 32
-"""Number of cells between the particles and the border above which the window is renewed."""
+"""If the margin around the particles is larger [cells], the window is renewed."""
 FAR = 1e3
-"""Value stored as the distance to the nearest wall [cells] where no wall is near."""
+"""Distance to the nearest wall [cells] that is stored if no wall is near."""
 
 
 ROOM = 4
-"""Number of cells around a solid within which the solid changes distances or open fractions."""
+"""A solid changes distances and open fractions up to this distance [cells]."""
 
 
 class Region:
-    """A box of cells in a window; the box may move, but its size never changes."""
+    """A box of cells in a window; the box may move, but has a constant size."""
 
     def __init__(self, cells: Cells, size: NDArray) -> None:
         self._cells, self.size = cells, size
@@ -56,17 +54,13 @@ class Region:
 
 
 class OverActive:
-    """A launch on the CPU that has one thread for each active cell of a worker at the time of the
-    launch.
+    """A launch on the CPU with one thread per active cell of a worker at the time of the launch.
 
-    More threads would waste time: a thread without a cell takes as long as a cheap kernel takes for
-    a cell.
+    More threads would waste time: an idle thread takes as long as a cheap kernel does for a cell.
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and a view [2] of the first index of the worker's active cells and the
-        index after the last.
-        """
+        """Store the launch, and a view [2] of the first and end index of the active cells."""
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:
@@ -82,10 +76,10 @@ class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
     def __init__(self, model: Model, copies: int) -> None:
-        """Prepare a window that has no cells yet.
+        """Prepare a window without cells.
 
         Args:
-            model: The particles; the grid has the origin and the spacing of their model.
+            model: The particles, and the origin and the spacing of the grid.
             copies: Number of copies of the sums, one for each worker.
         """
         self._model, self._copies = model, copies
@@ -105,12 +99,12 @@ class Cells:
 
     @property
     def strides(self) -> tuple[int, int]:
-        """Distances in memory between neighbouring rows and neighbouring layers of cells."""
+        """Memory strides between neighbouring rows and neighbouring layers of cells."""
         return int(self.size[2]), int(self.size[1] * self.size[2])
 
     @property
     def points(self) -> int:
-        """Number of points at which distances are computed; the points are half a cell apart."""
+        """Number of points, half a cell apart, at which distances are computed."""
         return int(np.prod(2 * self.size + 1))
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
@@ -122,7 +116,7 @@ class Cells:
             upper: Highest corner of the particles [3], m.
 
         Raises:
-            Unstable: The particles are too far away for cells to be numbered.
+            Unstable: The particles are too far away to number the cells.
         """
         model = self._model
         if not np.all(np.abs([lower, upper]) < FARTHEST * model.dx):
@@ -136,9 +130,7 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on, and keep the pressures where the
-        old and the new window overlap.
-        """
+        """Set the window to `size` [3] cells from `low` [3] on; keep pressures of common cells."""
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)
@@ -164,12 +156,11 @@ class Cells:
         self.fills = self._zeros(self._copies * count, t.vec2)
         """Volumes at each cell with quadratic and linear weights, with one copy for each worker."""
         self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
-        """Velocities at the low faces [m/s], and the filled fraction of the cell."""
+        """Velocities at the low faces [m/s], and filled fraction of each cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
-        """Bits that mark the low faces with a velocity."""
+        """One bit for each low face, set if the face has a velocity."""
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open fractions of the low faces, and the fractions of the two B-splines that are inside
-        walls.
+        """Open fractions of the low faces, and fractions of two B-splines inside walls.
         """
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
@@ -180,7 +171,8 @@ class Cells:
         self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
         self.links = self._zeros(count, wp.vec3d)
         self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
-        """Solutions of two equations: p dt / (rho dx) [m/s], and the potential of displacements."""
+        """Solutions of two equations: p dt / (rho dx) [m/s], and the displacement potential.
+        """
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.which = self._zeros(count, int)
@@ -192,12 +184,12 @@ class Cells:
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)
-        """Index of the first active cell of each worker, and the number of active cells."""
+        """Index of each worker's first active cell; last, the number of active cells."""
         columns = int(self.size[0] * self.size[1])
         self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
         """Lowest and highest cell with particles in each column, with one copy for each worker."""
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
-        """First active cell of each column, and the end of its active cells."""
+        """First and end index of the active cells of each column."""
 
     def record(
         self, worker: int, kernel: Any, inputs: list[Any], outputs: list[Any]
@@ -219,7 +211,7 @@ class Cells:
         return OverActive(launch, ends[worker : worker + 2])
 
     def region(self, reach: float, wall: int) -> Region:
-        """Return the region of all cells up to `reach` [m] around the centre of a wall."""
+        """Return the region of cells within `reach` [m] of the centre of a wall."""
         if not math.isfinite(reach):
             return self.whole
         if wall not in self._regions:
@@ -228,7 +220,7 @@ class Cells:
         return self._regions[wall]
 
     def clear_walls(self) -> None:
-        """Reset the description of walls in the cells, as if there were no walls."""
+        """Remove all walls from the cells."""
         self.distances.fill_(FAR * self.dx)
         self.owners.fill_(-1)
         self.eighths.fill_(1.0)
@@ -237,17 +229,15 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array]:
-        """Open fractions of faces, and nearest walls of cells, computed from the fixed walls
-        only.
-        """
+        """Open fractions of faces, and nearest walls of cells, due to only the fixed walls."""
         return self._kept[3], self._kept[1]
 
     def keep_walls(self) -> None:
-        """Store a copy of the cells' description of all fixed walls."""
+        """Store a copy of the fixed walls in the cells."""
         self._kept = [wp.clone(array) for array in self._walls]
 
     def restore_walls(self) -> None:
-        """Restore the stored description of the fixed walls."""
+        """Restore the stored copy of the fixed walls."""
         for array, kept in zip(self._walls, self._kept, strict=True):
             wp.copy(array, kept)
 
@@ -259,7 +249,7 @@ class Cells:
         return wp.zeros(count, dtype=dtype, device=self._model.device)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the window, and the pressure from which the next solution starts."""
+        """Return a snapshot: the window, and the pressure that is the next initial guess."""
         window = [self.low.tolist(), self.size.tolist()]
         return {"window": window, "pressure": wp.clone(self.pressure)}
 

@@ -1,9 +1,9 @@
-"""Keeps the time of a liquid's run, and chooses the length of its steps.
+"""Keeps the time of a liquid's run, and chooses the length of the steps.
 
-A step is limited by the distance that particles move, and by waves on the surface, most of all by
-waves that are two cells long. Pressure does not limit a step, since it is implicit. Viscosity
-limits a step only if the liquid is so viscous that the iterations of a long step would take more
-time than several shorter steps.
+A step is limited by the distance that particles move, and by waves on the surface, above all waves
+with a length of two cells. Pressure is implicit and does not limit a step. Viscosity limits a step
+only if the liquid is so viscous that the iterations of one long step would take more time than
+several shorter steps.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from phy124.mpm.timestep import Extremes, Substep
 CELLS = 2.0
 """Largest distance that a particle moves in a step [cells]."""
 WAVES = 0.5
-"""Length of a step in units of sqrt(dx / a), with the acceleration a of the liquid."""
+"""Longest step in units of sqrt(dx / a), with the acceleration a of the liquid."""
 
 DIFFUSED = 5.0
 """Largest fraction of a velocity that diffuses to a neighbouring face in a step. This limit keeps
@@ -34,7 +34,7 @@ step would amplify the vibration.
 
 
 class LiquidClock(Clock):
-    """A clock whose steps obey the limits for an incompressible liquid."""
+    """A clock whose steps satisfy the limits for an incompressible liquid."""
 
     acceleration = 0.0
     """Upper bound of the acceleration by forces [m/s^2]."""
@@ -47,20 +47,17 @@ class LiquidClock(Clock):
     bodies = 0.0
     """Largest speed of bodies of other materials [m/s]."""
     period = math.inf
-    """Period of vibration of a body that closes the space below a liquid [s]."""
+    """Vibration period of a body below a liquid [s]."""
 
     def diffuse(self, rate: float) -> None:
-        """Limit the steps by viscosity; the argument is the rate of diffusion to a neighbouring
-        face [1/s].
-        """
+        """Limit the steps by viscosity, for a rate of diffusion to a neighbouring face [1/s]."""
         self.viscosity, self.viscous = rate, DIFFUSED / rate if rate > 0 else math.inf
 
     def stable(self) -> Substep:
         """Return the longest step in the current state."""
         a, speed = self.acceleration, max(self.extremes.speed, self.wall, self.bodies)
         far = CELLS * self.dx
-        # The time t in which the fastest particle moves the distance `far`: speed t + a t^2 / 2 =
-        # far.
+        # Time t in which the fastest particle moves the distance `far`: speed t + a t^2 / 2 = far.
         reach = speed + math.sqrt(speed * speed + 2 * a * far)
         limits = {
             "speed": 2 * far / reach if reach > 0 else math.inf,
@@ -72,7 +69,7 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def divide(self, rest: float) -> tuple[float, Substep]:
-        """Return the length of the next step [s], and the limit that determined it.
+        """Return the length of the next step [s], and the limit that determined the length.
 
         Args:
             rest: Remaining time [s], which is divided into equal steps.
@@ -85,8 +82,8 @@ class LiquidClock(Clock):
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] from the time of the velocities to the time of
-        the positions.
+        """Return the change of kinetic energy [J] between the time of the velocities and of the
+        positions.
 
         Args:
             power: Power of the stress [W]; not used, since a projected liquid has none.
@@ -96,13 +93,13 @@ class LiquidClock(Clock):
         return self.uniform_work(momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work of the uniform acceleration in the half step since the last kick [J]."""
+        """Return the work [J] of the uniform acceleration in the half step after the last kick."""
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
         """Return the number of pairs of Jacobi iterations that reduce the error to a thousandth."""
         k = 6 * self.viscosity * kick
-        if k == 0:  # the first kick of a probe has no duration
+        if k == 0:  # the first kick of a test step has no duration
             return 1
         return max(1, math.ceil(math.log(1e-3) / math.log(k / (1 + k)) / 2))
 

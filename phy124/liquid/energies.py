@@ -1,6 +1,4 @@
-"""Energies: sums the work on a liquid separately for each cause, in every step of a run that
-requests it.
-"""
+"""Energies: sums the work on a liquid in every step, for each cause separately."""
 
 from __future__ import annotations
 
@@ -22,10 +20,9 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name of the stages in reports, which is the same as for other materials."""
+"""Name of the stages in reports; the name is the same for all materials."""
 ROOM = 16
-"""Length of the array of sums of each worker; with this length, no two workers write to the same
-cache line.
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line.
 """
 
 
@@ -33,26 +30,26 @@ class Works(NamedTuple):
     """Work on the liquid since the start [J]; negative if the liquid lost energy."""
 
     walls: float
-    """Work that walls do by their motion."""
+    """Work due to the motion of walls."""
     viscous: float
     """Work of viscosity, including the work at walls to which the liquid sticks."""
     friction: float
     """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
-    """Work of the pressure without the work of the walls."""
+    """Work of the pressure, without the work of walls."""
     density: float
     """Work of the uniform acceleration on the displacements that restore the density."""
 
 
 class Energies:
-    """Records the launches that sum work; no work is summed before `start` is called."""
+    """Records launches that sum work; sums nothing until `start` is called."""
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
         """Store the particles and cells of a run.
 
         Args:
             model: The particles.
-            state: Their positions.
+            state: Positions of the particles.
             cells: The cells.
             workers: Number of workers.
         """
@@ -62,7 +59,7 @@ class Energies:
         """Whether work is summed."""
 
     def start(self) -> None:
-        """Request that the work is summed, from the next recording of the launches on."""
+        """Sum the work, as soon as the launches are recorded again."""
         self.on = True
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses, gains: wp.array) -> None:
@@ -72,7 +69,7 @@ class Energies:
             walls: The walls.
             tracks: Quantities that change over time.
             impulses: Sums of the walls' impulses.
-            gains: Momentum gained by forces on particles, and mass, at each cell, for each worker.
+            gains: Mass, and momentum gained by forces on particles, in each cell, per worker.
         """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
         self._gains = gains
@@ -88,9 +85,7 @@ class Energies:
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return the launch with which a worker sums the work that walls have done since the step
-        began.
-        """
+        """Return the launch with which a worker sums the work of walls since the step began."""
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._walls.motions, self._impulses.rows(worker)]
@@ -98,8 +93,8 @@ class Energies:
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int) -> list[Recorded]:
-        """Return the launch with which a worker sums the work on faces, once the velocities of the
-        faces are known.
+        """Return the launch with which a worker sums the work on faces, after their velocities are
+        known.
         """
         if not self.on:
             return []
@@ -112,7 +107,7 @@ class Energies:
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
         """Return the launch with which a worker sums the work of displacements; `sign` is -1 before
-        them and 1 after them.
+        particles are displaced, and 1 afterwards.
         """
         if not self.on:
             return []
@@ -140,7 +135,7 @@ class Energies:
         self._sums.zero_()
 
     def snapshot(self) -> list[list[float]]:
-        """Return the sums as plain data."""
+        """Return a snapshot of the sums."""
         rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
         return rows
 

@@ -18,15 +18,14 @@ MEASURED = 6
 
 
 class WallImpulses:
-    """Sums for each worker and wall in the current step, and the totals over all steps."""
+    """Sums per worker and wall in the current step, and totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
         """Set all sums to zero.
 
         Args:
             names: Names of the walls.
-            count: Number of walls, including the surfaces of rigid solids that move freely, which
-                come last.
+            count: Number of walls, including freely moving rigid solids, which come last.
             workers: Number of workers.
             device: Warp device.
         """
@@ -43,7 +42,7 @@ class WallImpulses:
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
         self.settle: Callable[[], Any] = launch.launch
-        """Launch that adds the sums of a step to the totals, and resets these sums."""
+        """Launch that adds the sums of a step to the totals and resets the sums."""
 
     def rows(self, worker: int) -> wp.array:
         """Return a worker's sums of the current step [walls,7]."""
@@ -54,7 +53,7 @@ class WallImpulses:
         return cast("wp.array", self._totals[self.names.index(name)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the totals as plain data."""
+        """Return a snapshot of the totals."""
         names, totals = list(self.names), np.asarray(self._totals.numpy()).tolist()
         return {"names": names, "totals": totals, "all": self.total.numpy().tolist()}
 

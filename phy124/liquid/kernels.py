@@ -1,4 +1,4 @@
-"""The kernels that a liquid's steps launch, to be compiled before a run."""
+"""Lists the kernels of a liquid's steps, so that they can be compiled before a run."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def kernels(
     mixed: bool = False,
     pushed: bool = False,
 ) -> Iterator[Any]:
-    """Yield the kernels that a liquid's steps launch, except the kernels of forces on particles.
+    """Yield the kernels of a liquid's steps, except the kernels of forces on particles.
 
     Args:
         boundaries: The walls.
-        solids: Shapes of the rigid solids that move freely.
+        solids: Shapes of the freely moving rigid solids.
         real: wp.float32 or wp.float64.
-        form: Form of the transfers, "plain" or "simd".
+        form: Implementation of the transfers, "plain" or "simd".
         mixed: Whether other materials move in the liquid.
         pushed: Whether forces act on particles.
     """

@@ -1,7 +1,7 @@
 """MixedSolver: advances a projected liquid in steps, and bodies of other materials in substeps.
 
-The rigid motions of the bodies are part of the liquid's pressure equation. In each step of the
-liquid, the pressure acts on the bodies, which then take substeps up to the end of the step.
+The rigid motions of the bodies are part of the liquid's pressure equation. After each step of the
+liquid, the bodies take substeps under the pressure, until the end of the step.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ class MixedClock(Clock):
     liquid: LiquidClock
     """The clock of the liquid."""
     share = 0.0
-    """Mass of the liquid as a fraction of the total mass."""
+    """Mass of the liquid divided by the total mass."""
 
     @property
     def behind(self) -> float:
-        """Time by which velocities lag behind positions [s], averaged over liquid and bodies by
-        mass.
+        """Time by which velocities lag behind positions [s]: mass-weighted mean over liquid and
+        bodies.
         """
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] from the time of the velocities to the time of
-        the positions.
+        """Return the change of kinetic energy [J] between the time of the velocities and of the
+        positions.
         """
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
 
@@ -69,8 +69,7 @@ class MixedSolver(Solver):
         threads: int | None = None,
         **options: Any,
     ) -> None:
-        """Divide the particles between the solver of the liquid and the solver of the other
-        materials.
+        """Divide the particles between the liquid solver and the solver of the other materials.
 
         Args:
             model: All particles; the liquid consists of the bodies `Model.wet`.
@@ -82,7 +81,7 @@ class MixedSolver(Solver):
             pushed: Whether any force acts on particles.
             accumulators: Sums that are updated in every substep.
             planes: Flat walls with which freely moving solids collide.
-            threads: Number of CPU threads; None: the number that is fastest.
+            threads: Number of CPU threads; None: the fastest number.
             options: Further arguments of `Solver`.
 
         Raises:
@@ -124,8 +123,8 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density that lasted for two frames, as a fraction of
-        the rest density.
+        """Largest mean excess of the liquid's density that lasted for two frames, relative to the
+        rest density.
         """
         return self.liquid.crowding
 
@@ -178,7 +177,7 @@ class MixedSolver(Solver):
             each: Whether `after` must be called after each substep.
 
         Raises:
-            Unstable: A particle left the grid's window or is no longer finite.
+            Unstable: A particle left the grid's window, or a value is not finite.
         """
         self._after, self._each = after, each
         self.rejection.begin(self.clock.time, until)
@@ -203,20 +202,18 @@ class MixedSolver(Solver):
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:
-        """Measure all limits again; call this method after changing the state from outside."""
+        """Measure all limits again; call after changing the state from outside."""
         super().renew()
         self.liquid.renew()
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs to continue bit for bit."""
+        """Return a snapshot from which `restore` continues bit for bit."""
         liquid = self.liquid.snapshot()
         del liquid["state"]
         return {**super().snapshot(), "liquid": liquid}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
-        same.
-        """
+        """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
         super().restore(snapshot)
         self.liquid.restore(snapshot["liquid"])
 
@@ -228,7 +225,7 @@ def _span(model: Model) -> slice:
 
 
 def _liquid_model(model: Model, span: slice) -> Model:
-    """Return a model that contains only the particles in a span, as one body."""
+    """Return a model with only the particles in a span, as one body."""
     groups = [
         replace(group, start=group.start - span.start, stop=group.stop - span.start, body=0)
         for group in model.groups

@@ -1,6 +1,4 @@
-"""Mixture: computes density and viscosity at each face, in a tank that may contain several
-liquids.
-"""
+"""Mixture: computes density and viscosity at each face if there are several liquids."""
 
 from __future__ import annotations
 
@@ -41,8 +39,8 @@ class Mixture:
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """Volume times relative density, and volume times relative viscosity [P]. The product of a
-        property is omitted if all liquids have the same value of the property.
+        """Volume times relative density, and volume times relative viscosity [P]. A product is
+        omitted if all liquids have equal values.
         """
 
     def fit(self, count: int) -> None:
@@ -56,7 +54,7 @@ class Mixture:
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
         """1 in every cell."""
         self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
-        """Averages, in each cell, of the properties in which the liquids differ, in the order of
+        """Averages in each cell of the properties that differ between liquids, in the order of
         `weights`.
         """
         mixed = iter(self.mixed)

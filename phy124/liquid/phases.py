@@ -1,6 +1,6 @@
-"""Phases: records the launches of a step of the liquid for the current window of cells.
+"""Phases: records the launches of a liquid's step for the current window of cells.
 
-Workers run each phase together and wait for each other between phases.
+All workers run a phase in parallel, and wait for each other between phases.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ LAYERS, LAYERS_SHIFT = 4, 2
 `Cells.known`.
 """
 EXTENT = 7
-"""Number of values that describe the particles' extent: the lowest corner with reversed sign, the
-highest corner, and the squared speed.
+"""Number of values for the particles' extent: minus the lowest corner, the highest corner, and the
+squared speed.
 """
 
 
@@ -71,13 +71,14 @@ class Phases:
 
         Args:
             model: The particles.
-            state: Their positions and velocities.
+            state: Positions and velocities of the particles.
             cells: The window of the grid.
             projection: Solves the equations for pressure and density.
             workers: The workers, whose phases are recorded.
             free: Rigid solids that move freely.
             bodies: Bodies of other materials.
-            missed: Flag of each worker [W,1]: 1 if one of its particles is outside the window.
+            missed: Flag of each worker [W,1]; 1 if any of the worker's particles is outside the
+                window.
         """
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed
@@ -89,8 +90,7 @@ class Phases:
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles that are not finite."""
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
-        """Factor by which the last pressure is multiplied to get the first guess of the next
-        pressure.
+        """Factor on the last pressure, which gives the initial guess of the next pressure.
         """
         self._mixture = Mixture(model)
         density = self._mixture.density
@@ -101,7 +101,7 @@ class Phases:
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
-        """Work on the liquid, separately for each cause."""
+        """Work on the liquid, by cause."""
         self.viscosity = self._mixture.viscosity / (density * model.dx**2)
         """Rate at which velocities diffuse to a neighbouring face [1/s] at the mean density."""
         self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
@@ -127,7 +127,7 @@ class Phases:
             walls: The walls.
             tracks: Quantities that change over time.
             impulses_of_walls: Sums of the walls' impulses.
-            grid: A grid without nodes, which stages of forces expect.
+            grid: A grid without nodes, since stages of forces expect a grid.
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
@@ -144,7 +144,7 @@ class Phases:
         self._last = {name: place + 1 for place, name in enumerate(names)}
 
     def group(self, name: str) -> range:
-        """Return the indices of the phases that belong to a group."""
+        """Return the indices of the phases of a group."""
         return range(self._first[name], self._last[name])
 
     def extent(self, worker: int) -> list[Named]:
@@ -191,9 +191,7 @@ class Phases:
             yield "displace", launches(records)
 
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
-        """Yield the phases of a worker from the scatter to the pressure, with the names of their
-        groups.
-        """
+        """Yield the phases of a worker from the scatter to the pressure, with names of groups."""
         for records in self._activate(worker):
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
@@ -267,8 +265,8 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return the force launches of a worker; the first worker gets all of them if one cannot be
-        divided.
+        """Return the launches of forces of a worker; if one cannot be divided, the first worker
+        gets all.
         """
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):
@@ -278,14 +276,12 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return the copy of the sums over cells or columns that belongs to a worker."""
+        """Return a worker's copy of the sums over cells or columns."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return the launches with which a worker first counts the active cells and then lists
-        them.
-        """
+        """Return the launches with which a worker counts and then lists the active cells."""
         cells, launch = self._cells, self._model.launch
         part, parts = self._projection.part(worker)
         counts = self._projection.counts

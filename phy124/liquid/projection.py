@@ -1,6 +1,4 @@
-"""Projection: solves equations on the listed cells of liquid by conjugate gradients, with all
-workers together.
-"""
+"""Projection: solves equations on the cells of liquid by conjugate gradients, in parallel."""
 
 from __future__ import annotations
 
@@ -19,9 +17,9 @@ from phy124.mpm.stage import Recorded
 STAGE = "pressure"
 """Name of the stages in reports."""
 PARTS = 512
-"""Number of parts into which cells are divided on a GPU; on the CPU each worker has one part."""
+"""Number of parts into which cells are divided on a GPU; on a CPU each worker has one part."""
 MOST = 400
-"""Largest number of iterations in one solution."""
+"""Largest number of iterations of one solution."""
 CHECK = 8
 """Number of iterations between two checks of the residual on a GPU, because each check waits for
 the device.
@@ -50,18 +48,16 @@ class Projection:
         """Mobility of each solid: its motion per unit impulse, with impulses in the units of q."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity that a vector of pressures causes in each solid, for each
-        part of the cells.
+        """Velocity and angular velocity of each solid due to a vector of pressures, per part of the
+        cells.
         """
 
     def part(self, worker: int) -> tuple[int, int]:
-        """Return the index of a worker's first part, and the worker's number of parts."""
+        """Return the index of a worker's first part, and the number of the worker's parts."""
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Return the launches with which a worker counts the cells of liquid and then lists
-        them.
-        """
+        """Return the launches with which a worker counts and then lists the cells of liquid."""
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, cells.liquid]
         count = launch(conjugate.count_liquid, parts, inputs, [self.counts])
@@ -71,15 +67,15 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return the launches with which a worker solves an equation: begin, then pairs of advance
-        and improve.
+        """Return a worker's launches for solving an equation: begin, then pairs of advance and
+        improve.
 
         Three pairs of launches are recorded: for the first iteration, for odd and for even
         iterations.
 
         Args:
             cells: The cells.
-            x: The solution, which holds the first guess.
+            x: The solution; initially the first guess.
             worker: Index of the worker.
             rigid: Whether solids move with the liquid.
         """
@@ -121,9 +117,7 @@ class Projection:
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return the launch with which a worker sums the impulse of a pressure solution on each
-        solid.
-        """
+        """Return the launch with which a worker sums the impulse of the pressure on each solid."""
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]
@@ -133,9 +127,9 @@ class Projection:
         """Run recorded iterations until the residual is small, and return the number of iterations.
 
         Args:
-            run: Runs a phase of all workers.
+            run: Function that runs a phase of all workers.
             begin: Index of the first phase of the solution.
-            tolerance: Largest residual, as a fraction of the largest right-hand side.
+            tolerance: Largest residual, relative to the largest right-hand side.
         """
         every = 1 if self._model.device == "cpu" else CHECK
         run(begin)
@@ -144,7 +138,8 @@ class Projection:
         for k in range(MOST):
             advance = pairs[0] if k == 0 else pairs[2 - k % 2]
             run(advance)
-            # All workers have finished the phase before `advance`, so its sums are complete.
+            # All workers have finished the phase before `advance`, so the sums of this phase are
+            # complete.
             if k % every == 0 and self._small(tolerance):
                 break
             run(advance + 1)

@@ -1,10 +1,9 @@
-"""Measures the velocity changes by forces on particles, on which the pressure at walls and the
-forces' work depend.
+"""Measures velocity changes by forces on particles, for the pressure at walls and the work.
 
-Between the centre of a cell and a wall, the pressure changes by the weight of the liquid between
-them. A force on particles acts like an additional weight, which may differ between cells. The
-pressure resists a force in the same step, so the work of an impulse is its product with the mean of
-the velocities before the force and at the end of the step.
+Between the centre of a cell and a wall, the pressure changes by the weight of the liquid. A force
+on particles acts like an additional weight that may differ between cells. The pressure resists a
+force within the step. The work of an impulse is therefore the impulse times the mean of the
+velocities before the force and at the end of the step.
 
 In a scene with only liquids, forces act at the start of a step. In a scene with other materials,
 they act in the substeps of these materials, between two steps of the liquid.
@@ -39,7 +38,7 @@ class Pushes:
 
         Args:
             model: The particles.
-            state: Their positions and velocities.
+            state: Positions and velocities of the particles.
             cells: The window of the grid.
         """
         self._model, self._state, self._cells = model, state, cells
@@ -74,8 +73,8 @@ class Pushes:
         """Velocities and their gradients before and after the forces."""
         count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
-        """Momentum that particles gain, and mass of these particles, at each cell, with one copy
-        for each worker.
+        """Momentum gained by particles, and mass of these particles, in each cell; one copy per
+        worker.
         """
 
     def _empty(self, dtype: Any, needed: bool) -> wp.array:
@@ -86,14 +85,12 @@ class Pushes:
         return self._copy(0, run)
 
     def renew(self) -> None:
-        """Discard the velocity changes between two steps; call this method after setting
-        velocities.
-        """
+        """Discard the velocity changes between two steps; call after setting velocities."""
         if self._between:
             wp.copy(self._v[0], self._state.v)
 
     def snapshot(self) -> dict[str, wp.array]:
-        """Return the velocities before forces acted between two steps."""
+        """Return a snapshot: the velocities before forces acted between two steps."""
         return {"v": wp.clone(self._v[0])} if self._between else {}
 
     def restore(self, snapshot: dict[str, wp.array]) -> None:
@@ -102,16 +99,14 @@ class Pushes:
             wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
-        """Return the launches that copy v of a worker's particles, and also C if forces change
-        C.
-        """
+        """Return the launches that copy v, and C if forces change C, of a worker's particles."""
         s = self._state
         pairs = [(self._v[index], s.v), (self._C[index], s.C)]
         parts = [(part_of(kept, run), part_of(a, run)) for kept, a in pairs if len(kept)]
         return [(STAGE, partial(wp.copy, kept, a)) for kept, a in parts]
 
     def add(self, worker: int, run: slice) -> list[Named]:
-        """Return the launches that sum the momentum that forces gave to a worker's particles."""
+        """Return the launches that sum the momentum that a worker's particles gained by forces."""
         if not self._in_cells:
             return self._copy(1, run)
         model, cells, s, count = self._model, self._cells, self._state, self._cells.count
@@ -121,9 +116,7 @@ class Pushes:
         return [*self._copy(1, run), (STAGE, gains.zero_), *launches([(STAGE, launch)])]
 
     def work(self, worker: int, run: slice) -> list[Recorded]:
-        """Return the launch that sums the impulse and the work of forces on particles at the end of
-        a step.
-        """
+        """Return the launch that sums impulse and work of forces on particles after a step."""
         if not self._works:
             return []
         model, s = self._model, self._state

@@ -1,10 +1,8 @@
-"""Couples rigid solids that move freely to a liquid with other materials, whose substeps also move
-the solids.
+"""Couples freely moving rigid solids to a liquid if the scene has other materials as well.
 
-The solver of the other materials stores and moves the solids. The liquid uses copies of the solids,
-whose positions are half a step ahead. In each substep, a solid is accelerated by a share of the
-pressure's impulse, so that the velocity with which the solid touches the materials changes
-gradually.
+The solver of the other materials stores and moves the solids. The liquid uses copies with positions
+that are half a step ahead. The impulse of the pressure is distributed over the substeps, so that
+the velocity with which a solid touches the materials changes gradually.
 """
 
 from __future__ import annotations
@@ -40,32 +38,31 @@ class Motion(NamedTuple):
 
     @classmethod
     def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
-        """Return the rigid motion that follows from the sums of `phy124.kernels.liquid.bodies`."""
+        """Return the rigid motion from the sums of `phy124.kernels.liquid.bodies`."""
         mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
         m = float(mass[0])
         x = first / m
         xx, yy, zz, xy, xz, yz = second
         moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * np.outer(x, x)
-        # The second term is the angular momentum that the particles' C contains.
+        # The second term is the angular momentum of the particles' C.
         inertia = (np.trace(moments) + m * dx**2 / 2) * np.eye(3) - moments
         return cls(m, x, momentum, angular - np.cross(x, momentum), np.linalg.inv(inertia))
 
 
 class FreeSolids:
-    """The freely moving solids of a run, on which the liquid and the other materials act."""
+    """The freely moving solids of a run with a liquid and other materials."""
 
     def __init__(self, model: Model, solids: FreeBodies) -> None:
         """Store the solids.
 
         Args:
             model: All particles of the run.
-            solids: The solids that the solver of the other materials moves.
+            solids: The solids, moved by the solver of the other materials.
         """
         self._model, self._solids = model, solids
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
-        """Acceleration [m/s^2] of each solid by the liquid, and torque [N m] of the liquid on the
-        solid.
+        """Acceleration [m/s^2] and torque [N m] of the liquid on each solid.
         """
 
     def attach(self, tracks: Tracks) -> list[Stage]:
@@ -84,9 +81,7 @@ class FreeSolids:
         return [make(*item) for item in enumerate(self._solids.numbers)]
 
     def lead(self, copies: FreeBodies, ahead: float) -> None:
-        """Move the copies of the solids to the positions that the solids will have after a time
-        [s].
-        """
+        """Move the copies of the solids ahead by a time [s]."""
         poses, motions = self._solids.poses(), self._solids.motions()
         for index, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
             place, turn = pose[:3] + ahead * motion[:3], _turn(pose[3:], ahead * motion[3:])
@@ -107,10 +102,10 @@ class FreeSolids:
         """Compute the solids' accelerations by the pressure of a step.
 
         Args:
-            impulses: Impulse on each solid, and the moment of the impulse about the origin [F,2,3].
+            impulses: Impulse and moment about the origin of the liquid on each solid [F,2,3].
             centres: Centre of each solid [F,3], m.
-            kick: Duration in which the pressure has caused the impulses [s].
-            drift: Duration in which the pressure acts on the solids [s].
+            kick: Duration over which the pressure caused the impulses [s].
+            drift: Duration over which the pressure acts on the solids [s].
         """
         rates = np.zeros((len(impulses), 2, 3))
         motions = self._solids.motions()

@@ -1,4 +1,4 @@
-"""Records the launches that couple the motions of solids in a liquid with the pressure."""
+"""Records the launches that couple the motion of solids in a liquid to the pressure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STAGE = "free"
 
 
 class Solids:
-    """Records the launches for the solids of a scene, which are the last of the walls."""
+    """Records the launches for the solids of a scene; solids are the last walls."""
 
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
@@ -30,7 +30,7 @@ class Solids:
 
         Args:
             model: The particles of the liquid.
-            bodies: The rigid solids that move freely, which come first.
+            bodies: The freely moving rigid solids, which come first.
             density: Density of the liquid [kg/m^3].
             projection: Solves the pressure equation; the launches write its sums and mobilities.
         """
@@ -53,7 +53,7 @@ class Solids:
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
-        """Return the launches that kick the freely moving solids."""
+        """Return the launches that apply gravity to the freely moving solids."""
         records = []
         for index, (solid, body) in enumerate(
             zip(self.bodies.all, self.bodies.numbers, strict=True)
@@ -73,13 +73,11 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return the launches that a worker runs before the divergence of the velocities is
-        computed.
+        """Return the launches of a worker before the divergence of the velocities is computed.
 
         Args:
             cells: The cells.
-            weights: Relative densities of the liquid in the cells, and the additions by forces
-                (`Pushes`).
+            weights: Relative densities of the liquid in the cells, including forces (`Pushes`).
             walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.
@@ -115,9 +113,7 @@ class Solids:
         return STAGE, cells.record(worker, kernels.make_jumps(self._model.real), inputs, outputs)
 
     def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launches that apply the opposite of the impulses on the liquid to freely
-        moving solids.
-        """
+        """Return the launches that apply the liquid's impulses to freely moving solids."""
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index

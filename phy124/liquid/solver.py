@@ -1,7 +1,7 @@
 """Solver of a liquid; each step removes the divergence of the velocities.
 
-The solver has the interface of `phy124.mpm.Solver`, so that a run, its observers, pauses and live
-changes treat both solvers in the same way. All particles of the run are one liquid.
+The solver has the interface of `phy124.mpm.Solver`, so that runs, observers, pauses and live
+changes need not distinguish solvers. All particles of the run are liquid.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from phy124.mpm.workers import (
 )
 
 EXTENT = -1
-"""A task of the workers in addition to the phases: measure the particles' extent."""
+"""A task of the workers besides the phases: measuring the particles' extent."""
 TOLERANCE, LOOSE = 1e-4, 1e-2
 """Largest residuals of the equations of pressure and of density, relative to the right-hand side.
 """
@@ -71,7 +71,7 @@ class LiquidSolver:
     """Advances a liquid in time under forces and walls."""
 
     projects: ClassVar[bool] = True
-    """Whether the solver makes a liquid incompressible by projection."""
+    """Whether the solver makes a liquid incompressible by pressure projection."""
 
     def __init__(
         self,
@@ -97,13 +97,14 @@ class LiquidSolver:
             forces: Forces, in the order in which they act.
             boundaries: Boundaries with their names.
             accumulators: Sums that are updated in every step.
-            free: At most one rigid solid that moves freely.
+            free: At most one freely moving rigid solid.
             planes: Flat walls with which the freely moving solid collides.
             ceiling: Longest step allowed [s].
-            threads: Number of CPU threads; None: the number that is fastest.
+            threads: Number of CPU threads; None: the fastest number.
             bodies: Bodies of other materials.
-            advance_bodies: Moves the bodies up to a time [s].
-            whole: All particles of the run, relative to which walls are placed; None: `model`.
+            advance_bodies: Function that moves the bodies up to a time [s].
+            whole: All particles of the run, from which positions of walls are determined; None:
+                `model`.
 
         Raises:
             InputError: The region of a force holds no particle, or a wall is too thin for the grid.
@@ -112,7 +113,7 @@ class LiquidSolver:
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
-        """Empty grids, which exist because forces and reports expect grids."""
+        """Empty grids, because forces and reports expect grids."""
         count = usable_workers(len(model), model.device, threads)
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
@@ -141,9 +142,9 @@ class LiquidSolver:
         """Duration over which the current pressure acted [s]."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
-        """Largest mean excess of the liquid's density over its rest density that lasts for two
-        frames, and the excess at the end of the last frame, as fractions. An impact compresses the
-        liquid for a moment even if the liquid has room to expand.
+        """Largest mean excess of the liquid's density that lasted for two frames, and excess at the
+        end of the last frame, relative to the rest density. Two frames, because an impact
+        compresses the liquid for a moment even if the liquid can expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
@@ -202,13 +203,11 @@ class LiquidSolver:
 
     @property
     def energies(self) -> Energies:
-        """Work on the liquid for each cause, if the work is summed."""
+        """Work on the liquid by cause, if the work is summed."""
         return self._phases.energies
 
     def keep_pushes(self, sums: wp.array) -> None:
-        """From now on, add the impulse and the work of forces on particles to a row of sums for
-        each worker.
-        """
+        """From now on, sum impulse and work of forces on particles, in one row per worker."""
         self._phases.pushes.sums = sums
         if self._fitted:
             self._record()
@@ -226,10 +225,10 @@ class LiquidSolver:
         Args:
             until: The time at which to stop [s].
             after: Called after each step.
-            each: Not used: `after` is always called after each step.
+            each: Not used; `after` is called after each step in any case.
 
         Raises:
-            Unstable: A particle is no longer finite, or too far away.
+            Unstable: A value is not finite, or a particle is too far away.
         """
         del each
         self._fit()
@@ -249,9 +248,7 @@ class LiquidSolver:
         between[1] += 1
 
     def step(self, kick: float, drift: float) -> None:
-        """Take a step in which velocities change for the time `kick` [s] and positions for the time
-        `drift` [s].
-        """
+        """Take a step: change velocities for the time `kick` [s], and positions for `drift` [s]."""
         self._fit()
         clock = self.clock
         clock.begin(kick, drift)
@@ -290,13 +287,13 @@ class LiquidSolver:
         self._measure()
 
     def renew(self) -> None:
-        """Measure all limits again; call this method after changing the state from outside."""
+        """Measure all limits again; call after changing the state from outside."""
         self._fit()
         self._phases.pushes.renew()
         self._measure()
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs to continue bit for bit."""
+        """Return a snapshot from which `restore` continues bit for bit."""
         return {
             "state": self.state.snapshot(),
             "clock": self.clock.snapshot(),
@@ -311,9 +308,7 @@ class LiquidSolver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
-        same.
-        """
+        """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
         if "state" in snapshot:
             self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
@@ -337,7 +332,7 @@ class LiquidSolver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def _begin(self, until: float) -> None:
-        """Compute upper bounds of the forces and of the speeds of walls up to a time [s]."""
+        """Compute upper bounds of the forces and of the walls' speeds up to a time [s]."""
         clock, rejection = self.clock, self.rejection
         rejection.begin(clock.time, until)
         clock.acceleration, clock.wall = rejection.acceleration, rejection.wall
@@ -348,7 +343,7 @@ class LiquidSolver:
         clock.wall = max(clock.wall, self.free.fastest())
 
     def _stable_step(self, until: float) -> None:
-        """Take one step; its stable length divides the remaining time evenly."""
+        """Take one step; stable steps of this length divide the remaining time evenly."""
         self._fit()
         clock = self.clock
         if self._bodies is not None:
@@ -362,7 +357,7 @@ class LiquidSolver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure, so that it becomes the initial guess of a step.
+        """Scale the last pressure to get the initial guess of a step.
 
         Args:
             kick: Time over which the step changes the velocities [s].
@@ -438,9 +433,7 @@ class LiquidSolver:
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners of the particles' bounding box [m], ignoring a few particles that are
-        too far away.
-        """
+        """Return the corners of the particles' bounding box [m], without a few distant ones."""
         if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
             return lower, upper
         x = self.state.x.numpy().astype(np.float64)

@@ -1,6 +1,4 @@
-"""Represents the boundaries of a scene as shapes for a liquid, each with its motion and
-friction.
-"""
+"""Represents the boundaries of a scene as shapes with motion and friction, for a liquid."""
 
 from __future__ import annotations
 
@@ -30,9 +28,9 @@ class Wall:
     """A single shape that the liquid does not enter."""
 
     name: str
-    """Name of the boundary and, if it has several parts, of the part."""
+    """Name of the boundary and, if the boundary has several parts, of the part."""
     shape: str
-    """Name of a distance function (phy124/kernels/distance.py); empty for a body of particles."""
+    """Name of a distance function (phy124/kernels/distance.py); empty for a particle body."""
     geometry: Any
     """The three vectors that the distance function reads [m]."""
     slot: int
@@ -54,7 +52,7 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Walls of one shape that all move or are all fixed, or a single solid that moves freely."""
+    """Walls of one shape that either all move or are all fixed, or one freely moving solid."""
 
     shape: str
     moves: bool
@@ -73,7 +71,7 @@ class Group:
 def walls_of(
     boundaries: Iterable[tuple[str, Boundary]], model: Model, tracks: Tracks
 ) -> Iterator[Wall]:
-    """Yield the walls of named boundaries, and add the motions of the boundaries to the tracks."""
+    """Yield the walls of named boundaries; add the boundaries' motions to the tracks."""
     t = types(model.real)
     for name, boundary in boundaries:
         parts = boundary.parts()
@@ -101,14 +99,14 @@ def walls_of_solids(bodies: FreeBodies, model: Model) -> Iterator[Wall]:
 
 
 def walls_of_bodies(names: Iterable[str], model: Model) -> Iterator[Wall]:
-    """Yield the surfaces of bodies of particles as walls without friction."""
+    """Yield the surfaces of particle bodies as walls without friction."""
     none = wp.zeros(0, dtype=wp.float64, device=model.device)
     for name in names:
         yield Wall(name, "", None, 0, 0.0, False, none)
 
 
 class Walls:
-    """Records the launches that write walls into the cells and that move particles out of walls."""
+    """Records the launches that write walls into the cells and move particles out of walls."""
 
     def __init__(self, model: Model, tracks: Tracks, walls: Sequence[Wall]) -> None:
         self._model, self._tracks, self.all = model, tracks, tuple(walls)
@@ -122,13 +120,13 @@ class Walls:
         self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
         """Velocity, angular velocity and centre of each wall."""
         self.still = wp.zeros_like(self.motions)
-        """Motions of walls that stand still."""
+        """Motions of fixed walls."""
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or disappears."""
         self.follow_tracks = any(slot > 0 for slot in slots)
-        """Whether the motion of any wall is given by a track."""
+        """Whether any wall moves along a track."""
         self.time = math.nan
-        """Time [s] whose wall positions are written in the cells; NaN if unknown."""
+        """Time [s] of the wall positions in the cells; NaN if unknown."""
         self._clock = wp.zeros(3, dtype=model.real, device=device)
         self._places, self._next = (wp.zeros_like(tracks.values) for _ in range(2))
         self._sample = tracks.record(self._clock, [self._next, wp.zeros_like(tracks.rates)])
@@ -138,7 +136,7 @@ class Walls:
         """Whether any wall has friction."""
 
     def place(self, time: float) -> None:
-        """Move all walls that have tracks to their positions at a time [s]."""
+        """Move all walls with tracks to their positions at a time [s]."""
         self.time = time
         if self.follow_tracks:
             self._clock.assign([0.0, 0.0, time])
@@ -161,7 +159,7 @@ class Walls:
             cells: The cells, which the launches write.
             worker: Index of the worker.
             workers: Number of workers.
-            move: True: add the walls that move to the fixed walls. False: write the fixed walls.
+            move: True: add the moving walls to the fixed walls; False: write the fixed walls.
 
         Returns:
             Two lists of launches; workers wait for each other between them.
@@ -258,9 +256,9 @@ class Walls:
         return launches
 
     def _group_walls(self) -> Iterator[Group]:
-        """Yield the groups of walls, each of which one launch handles."""
+        """Yield the groups of walls; one launch handles a group."""
         t, device = types(self._model.real), self._model.device
-        # Each freely moving solid is a separate group, since it has a frame.
+        # Each freely moving solid is a separate group, since it has its own frame of reference.
         keys = [
             (wall.shape, wall.moves, wall.reach, number if len(wall.frame) else -1)
             for number, wall in enumerate(self.all)
@@ -279,7 +277,7 @@ class Walls:
 
 
 def span(count: int, worker: int, workers: int) -> tuple[int, int]:
-    """Return the index of a worker's first item, and the number of the worker's items."""
+    """Return the index of a worker's first item, and the number of items."""
     first, last = (count * index // workers for index in (worker, worker + 1))
     return first, last - first
 

@@ -112,8 +112,8 @@ def level(
     Args:
         cells: Sums over the particles; the sum with the index `component` is the volume.
         component: Index of the volume.
-        open: Open fractions of the low faces. shares: Solid fractions of the linear kernel and of
-            the B-spline.
+        open: Open fractions of the low faces.
+        shares: Solid fractions of the linear kernel and of the B-spline.
         distances: Distances from the walls at points with half the grid spacing [m].
         owners: Index of the nearest wall for each distance.
         solid: Index of the first wall that is a body or a freely moving solid; no layers of liquid
