@@ -15,8 +15,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
-"""Distance of hidden particles below the window [nodes]; the gather skips them.
-"""
+"""Distance of hidden particles below the window [nodes]; the gather skips them."""
 
 
 @build_once

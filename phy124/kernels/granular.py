@@ -21,8 +21,7 @@ from phy124.kernels.spectral import (
 )
 
 HARDEST = wp.constant(4.0)
-"""Largest exponent of snow's hardening; the stiffness grows at most by a factor e^4 = 55.
-"""
+"""Largest exponent of snow's hardening; the stiffness grows at most by a factor e^4 = 55."""
 LOOSEST = wp.constant(1.0e6)
 """Upper limit of Jp; without it, Jp of scattered snow would overflow."""
 

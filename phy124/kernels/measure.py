@@ -21,8 +21,7 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of the largest A / rho0 [m^2/s^2]."""
 LOW = 3
-"""Index of the first of three numbers: minus the lowest corner of the particles [m].
-"""
+"""Index of the first of three numbers: minus the lowest corner of the particles [m]."""
 HIGH = 6
 """Index of the first of three numbers: the highest corner of the particles [m]."""
 COUNT = 9

@@ -29,8 +29,7 @@ EXTERNAL = "external work"
 and energy.
 """
 ROOM = 24
-"""Length of each worker's array of sums, chosen so that no two workers write to one cache line.
-"""
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
 
 class Works(NamedTuple):
@@ -53,8 +52,7 @@ class Works(NamedTuple):
     friction: float
     """Work of the tangential impulses of walls."""
     impacts: float
-    """Work of normal impulses of walls and of clamps, without the part due to motion.
-    """
+    """Work of normal impulses of walls and of clamps, without the part due to motion."""
     itself: float
     """Work of contact of bodies with themselves."""
     pairs: float
@@ -71,8 +69,7 @@ class Energies:
         self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
         self._on = False
         self.pushes: wp.array | None = None
-        """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed.
-        """
+        """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed."""
         self._clamps = np.zeros(2)
         """Work [J] of clamps that have been replaced since the start, and the part due to the
         clamps' motion.

@@ -42,8 +42,7 @@ SLID = 0.4
 [cells].
 """
 FRICTION = 0.5
-"""Friction coefficient for contact of a body with itself, and default for pairs of objects.
-"""
+"""Friction coefficient for contact of a body with itself, and default for pairs of objects."""
 
 
 class Meeting:
@@ -107,8 +106,7 @@ class Meeting:
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
         """For each sampled point, whether pairs near the point were determined."""
         self.slack = 0.0
-        """Further relative displacement [m] after which the parts' distances are compared again.
-        """
+        """Further relative displacement [m] after which the parts' distances are compared again."""
         self._away = self._between or bool(surface.side[sample].any())
         """Whether the next call must determine the pairs, because bodies were far apart or pieces
         may be near each other at rest.

@@ -55,8 +55,7 @@ class Meetings:
         self.work: ContactWork | None = None
         """Records launches that sum the work of contact; None if the work is not summed."""
         self.way = math.inf
-        """Upper bound of all points' displacements since sampled points were last compared [m].
-        """
+        """Upper bound of all points' displacements since sampled points were last compared [m]."""
         self._slack = 0.0
         """Relative displacement [m] since the last comparison after which bodies must be compared
         again.

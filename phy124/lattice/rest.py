@@ -67,8 +67,7 @@ class RestLattice:
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights of all nodes in the motion of each tied node [T,N].
-    """
+    """Weights of all nodes in the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
     """Weights with which pushes on other nodes are added to the push on each node [N,N]. A push on
     a tied node, or on mass that was moved to another node, then acts on the node that has the mass,

@@ -40,8 +40,7 @@ FORGET = 4
 because both are determined by a few points that are squeezed for a short time.
 """
 COLLAPSED = 1e-6
-"""Smallest valid substep, relative to the substep of the undeformed body.
-"""
+"""Smallest valid substep, relative to the substep of the undeformed body."""
 STALLED = 1000
 """This number of substeps must together last at least as long as one substep of the undeformed
 body.
@@ -58,8 +57,7 @@ class LatticeClock(Clock):
     shocked = 0
     """Number of substeps with artificial viscosity."""
     closing = lasting = 0.0
-    """Largest closing rates [1/s]: in the last measurement, and recently (decays slowly).
-    """
+    """Largest closing rates [1/s]: in the last measurement, and recently (decays slowly)."""
     seen = 0.0
     """Time of the last measurement of velocities [s]."""
     _marked = (0, 0.0)

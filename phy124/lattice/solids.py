@@ -59,8 +59,7 @@ class Solids(FreeBodies):
         """Records launches that sum the work of contact; None if the work is not summed."""
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
-        """Sums of the impulses of each solid on each body [F,bodies,16]; layout as for walls.
-        """
+        """Sums of the impulses of each solid on each body [F,bodies,16]; layout as for walls."""
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0

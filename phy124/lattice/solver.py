@@ -55,8 +55,7 @@ STRAIN, WAY = 0.25, 0.25
 displacement of a point [cells] between two measurements of its distance from walls.
 """
 TRAVEL = 3.0
-"""Largest approach of points to walls before distances are measured again [cells].
-"""
+"""Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35
 """If strain rate times substep length is larger, the limits are measured before every substep."""
 KEPT = ("u", "residue", "v", "lagging")

@@ -27,8 +27,7 @@ SUPPORTED = 0.5
 """Points are removed if the sum of their weights on nodes that are not tied is smaller than this.
 """
 FLAT = 0.9
-"""A point counts as lying at an edge if the mean normal within a cell is shorter than this.
-"""
+"""A point counts as lying at an edge if the mean normal within a cell is shorter than this."""
 SHARP, CLOSEST = 0.6, 24
 """`SHARP`: a part counts as a tip, a hair or a sheet if the mean normal within a cell is shorter
 than this. `CLOSEST`: largest number of normals in such a mean.

@@ -160,8 +160,7 @@ class Cells:
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
         """One bit for each low face, set if the face has a velocity."""
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open fractions of the low faces, and fractions of two B-splines inside walls.
-        """
+        """Open fractions of the low faces, and fractions of two B-splines inside walls."""
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)
@@ -171,8 +170,7 @@ class Cells:
         self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
         self.links = self._zeros(count, wp.vec3d)
         self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
-        """Solutions of two equations: p dt / (rho dx) [m/s], and the displacement potential.
-        """
+        """Solutions of two equations: p dt / (rho dx) [m/s], and the displacement potential."""
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.which = self._zeros(count, int)

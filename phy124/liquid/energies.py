@@ -22,8 +22,7 @@ from phy124.mpm.tracks import Tracks
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
 ROOM = 16
-"""Length of each worker's array of sums, chosen so that no two workers write to one cache line.
-"""
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
 
 class Works(NamedTuple):

@@ -90,8 +90,7 @@ class Phases:
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles that are not finite."""
         self.carry = wp.ones(1, dtype=wp.float64, device=device)
-        """Factor on the last pressure, which gives the initial guess of the next pressure.
-        """
+        """Factor on the last pressure, which gives the initial guess of the next pressure."""
         self._mixture = Mixture(model)
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)

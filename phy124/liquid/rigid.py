@@ -62,8 +62,7 @@ class FreeSolids:
         self._model, self._solids = model, solids
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
-        """Acceleration [m/s^2] and torque [N m] of the liquid on each solid.
-        """
+        """Acceleration [m/s^2] and torque [N m] of the liquid on each solid."""
 
     def attach(self, tracks: Tracks) -> list[Stage]:
         """Return the stages that accelerate the solids in each substep."""

@@ -21,8 +21,7 @@ NEAREST = wp.constant(0.02)
 """Lower bound of the distance between the surface and a cell's centre [cells]; limits the pressure.
 """
 COMPRESSIBLE = wp.constant(1.0e-6)
-"""Compressibility of a cell: the fraction by which the diagonal matrix entry is increased.
-"""
+"""Compressibility of a cell: the fraction by which the diagonal matrix entry is increased."""
 
 
 @wp.func

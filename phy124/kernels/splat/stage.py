@@ -186,5 +186,4 @@ def blend_staged_simd(
 tint_splats_simd = native_kernel(
     "phy124_stage_simd", VEIL + code("stage:tint"), name="tint_splats_simd"
 )(tint_splats.func)
-"""Tint as `tint_splats` does, with vector instructions of a CPU; sixteen Gaussians per thread.
-"""
+"""Tint as `tint_splats` does, with vector instructions of a CPU; sixteen Gaussians per thread."""
