@@ -98,6 +98,22 @@ def test_gaussians_of_a_liquid_have_the_volume_of_its_particles(water):
     np.testing.assert_allclose(counts @ liquid["volumes"], setup.particles.volume.sum())
 
 
+def test_objects_of_the_same_liquid_have_one_surface():
+    other = {"name": "pool", "shape": "sphere", "place": (2, 0), "colour": "navy"}
+    counts = {}
+    for viscosity in (0.0, 1.0):
+        pool = {**other, "material": {"law": "fluid", "viscosity": viscosity}}
+        changes = {"material.law": "fluid", "material.tint": "red", "objects": (pool,)}
+        scene = Scene.named("drop").replaced({**SMALL, **changes})
+        setup = prepare(ball(600), scene, RunContext(threads=1))
+        liquids = setup.appearance.liquids(setup.materials)
+        counts[viscosity] = [int(np.diff(liquid["runs"]).sum()) for liquid in liquids]
+        volume = sum((np.diff(each["runs"])[:, 0] @ each["volumes"]) for each in liquids)
+        np.testing.assert_allclose(volume, setup.particles.volume.sum(), rtol=1e-5)
+    assert len(counts[0.0]) == 1, "only the colours differ, so the liquids mix"
+    assert len(counts[1.0]) == 2 and sum(counts[1.0]) == sum(counts[0.0])
+
+
 def test_thick_liquid_lets_less_light_through(solid):
     flat = solid * [1, 1, 0.2]
     thick, thin = (Liquid(x, 2 * CELL, 0.5).shape(still(x)) for x in (solid, flat))

@@ -64,22 +64,31 @@ class Appearance(NamedTuple):
         """Return, for each liquid, its visibility [m] or None, the spans of its Gaussians, and the
         volume of a Gaussian in each span [m^3].
 
+        Materials that differ only in their colours are one liquid: they mix, and no surface
+        separates them.
+        """
+        liquids: dict[str, dict[str, Any]] = {}
+        for k, section in enumerate(materials):
+            if isinstance(section, Fluid):
+                runs, volumes = self._volumes(k)
+                empty = {"runs": [], "volumes": [], "visibility": section.visibility}
+                liquid = liquids.setdefault(section.model_dump_json(exclude={"tint"}), empty)
+                liquid["runs"] += runs
+                liquid["volumes"] += volumes
+        return list(liquids.values())
+
+    def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
+        """Return the spans of a liquid material's Gaussians, and the volume of each in a span.
+
         A grain has the volume of a particle. The Gaussians on the surface share the volume of the
         particles that have no grain.
         """
-        liquids = []
-        for k, section in enumerate(materials):
-            if isinstance(section, Fluid):
-                particles = self.particles.volume[self.particles.material == k]
-                surface = self._spans(self.rounds & (self.kinds == k))
-                grains = self._spans(~self.rounds & (self.kinds == k))
-                each = float(particles.sum() / max(len(particles), 1))
-                left = each * (len(particles) - _count(grains)) / max(_count(surface), 1)
-                volumes = [left] * len(surface) + [each] * len(grains)
-                liquids.append(
-                    {"runs": surface + grains, "volumes": volumes, "visibility": section.visibility}
-                )
-        return liquids
+        particles = self.particles.volume[self.particles.material == kind]
+        surface = self._spans(self.rounds & (self.kinds == kind))
+        grains = self._spans(~self.rounds & (self.kinds == kind))
+        each = float(particles.sum() / max(len(particles), 1))
+        left = each * (len(particles) - _count(grains)) / max(_count(surface), 1)
+        return surface + grains, [left] * len(surface) + [each] * len(grains)
 
     def _spans(self, chosen: NDArray[np.bool_]) -> list[list[int]]:
         """Return the spans of the chosen moving Gaussians."""
