@@ -31,9 +31,10 @@ class Options(Section):
 
     profile: Profile | None = Field(
         default=None,
-        description="Numbers per point: viz (x y z rgb), full (also opacity, scales, orientation, "
-        "velocity), small (10 bytes: int16 positions, 8-bit colours), ply (raw 3DGS values for "
-        "splat viewers) or splats (a SplatArray for RVizSplat). Default: full in files, viz live.",
+        description="Values of each point: viz (x y z rgb), full (also opacity, scales, "
+        "orientation, velocity), small (10 bytes: int16 positions, 8-bit colours), ply (raw 3DGS "
+        "values for splat viewers) or splats (a SplatArray for RVizSplat). Default: full in files, "
+        "viz live.",
     )
     frame_id: str = Field(
         default="phy124", min_length=1, description="Coordinate frame of the object's world."
@@ -82,12 +83,12 @@ class Options(Section):
     )
     cameras: Path | None = Field(
         default=None,
-        description="TOML file with [[view.cameras]] as in a scene; their pictures are sent, too.",
+        description="TOML file with additional cameras, as [[view.cameras]] in a scene.",
     )
     images: tuple[Image, ...] = Field(
         default=("rgb", "depth"),
         min_length=1,
-        description="What a camera sends: rgb, depth [m], mask, flow [px], jpeg, h264.",
+        description="Data that a camera sends: rgb, depth [m], mask, flow [px], jpeg, h264.",
     )
     size: str = Field(
         default="640x480",
@@ -139,8 +140,8 @@ class Options(Section):
         usual = type(self).model_fields["images"].default
         if self.images != usual and not self.views and self.cameras is None:
             raise ValueError(
-                "Images show what cameras see, but no camera is chosen. Set views or cameras, or "
-                "remove images."
+                "Images need a camera, but no camera is chosen. Set views or cameras, or remove "
+                "images."
             )
         return self
 

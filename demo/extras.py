@@ -53,7 +53,7 @@ class Making(Section):
 
     generator: Literal["relief", "triposr"] = Field(
         default="relief",
-        description="What makes the object: relief guesses the unseen sides from the silhouette, "
+        description="Generator of the object: relief guesses the unseen sides from the silhouette, "
         "in a second; triposr is a trained network, which takes longer.",
     )
 

@@ -109,7 +109,7 @@ def test_a_dry_run_does_not_run_what_takes_long(picture, monkeypatch, capsys):
     assert slow.calls == 0
     assert "generator: slow, 7 steps; likely 5.3 to 10.0 min" in out
     assert "  generate      400.00 s\n" in out, "not as measured"
-    assert "a stand-in object made by relief" in out
+    assert "measured with an object made by relief" in out
 
 
 @pytest.mark.parametrize("command", [["generate"], ["accuracy", "drop", "--image"]])

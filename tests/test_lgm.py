@@ -236,7 +236,7 @@ def test_old_generation_is_known_by_checksum_and_not_rotated(tmp_path, tiny, mon
     assert model.rotations == "all"
     rows = model(torch.rand(1, 4, 9, 32, 32))
     torch.testing.assert_close((rows[0, :, 7:11] ** 2).sum(0), torch.ones(4))
-    with pytest.warns(UserWarning, match=r"first generation.*phy124 weights fetch lgm"):
+    with pytest.warns(UserWarning, match=r"first published version.*phy124 weights fetch lgm"):
         made = Lgm(model=model, device="cpu").from_views(torch.rand(4, 3, 32, 32))
     np.testing.assert_array_equal(made.quats, np.tile(NOT_ROTATED, (len(made), 1)))
 

@@ -116,8 +116,8 @@ def summarise(report: dict[str, Any]) -> list[str]:
     lines = [f"Softness: {_format(value['value'])} Pa ({low} to {high} Pa, 95 %); it was {was} Pa."]
     least, most = (_format(end) for end in value["limit"]["interval"])
     lines.append(
-        f"This value holds for the accuracy of this result. Without the error of the grid, the "
-        f"material has {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
+        f"This value is for the accuracy of this result. After correction of the grid error, the "
+        f"stiffness is {_format(value['limit']['value'])} Pa ({least} to {most} Pa)."
     )
     if shown["before"] and shown["fitted"]:
         before, after = (_rms(shown[name]) for name in ("before", "fitted"))

@@ -68,7 +68,8 @@ class Convergence:
     def error_of(self, apart: NDArray) -> float | None:
         """Estimate the error of a result from its distances to the results of all levels [L].
 
-        Returns: The error, or None if there is no extrapolated result.
+        Returns:
+            The error, or None if there is no extrapolated result.
         """
         if not self.exact:
             return None

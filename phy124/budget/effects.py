@@ -140,7 +140,7 @@ def _of_liquid(scene: Scene) -> Iterator[Effect]:
     yield Effect("pressure projection")
     yield Effect("density kept by moving particles")
     inviscid = (
-        "the liquid is inviscid: a wave loses energy only to friction at walls and to the grid"
+        "the liquid is inviscid: waves lose energy only by friction at walls and by grid errors"
     )
     viscous = any(getattr(section, "viscosity", 0.0) > 0 for section in scene.materials)
     yield Effect("viscosity", viscous, inviscid)

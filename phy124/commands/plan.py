@@ -22,7 +22,7 @@ from phy124.runtime.device import pick_device
 from phy124.scene import Scene, summarise
 from phy124.scene.lattices import choose_solver
 
-STOOD_IN = "The times after the generator are for a stand-in object made by relief."
+STOOD_IN = "The times of later stages were measured with an object made by relief."
 
 
 @dataclass(frozen=True)

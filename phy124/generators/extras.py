@@ -32,15 +32,14 @@ class DepthMap(Section):
 
     depth: str = Field(
         default="auto",
-        description="Depth of the picture, from which relief shapes the object's front. Use auto "
-        "(moge2 or depth-anything, if its weights are present), moge2, depth-anything or off; or "
-        "give a depth map, which is a grey PNG of 8 or 16 bits, or a .npy file.",
+        description="Depth of the picture, from which relief shapes the object's front: auto "
+        "(moge2 or depth-anything, if the weights are present), moge2, depth-anything, off, or a "
+        "file with a depth map (grey PNG of 8 or 16 bits, or .npy).",
     )
     near: Literal["white", "black"] = Field(
         default="white",
-        description="Brightness of near surfaces in the depth map: white if they have large "
-        "values, as MiDaS and Depth Anything write them, or black if they have small values, as "
-        "in depths in metres.",
+        description="Brightness of near surfaces in the depth map: white (large values are near, "
+        "as in MiDaS and Depth Anything) or black (small values are near, as in depths in metres).",
     )
 
     @field_validator("depth", mode="before")
@@ -138,14 +137,14 @@ class OtherViews(Section):
     )
     back: Path | None = Field(
         default=None,
-        description="Picture of the same object, taken from straight behind. It shows relief the "
-        "object's back.",
+        description="Picture of the same object, taken from straight behind, for the back of the "
+        "object.",
     )
     back_look: Literal["auto", "mirror", "plain"] = Field(
         default="auto",
-        description="How relief colours the back if there is no picture of it: mirror (the "
-        "mirrored front, for an object seen from its side), plain (the materials of the front "
-        "without its features) or auto (plain if the outline is symmetric, otherwise mirror).",
+        description="Colours of the back if there is no picture of the back: mirror (the mirrored "
+        "front, for an object seen from its side), plain (the materials of the front without its "
+        "features) or auto (plain if the outline is symmetric, otherwise mirror).",
     )
     thickness: float | None = Field(
         default=None,
@@ -159,8 +158,8 @@ class OtherViews(Section):
 
     highlights: Literal["keep", "remove"] = Field(
         default="keep",
-        description="How to treat highlights in the pictures: keep (relief paints them on the "
-        "object, and they move with it) or remove.",
+        description="Treatment of highlights in the pictures: keep (highlights are painted on the "
+        "object and move with it) or remove.",
     )
 
     @property

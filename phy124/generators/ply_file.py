@@ -46,7 +46,7 @@ class Reading(Section):
     )
     front: str | None = Field(
         default=None,
-        description="Axis of the file towards which the object faces, written like that of --up.",
+        description="Axis of the file towards which the object faces, in the notation of --up.",
     )
     dialect: str | None = Field(
         default=None,

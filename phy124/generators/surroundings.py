@@ -112,7 +112,7 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
     grown = (AROUND - 1) / 2 * side
     words = (
         f"{MOST:.0%} of the visible area lies within {side / whole:.0%} of the longest side, but "
-        "everything is treated as the object."
+        f"all Gaussians are treated as the object."
     )
     return _Around(words, (low - grown, high + grown))
 

@@ -96,7 +96,7 @@ def check_names(path: Path, header: Header) -> None:
         remedy = "Give a Gaussian splatting PLY, as LGM, TRELLIS or a 3DGS training write it."
         raise refusal(path, limit, remedy)
     if names & set(ANCHORS):
-        limit = "it contains anchors of Scaffold-GS, from which a network makes the Gaussians."
+        limit = "it contains anchors of Scaffold-GS, which need a network, instead of Gaussians."
         raise refusal(path, limit, "Export the Gaussians of a view with that program.")
     wanted = (*CENTRE, "scale_0", *QUATS, "opacity")
     missing = [name for name in wanted if name not in names]

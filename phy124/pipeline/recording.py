@@ -102,7 +102,8 @@ class Recording:
     def pause(self, run: Simulation) -> None:
         """Write the state of the solver after the last frame.
 
-        Raises: OSError: The state cannot be written.
+        Raises:
+            OSError: The state cannot be written.
         """
         if self.failed or self.frames is None or run.scene.unregistered:
             return

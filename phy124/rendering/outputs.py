@@ -81,17 +81,17 @@ QUANTITIES: dict[Output, Quantity] = {
         "px/frame",
         ("U", "V"),
         True,
-        "Displacement on the picture to the next frame, right and down, including the camera's "
-        "motion; the last frame has none.",
+        "Displacement in the picture until the next frame, right and down, including the camera's "
+        "motion. The last frame has no flow.",
     ),
     "velocity": Quantity("m/s", ("X", "Y", "Z"), True, "Velocity in the world's axes."),
     "force": Quantity(
         "N/px",
         ("X", "Y", "Z"),
         True,
-        "Mean force of the walls on the object since the previous frame, in the world's axes, "
-        "distributed over the pixels, hidden Gaussians included: the sum over all pixels is the "
-        "frame's force. Its resolution is one grid cell; it is blurred by half a cell.",
+        "Mean force of the walls on the object since the previous frame, in the world's axes. The "
+        "force on all Gaussians, also hidden ones, is distributed over the pixels, whose sum is "
+        "the total force. The resolution is one grid cell; the force is blurred by half a cell.",
     ),
 }
 """Unit and meaning of each output. `channels` are the names of its channels in an EXR file."""

@@ -32,7 +32,7 @@ class Accuracy(Section):
         le=4,
         examples=[2.0],
         description="Particles per cell and axis inside the object. If absent: 2 for elastic "
-        "materials and fluids, 1.5 for plastic and granular ones.",
+        "materials and fluids, 1.5 for plastic and granular materials.",
     )
     cfl: float = Field(
         default=0.75,
@@ -42,16 +42,17 @@ class Accuracy(Section):
     )
     precision: Literal["float32", "float64", "auto"] = Field(
         default="float32",
-        description="Floating-point precision of the simulation. auto: float32 if everything "
-        "that moves is simulated on lattices, where rounding errors of the strain do "
-        "not add up; otherwise float64.",
+        description="Floating-point precision of the simulation. auto: float32 if all moving "
+        "objects are simulated on lattices, where rounding errors of the strain do not accumulate; "
+        "otherwise float64.",
     )
     transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
         default="apic",
         exclude_if=lambda value: value == "apic",
-        description="Transfer of velocities between particles and grid. apic damps most and costs "
-        "least; xpic2 to xpic5 damp vibrations less, but need 2 to 5 more passes over the grid; "
-        "aflip needs one more pass and leaves noise. Only apic conserves angular momentum.",
+        description="Transfer of velocities between particles and grid. apic is the fastest, has "
+        "the strongest damping, and is the only transfer that conserves angular momentum. xpic2 to "
+        "xpic5 damp vibrations less, but need 2 to 5 more passes over the grid. aflip needs one "
+        "more pass and leaves noise.",
     )
     blend: float = Field(
         default=0.95,
@@ -64,38 +65,37 @@ class Accuracy(Section):
     gradient: Literal["affine", "spline"] = Field(
         default="affine",
         exclude_if=lambda value: value == "affine",
-        description="Velocity gradient from which stress and strain are computed. affine: from "
-        "the affine fit around each particle (MLS-MPM); objects that bend by several "
-        "cells are then too soft. spline: from the gradients of the weights, for "
-        "transfer = apic only; this takes 1.7 to 4 times as long.",
+        description="Velocity gradient from which stress and strain are computed. affine: the "
+        "affine fit around each particle (MLS-MPM), with which objects that bend by several cells "
+        "are too soft. spline: the gradients of the interpolation weights, for transfer = apic "
+        "only; takes 1.7 to 4 times as long.",
     )
     solver: Literal["auto", "mpm", "lattice"] = Field(
         default="auto",
         exclude_if=lambda value: value == "auto",
-        description="Solver of elastic objects. auto: lattice, if it is supported and "
-        "measurements showed it to be better; otherwise mpm, and the report gives "
-        "the reason. mpm: the material point method. lattice: a lattice in the "
-        "undeformed object, whose nodes move with the object; bending is accurate, "
-        "but the object cannot tear. For transfer = apic only.",
+        description="Solver of elastic objects. mpm: the material point method. lattice: a lattice "
+        "in the undeformed object, whose nodes move with the object; bending is accurate, but the "
+        "object cannot tear; for transfer = apic only. auto: lattice where it is supported and was "
+        "better in measurements; otherwise mpm, with the reason in the report.",
     )
     rpic_damping: float = Field(
         default=0.0,
         ge=0,
         le=1e6,
         exclude_if=lambda value: value == 0,
-        description="Rate at which the symmetric part of each particle's C decays, for apic only "
-        "[1/s]. PhysGaussian's damping r at a substep dt equals a rate of -ln(1 - r)/dt. The "
-        "decay acts like a viscosity of rate x density x dx^2/8, so its effect depends on the "
-        "grid. A rate above 0 makes substeps 0.71 times as long.",
+        description="Decay rate of the symmetric part of each particle's C, for apic only [1/s]. "
+        "The decay acts like a viscosity of rate x density x dx^2/8, so the effect depends on the "
+        "grid. PhysGaussian's damping r at a substep dt equals a rate of -ln(1 - r)/dt. If the "
+        "rate is above 0, substeps are 0.71 times as long.",
     )
     liquid: Literal["compressible", "projection"] | None = Field(
         default=None,
         examples=["projection"],
         exclude_if=lambda value: value is None,
-        description="Solver of the law fluid. compressible: each particle's pressure follows from "
-        "its volume. projection: incompressible flow, with constant volume and longer steps; for "
-        "a single liquid, which may move together with other materials. Absent: projection if it "
-        "is supported; otherwise the report's effects give the reason.",
+        description="Solver of the law fluid. compressible: the pressure of each particle follows "
+        "from its volume. projection: incompressible flow with longer steps, for a single liquid, "
+        "also together with other materials. If absent: projection where it is supported; "
+        "otherwise compressible, with the reason in the report.",
     )
 
     @property
@@ -118,8 +118,7 @@ class Accuracy(Section):
 NAMED = {
     "draft": (
         Accuracy(cells=16),
-        "a first look at a motion: thin parts bend as if they were thicker by a fraction of a "
-        "cell, and a cell is 6 % of the object",
+        "a first look at a motion: a cell is 6 % of the object, and thin parts are too stiff",
     ),
     "standard": (
         Accuracy(cells=32),

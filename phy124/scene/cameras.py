@@ -78,7 +78,7 @@ class _Circling(Section):
     fov: FieldOfView | None = Field(
         default=None,
         examples=[40],
-        description="Vertical field of view [deg]; if absent, that of the view.",
+        description="Vertical field of view [deg]; if absent, the field of view of the view.",
     )
     target: Target = Field(
         default=(0.0, 0.0, 0.0),

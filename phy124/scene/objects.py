@@ -41,13 +41,13 @@ class SceneObject(Object):
     file: FileName | None = Field(
         default=None,
         examples=["teddy.ply"],
-        description="File of Gaussians, or a clip, of which the first frame is read.",
+        description="File of Gaussians, or clip whose first frame is used.",
     )
     generator: str | None = Field(
         default=None,
         max_length=1000,
         examples=["relief"],
-        description="Generator for the object's picture; if absent, that of the first object.",
+        description="Generator for the object's picture; default: that of the first object.",
     )
     mesh: FileName | None = Field(
         default=None,
@@ -74,16 +74,16 @@ class SceneObject(Object):
     motion: OwnMotion | None = Field(
         default=None,
         exclude_if=lambda motion: motion is None,
-        description="Motion of a rigid shape. path or swing: a prescribed displacement; the shape "
-        "pushes other objects, but nothing pushes the shape. free: gravity, walls and other "
-        "objects push the shape, and it pushes them back.",
+        description="Motion of a rigid shape. path or swing: the motion is prescribed, so the "
+        "shape pushes other objects, but they do not push the shape. free: the shape moves under "
+        "gravity and contact with walls and other objects.",
     )
     material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
     parts: tuple[Part, ...] = Field(default=(), description="Parts made of other materials.")
     crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
         default=(0.0, 0.0, 1.0, 1.0),
         description="Rectangle of the object (left, top, right, bottom) in the picture on which "
-        "masks of its parts were painted; determined automatically if the object has its own "
+        "masks of the object's parts were painted; determined automatically for an object with a "
         "picture.",
     )
 
@@ -184,11 +184,11 @@ class Pair(Section):
 
     between: tuple[Name, Name] = Field(
         default=(ANY, ANY),
-        description="Names of the two objects; any means all objects that no other entry names.",
+        description="Names of the two objects; any means all objects not named in another entry.",
     )
     contact: Literal["separate", "sticky"] = Field(
         default="separate",
-        description="separate (they slide with friction and may separate), or sticky.",
+        description="separate (the objects slide with friction and may separate), or sticky.",
     )
     friction: float = Field(
         default=0.5, ge=0, le=10, description="Coulomb friction coefficient; 0 means no friction."
@@ -232,8 +232,8 @@ def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
         return
     if len(free) > 1:
         raise ValueError(
-            f"{free[0]} and {free[1]} are both solids that move freely, and would pass through "
-            "each other; remove the `motion` of one of them, so that it is made of particles"
+            f"{free[0]} and {free[1]} are both solids that move freely, between which contact is "
+            f"not computed; remove the `motion` of one of them to simulate it with particles"
         )
     for item in objects:
         led = isinstance(item, SceneObject) and item.path is not None

@@ -71,13 +71,13 @@ class Scene(Section):
         default=(),
         max_length=MOST_OBJECTS - 1,
         exclude_if=lambda value: not value,
-        description="Further objects. Accuracy, stiffness and properties refer to the first.",
+        description="Further objects. Accuracy, stiffness and properties are for the first object.",
     )
     pairs: tuple[Pair, ...] = Field(
         default=(),
         exclude_if=lambda value: not value,
-        description="Contact between two objects. A pair that is not listed has the contact "
-        "separate and friction 0.5.",
+        description="Contact between two objects. The default is the contact separate with "
+        "friction 0.5.",
     )
     stiffness: AnyStiffness | None = Field(
         default=None, description="How E varies inside the object; if absent, E is uniform."
@@ -110,22 +110,22 @@ class Scene(Section):
     checks: Checks = Field(default=Checks(), description="Checks during the run.")
     velocities: bool = Field(
         default=False,
-        description="Store the velocity of each Gaussian; without it, speeds are differences of "
+        description="Store the velocity of each Gaussian; if off, speeds are computed from "
         "positions.",
     )
     contacts: bool = Field(
         default=False,
-        description="Store the mean force of the walls on each Gaussian; the output `force` turns "
-        "it on.",
+        description="Store the mean force of the walls on each Gaussian; on if the output `force` "
+        "is requested.",
     )
     wrenches: bool = Field(
         default=False,
-        description="Store force and torque of the object on each wall; `contacts` turns it on.",
+        description="Store force and torque of the object on each wall; on if `contacts` is on.",
     )
     grains: bool = Field(
         default=True,
-        description="Show the inside of sand, snow, foam and torn material as grains; if off, "
-        "only the Gaussians of the surface are shown.",
+        description="Show the inside of sand, snow, foam and torn material as grains; if off, only "
+        "the Gaussians on the surface are shown.",
     )
     view: View = Field(default=View(), description="How the clip is filmed.")
 

@@ -80,7 +80,7 @@ class Timing(Section):
     seconds: Seconds | None = Field(
         default=None,
         examples=[3],
-        description="Length of the motion [s]; sets frames to seconds x fps.",
+        description="Length of the motion [s], from which frames = seconds x fps is computed.",
     )
     substep: float | None = Field(
         default=None,
@@ -98,7 +98,7 @@ class Timing(Section):
         default=7200.0,
         ge=1e-3,
         le=1e8,
-        description="Maximum computing time [s]. A simulation that is predicted to take longer is "
+        description="Maximum computing time [s]. A simulation whose predicted time is longer is "
         "refused. A running simulation is stopped when its busiest thread has used twice this "
         "time.",
     )
@@ -132,21 +132,20 @@ class Checks(Section):
         default=16,
         ge=1,
         le=32,
-        description="Maximum number of substeps between two measurements of the stable limit. "
-        "More than 4 are used only while no particle can stiffen much before the next "
-        "measurement.",
+        description="Maximum number of substeps between two measurements of the stable limit. The "
+        "number is at most 4 if a particle may stiffen much before the next measurement.",
     )
     balance: bool = Field(
         default=True,
-        description="Compare the changes of energy and momentum with the work and impulse of "
-        "forces and walls, and stop the run if they do not agree; if off, only "
-        "non-finite values and inverted particles stop the run.",
+        description="Stop the run if the changes of energy and momentum differ from the work and "
+        "the impulse of forces and walls. If off, only non-finite values and inverted particles "
+        "stop the run.",
     )
     energy: bool = Field(
         default=False,
         exclude_if=_is(False),
-        description="Report how much energy is lost in the material, by contact, and by the "
-        "numerical method; on lattices also the work of each cause.",
+        description="Report the energy lost in the material, in contact, and by the numerical "
+        "method; on lattices, report also the work of each cause.",
     )
 
 
@@ -182,8 +181,8 @@ class Part(Section):
     )
     surroundings: bool = Field(
         default=False,
-        description="The part is surroundings, such as a floor: static, and not counted in the "
-        "object's size.",
+        description="The part is surroundings, such as a floor: it is static and does not affect "
+        "the object's size.",
     )
     region: PartRegion | None = Field(default=None, description="Box that contains the part [m].")
     mask: FileName | None = Field(

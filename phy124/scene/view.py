@@ -108,15 +108,15 @@ class View(Section):
         default=None,
         examples=[False],
         description="Let the camera follow the object and keep it in the centre. If absent, the "
-        "camera follows only if a fixed camera that shows the whole motion would "
-        "show the object too small.",
+        "camera follows the object only if the object would be too small in a view of the whole "
+        "motion.",
     )
     fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
     filter: Literal["dilate", "mip"] = Field(
         default="dilate",
-        description="Low-pass filter for splats smaller than a pixel. dilate widens them, as 3D "
-        "Gaussian Splatting does; mip also reduces their opacity, as Mip-Splatting does, so that "
-        "thin parts do not look thicker in small pictures.",
+        description="Low-pass filter for splats smaller than a pixel. dilate widens the splats, as "
+        "3D Gaussian Splatting does; mip also reduces their opacity, as Mip-Splatting does, so "
+        "that thin parts do not look too thick in small pictures.",
     )
     shine: bool = Field(
         default=True,
@@ -162,7 +162,7 @@ class View(Section):
     seamless: bool = Field(
         default=False,
         description="Make videos that repeat without a jump. If the object nearly returns to its "
-        "first pose, the last pictures fade into the first ones; otherwise the motion runs "
+        "first pose, the last pictures fade into the first pictures. If not, the motion runs "
         "forwards and then backwards.",
     )
     megabytes: float | None = Field(

@@ -46,8 +46,8 @@ def read(path: Path) -> Content:
     rows = np.fromfile(path, ROW)
     if _sound_share(rows[:LOOKED_AT]) < 0.5:
         limit = (
-            "most of its rows lack a finite centre, scales from 0, or a rotation of length 1: "
-            "it is of another kind."
+            "it is of another kind: most of its rows lack a finite centre, positive scales, or a "
+            "unit quaternion."
         )
         raise refusal("splat", path, limit)
     colour = rows["colour"].astype(np.float32) / 255

@@ -46,10 +46,9 @@ OPACITY_MIN = 0.005
 VIEW_ORDER = (1, 2, 3, 0)
 """Indices of ImageDream's views in LGM's order: LGM's first view is ImageDream's second view."""
 OLD_GENERATION = (
-    "These LGM weights are of the first generation, whose quaternions have no meaning: the "
-    "Gaussians are not rotated, as in the renderer of that generation. "
-    "`phy124 weights fetch lgm` gets the "
-    "corrected ones."
+    "These LGM weights are the first published version, whose quaternions have no meaning. The "
+    "Gaussians are therefore not rotated. `phy124 weights fetch lgm` downloads the corrected "
+    "weights."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)
 """Work of the option `big`, with the same units as in `phy124.generators.neural.imagedream`."""

@@ -126,8 +126,9 @@ def load_onnx(encoder: Path, decoder: Path) -> Any:
     triplane and points. Both return density and colour. The encoder takes most of the memory, so it
     is loaded for each image and then released.
 
-    Raises: InputError: If onnxruntime is not installed, or if a file is unreadable or contains
-        another network.
+    Raises:
+        InputError: If onnxruntime is not installed, or if a file is unreadable or contains another
+            network.
     """
     decode = OnnxNetwork(decoder, None, RESULTS)
     return lambda image: _onnx_field(OnnxNetwork(encoder, ["image"], folds=False)(image)[0], decode)
