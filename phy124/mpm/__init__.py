@@ -1,8 +1,8 @@
 """The material point method: explicit MLS-MPM with APIC transfers on a window of grid nodes.
 
-`Model` holds what never changes, `State` holds the arrays that change in every substep, `Clock`
-keeps the time, and `Grid` is temporary memory. `Solver` runs the phases of a substep in order:
-push, clear, p2g, update, collide, g2p. Stages that a scene does not need are not created.
+`Model` contains the constants, `State` the arrays that change in every substep, `Clock` the time,
+and `Grid` temporary memory. `Solver` runs the phases of a substep in order: push, clear, p2g,
+update, collide, g2p. Stages that a scene does not need are not created.
 """
 
 from phy124.mpm.clock import MEASURE_EVERY, Clock

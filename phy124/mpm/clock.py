@@ -1,6 +1,4 @@
-"""Clock: keeps the time of a run, and chooses the length of the next substep and the limit that
-determines it.
-"""
+"""Clock: keeps the time of a run, and chooses the length of the next substep."""
 
 from __future__ import annotations
 
@@ -23,43 +21,42 @@ class Clock:
     ) -> None:
         self.dx, self.viscous = model.dx, model.viscous
         self.cfl, self.ceiling = model.cfl, ceiling
-        """Fraction of the elastic limit that substeps use, and the longest substep allowed [s]."""
+        """Substep as a fraction of the elastic limit; longest substep allowed [s]."""
         self.measure_every = measure_every
-        """Number of substeps between two measurements, as chosen by the user."""
+        """Number of substeps between two measurements, from the user's options."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
-        """Time [s], number of substeps taken, length of the last substep [s]."""
+        """Time [s], number of substeps, length of the last substep [s]."""
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
         self.needed: dict[str, float] = {}
-        """Number of substeps that each limit would need if a frame could contain fractions of a
-        substep. Each substep adds the ratio of its length to the length that the limit allowed.
+        """Number of substeps for each limit if a frame could contain fractions of a substep. Each
+        substep adds the ratio of its length to the limit.
         """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
         """The last measured values that limit substeps, and the maxima of these values since the
-        host last read them. If the device takes substeps on its own, the host reads the values only
-        every few substeps.
+        host last read them. If the device runs substeps without the host, the host reads the values
+        only every few substeps.
         """
         self.strain_rate = 0.0
         """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Current number of substeps between measurements of speeds, and number of substeps since
-        the last measurement.
+        """Current number of substeps between measurements of speeds; number since the last
+        measurement.
         """
         self.strain = self.travel = math.inf
         """Upper bounds of the strain and the displacement [m] of all particles since the last
         complete measurement. If the bounds are infinite, the next measurement must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
-        """Time of the last measurement [s], and number of substeps since the last complete
-        measurement.
+        """Time of the last measurement [s]; number of substeps since the last complete measurement.
         """
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """Array on the device: kick and drift of the current substep, and the time at its start
-        [s].
+        """Array on the device: kick and drift of the current substep, and time at the substep's
+        start [s].
         """
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
-        """Inputs and result of the last computation of the longest stable substep."""
+        """Last computation of the longest stable substep: inputs and result."""
 
     @property
     def behind(self) -> float:
@@ -80,8 +77,8 @@ class Clock:
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] from the time of the velocities to the time of
-        the positions.
+        """Return the change of kinetic energy [J] between the time of the velocities and of the
+        positions.
 
         Args:
             power: Power of the stress [W].
@@ -91,7 +88,7 @@ class Clock:
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work of the uniform acceleration since the kick [J], which is a part of `lag`.
+        """Return the work of the uniform acceleration since the kick [J]; `lag` includes this work.
 
         Args:
             momentum: Momentum of all particles after the last kick [3], kg m/s.
@@ -106,15 +103,15 @@ class Clock:
     def complete(self, calm_strain: float) -> bool:
         """Return whether the next measurement must include stiffness and positions.
 
-        A measurement of the speeds alone suffices under two conditions. No particle can have been
-        strained by more than `calm_strain`, which would change the stiffness. No particle can have
-        left the margin of its window.
+        A measurement of only the speeds suffices under two conditions: no particle can have been
+        strained by more than `calm_strain`, which would change the stiffness, and no particle can
+        have left the margin of its window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured
         strain = self.strain + elapsed * self.strain_rate
-        # Until the next measurement, particles may move by the same distance again or, if the next
-        # interval is longer, by the fraction `calm_strain` of a cell.
+        # Until the next measurement, particles may move the same distance again. If the next
+        # interval is longer, they may move the fraction `calm_strain` of a cell.
         travel = elapsed * self.extremes.speed
         ahead = self.travel + travel + max(travel, calm_strain * self.dx)
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
@@ -131,7 +128,7 @@ class Clock:
         elapsed, before = self.time - self._last_measured, self.extremes
         rate = max(extremes.gradient, decay(self.strain_rate, self.since_measured))
         self.strain += elapsed * max(rate, self.strain_rate)
-        # Between two measurements, forces may have accelerated particles and slowed them down
+        # Between two measurements, forces may have accelerated particles and then slowed them down
         # again.
         gained = acceleration * elapsed / 2
         self.travel += elapsed * (max(extremes.speed, before.speed) + gained)
@@ -154,7 +151,8 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep; if it was violent, the next substep starts with a measurement.
+        """Count a finished substep; after a violent substep, the next substep starts with a
+        measurement.
 
         Args:
             drift: Time step for positions and F [s].
@@ -168,14 +166,12 @@ class Clock:
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count the substeps that a limit determined; `needed` is the number of these substeps
-        before rounding up.
-        """
+        """Count the substeps that a limit determined; `needed` is the number before rounding up."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which to continue, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         return {
             "time": self.time,
             "last_dt": self.last_dt,

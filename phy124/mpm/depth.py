@@ -1,8 +1,7 @@
-"""Computes the depth of points inside a solid on the host, as `phy124.kernels.distance` does on the
-device.
+"""Computes the depth of points inside a solid on the host, like `phy124.kernels.distance`.
 
-A shape is defined by the same three vectors as in `phy124.kernels.distance`, and the depth is the
-negative of the signed distance; `tests/test_depth.py` compares the two modules.
+A shape is defined by three vectors, as in `phy124.kernels.distance`, and the depth is minus the
+signed distance. `tests/test_depth.py` compares the two modules.
 """
 
 from __future__ import annotations
@@ -45,10 +44,9 @@ _DEPTHS: dict[str, Callable[[Points, Points], Points]] = {
 
 
 def measure_depth(shape: str, vectors: ArrayLike, x: ArrayLike) -> Points:
-    """Return the depth of points below the surface of a solid [P], m; it is negative outside the
-    solid.
+    """Return the depth of points below the surface of a solid [P], m; negative outside the solid.
 
-    Outside a box, the depth is the depth below the plane of the farthest face.
+    Outside a box, this is the depth below the plane of the farthest face.
 
     Args:
         shape: half_space, sphere, box or capsule.

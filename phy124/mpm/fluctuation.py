@@ -1,8 +1,8 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-The APIC scheme discards the fluctuation, so it needs no additional launches. The schemes other than
-APIC transfer (v, C) to the grid and back, once or several times, before the scatter of a substep,
-and restore a part of the difference after the gather.
+APIC discards the fluctuation, so it needs no additional launches. The other schemes transfer (v, C)
+to the grid and back, once or several times, before the scatter of a substep. After the gather, they
+restore a part of the difference.
 """
 
 from __future__ import annotations
@@ -43,8 +43,7 @@ def usable_rpic(scheme: Scheme, cfl: float) -> float:
     """Return the rate [1/s] at which a scheme damps C.
 
     Raises:
-        ValueError: With damping, substeps as long as the fraction `cfl` of the elastic limit are
-            unstable.
+        ValueError: With damping, substeps of `cfl` times the elastic limit are unstable.
     """
     if scheme.rpic > 0 and cfl > beside_rpic(1.0):
         raise ValueError(f"RPIC needs a model with cfl up to 0.707, but this model has {cfl:g}")
@@ -59,9 +58,9 @@ class Fluctuation:
     state: State
     scheme: Scheme
     v: wp.array
-    """Velocities [P,3], m/s, minus the part that the grid represents in this substep."""
+    """Velocities [P,3], m/s, without the part that the grid represents in this substep."""
     C: wp.array
-    """Velocity gradients [P,3,3], 1/s, minus the part that the grid represents in this substep."""
+    """Velocity gradients [P,3,3], 1/s, without the part that the grid represents."""
     v_noise: wp.array
     """Remainder of the velocities after several passes [P,3], m/s; zero if there is only one pass.
     """
@@ -69,11 +68,11 @@ class Fluctuation:
     """Remainder of the gradients after several passes [P,3,3], 1/s; zero if there is only one pass.
     """
     still: wp.array
-    """A clock with a time step of zero, with which the grid update changes no velocity."""
+    """A clock with a time step of zero, so that the grid update does not change velocities."""
 
     @classmethod
     def of(cls, model: Model, state: State, scheme: Scheme) -> Fluctuation:
-        """Allocate the arrays; a substep fills them before it reads them."""
+        """Allocate the arrays; a substep writes them before it reads them."""
         t, count = types(model.real), len(model)
         v, v_noise = (wp.zeros(count, dtype=t.vec3, device=model.device) for _ in range(2))
         C, C_noise = (wp.zeros(count, dtype=t.mat33, device=model.device) for _ in range(2))
@@ -81,8 +80,8 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a transfer to the grid: of the particles' motion in the first pass, and of the
-        remainder in later passes.
+        """Record a transfer to the grid: of the particles' motion first, of the remainder in later
+        passes.
         """
         model, run = self.model, part.particles
         v, C = self._left(turn)
@@ -109,14 +108,14 @@ class Fluctuation:
         return STAGE, model.launch(make_keep(model.real), part.count, inputs, outputs)
 
     def _left(self, turn: int) -> tuple[wp.array, wp.array]:
-        """Return the input of a pass, which is the remainder from the previous pass."""
+        """Return the input of a pass: the remainder of the previous pass."""
         if turn == 0:
             return self.state.v, self.state.C
         return (self.v, self.C) if turn == 1 else (self.v_noise, self.C_noise)
 
 
 def kernels(scheme: Scheme, real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels of a scheme, in addition to the transfers."""
+    """Yield the kernels of a scheme except the transfers."""
     if scheme.rpic > 0:
         yield make_rpic(real)
     if scheme.passes:

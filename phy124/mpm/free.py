@@ -1,9 +1,8 @@
-"""Free bodies: rigid solids that consist of no particles, move freely, and exchange momentum with
-the material.
+"""Free bodies: freely moving rigid solids without particles, which exchange momentum with material.
 
 The position, orientation and motion of free bodies are stored on the device; phy124/kernels/free
-explains the mechanics. In a substep, free bodies collide with each particle body after contact
-between particle bodies, and before walls act.
+explains the mechanics. In a substep, free bodies touch each particle body after the contact between
+particle bodies, and before walls act.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from phy124.mpm.tracks import Track, Tracks
 STAGE = "free"
 """Name of the stages of free bodies in reports."""
 SOLUTIONS = 3
-"""Number of times that the six equations of motion are solved in a substep. The first solution
-finds most of the approaching nodes, and the second solution finds most of the friction. The next
-substep corrects the remaining error.
+"""Number of solutions of the six equations of motion in a substep. The first solution finds most of
+the approaching nodes, and the second solution finds most of the friction. The next substep corrects
+the remaining error.
 """
 MARGIN = 1.5
-"""Largest distance [cells] from a solid at which nodes can be in contact with it."""
+"""Largest distance of nodes in contact with a solid [cells]."""
 POINTS = {"sphere": 1, "capsule": 2, "box": 8}
-"""Number of points of a shape at which a wall may act."""
+"""Number of points of each shape at which a wall may act."""
 Vector3 = NDArray[np.float64]
 
 
@@ -87,8 +86,8 @@ class FreeBody(NamedTuple):
         rod = self.density * math.pi * radius**2 * 2 * length
         balls = self.density * 4 / 3 * math.pi * radius**3
         along = rod * radius**2 / 2 + balls * 2 / 5 * radius**2
-        # Moment of a half ball about its flat side; its centre of mass is 3/8 of the radius away
-        # from that side.
+        # Moment of a half ball about its flat side; the centre of mass is 3/8 of the radius away
+        # from this side.
         across = rod * (radius**2 / 4 + length**2 / 3)
         across += balls * (2 / 5 * radius**2 + length**2 + 3 / 4 * length * radius)
         moments = np.full(3, across)
@@ -106,9 +105,7 @@ class FreeBody(NamedTuple):
         return rotation_matrices(np.array([self.turn]))[0]
 
     def measure_depth(self, x: NDArray) -> NDArray[np.float64]:
-        """Return the initial depth of points [P,3] inside the solid [P], m; it is negative
-        outside.
-        """
+        """Return the initial depths [P], m, of points [P,3] inside the solid; negative outside."""
         local = (np.asarray(x, np.float64) - self.place) @ self.axes
         return measure_depth(self.shape, self.geometry(), local)
 
@@ -192,18 +189,16 @@ class FreeBodies:
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the largest distance from the solid's centre [nodes] at which nodes can be in
-        contact.
-        """
+        """Return the largest distance of nodes in contact from the solid's centre [nodes]."""
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Set the flat walls with which the solids collide from now on.
+        """Replace the flat walls with which the solids collide.
 
         Args:
             planes: The walls.
-            tracks: The tracks to which the walls' displacements are added.
+            tracks: The tracks of the run, to which the walls' displacements are added.
         """
         if not self.all:
             return
@@ -225,7 +220,7 @@ class FreeBodies:
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """Return the launches, in order, for the contact of all solids with a body of particles."""
+        """Return the launches, in order, for the contact of all solids with a particle body."""
         solids = range(len(self.all))
         launches = (launch for index in solids for launch in self._meet(index, grid, body))
         return [(STAGE, launch) for launch in launches]
@@ -269,8 +264,7 @@ class FreeBodies:
         return self._model.launch(kernel, 1, inputs, [*outputs, self._bodies[index]])
 
     def add(self, index: int, body: int, row: NDArray) -> None:
-        """Add an impulse and its work, which a solid exerts on a body of particles, to the running
-        sums.
+        """Add the impulse and the work of a solid on a particle body to the running sums.
 
         Args:
             index: Index of the solid.
@@ -295,9 +289,9 @@ class FreeBodies:
 
     @property
     def _met(self) -> list[int]:
-        """Indices of the particle bodies that solids can touch."""
+        """Indices of the particle bodies that the solids can touch."""
         wet = sorted(self._model.wet)
-        # The sums of all liquids are stored with the first liquid.
+        # The sums of all liquids are stored for the first liquid.
         still = self._model.held | set(wet[1:])
         return [body for body in range(self._model.bodies) if body not in still]
 
@@ -310,8 +304,7 @@ class FreeBodies:
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Return the mean wrench that each body of particles exerts on each solid, in the order of
-        `names`.
+        """Return the mean wrench of each particle body on each solid, in the order of `names`.
 
         The torques are taken about the origin.
 
@@ -358,7 +351,7 @@ class FreeBodies:
         return float(max(speeds, default=0.0))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue; it is empty if there are no solids."""
+        """Return a snapshot of the state; empty if there are no solids."""
         if not self.all:
             return {}
         return {
@@ -380,11 +373,11 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Fixed friction coefficient for each kind of contact; a solid may leave even a sticky wall."""
+"""Friction coefficient for each kind of contact, if fixed; a solid may leave even a sticky wall."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:
-    """Raise an error if a solid is so thin that material could pass through it.
+    """Check that a solid is thick enough to stop material.
 
     Raises:
         InputError: The solid is thinner than two cells.

@@ -3,12 +3,11 @@
 On CUDA a launch from Python takes longer than many of the kernels. One substep is therefore
 captured as the body of a loop on the device. The last kernel of the loop
 (phy124/kernels/timestep.py) chooses the next substep. This kernel ends the loop when the frame's
-time is reached. It also ends the loop after `MOST` substeps, so that a run can be stopped. Finally,
-the kernel ends the loop when only the host can continue, because the window must follow the
-particles or because the next substep may have to be rejected (see phy124/mpm/rejection.py). A
-condition in a graph takes longer than most kernels. Therefore, if none of the next substeps can be
-the last substep, these substeps run without conditions. The same graph also runs on the CPU, where
-the tests compare its results bit for bit with the results of the host's loop.
+time is reached, or after `MOST` substeps, so that a run can be stopped. It also ends the loop when
+only the host can continue: if the window must follow the particles, or if the next substep may have
+to be rejected (phy124/mpm/rejection.py). A condition in a graph takes longer than most kernels.
+Substeps that cannot be the last one therefore run without a condition. The same graph also runs on
+the CPU, where the tests compare its results with the host's loop, bit for bit.
 """
 
 from __future__ import annotations
@@ -36,13 +35,13 @@ STRAIN = 1.0
 """Sum of |C| dt after which control returns to the host, so that the host can repair particles."""
 MOST = 400
 """Number of substeps after which control returns to the host, so that the host can stop the run.
-Returning takes about as long as ten substeps. The number is constant, because a repeated run must
-take the same substeps.
+Returning takes about as long as ten substeps. The number is constant, so that a repeated run takes
+the same substeps.
 """
 
 
 class Graph:
-    """The substeps of one run on its device."""
+    """The substeps of one run on a device."""
 
     def __init__(
         self, model: Model, clock: Clock, grid: Grid, worker: Worker, stray: wp.array
@@ -68,9 +67,7 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """Discard the captured graph; call this method when the launches of a substep have
-        changed.
-        """
+        """Discard the captured graph; call when the launches of a substep have changed."""
         self._captured = None
 
     def run(
@@ -81,8 +78,7 @@ class Graph:
         *,
         apart: bool = False,
     ) -> bool:
-        """Take substeps up to a given time; stop earlier if only the host can take the next
-        substep.
+        """Take substeps up to a given time; stop if only the host can take the next substep.
 
         Args:
             until: The time [s].
@@ -169,7 +165,7 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason why the loop stopped."""
+        """Update the clock from the device; return the reason for the end of the loop, as a code."""
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
@@ -185,13 +181,13 @@ class Graph:
 
 
 class Mirrored:
-    """An array on the device that can be copied to and from a mirror in the host's memory."""
+    """An array on the device with a copy in the host's memory."""
 
     def __init__(self, dtype: Any, count: int, device: str) -> None:
         """Allocate zeros.
 
         Args:
-            dtype: Type of an item: a number, or a structure.
+            dtype: Type of an item (a number or a structure).
             count: Number of items.
             device: Warp device.
         """

@@ -1,7 +1,7 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has a separate grid on a common lattice. At a node that two bodies share, each body
-therefore has a separate velocity.
+Each body has a separate grid on a common lattice, and therefore a separate velocity at each common
+node.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from phy124.mpm.timestep import TRAVEL, Maxima
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 2 * TRAVEL
-"""Margin of the window around the particles [cells]: twice the largest distance that a particle
-travels between two measurements.
+"""Margin of the window around the particles [cells]: twice the distance that a particle may travel
+between two measurements.
 """
 CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
@@ -30,7 +30,7 @@ FARTHEST = 2**30
 
 
 class Unstable(RuntimeError):
-    """Raised if particles have left the grid's window or are not finite; the state is then
+    """Raised if particles have left the grid's window, or values are not finite; the state is
     unusable.
     """
 
@@ -58,20 +58,20 @@ class Grid:
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
         """Velocity and mass of each node after the grid update."""
         self.momenta = self.nodes
-        """Momentum and mass of each node: the array to which particles scatter."""
+        """Momentum and mass of each node, to which particles scatter."""
         self.apart = apart
         """Whether `momenta` is a separate array, which the gather then clears."""
         self._changes: wp.array | None = None
         self.particles = particles
         """The span of the body's particles."""
         self.stale = True
-        """Whether the particles may have moved so far that the window no longer fits them."""
+        """Whether the particles may have moved so far that the window no longer contains them."""
         self.layers: tuple[int, int] | None = None
-        """Range of layers (first <= i < last) that launches recorded now may change; None for all
+        """Layers (first <= i < last) that the launches being recorded may change; None for all
         layers.
         """
         self.worker, self.workers = 0, 1
-        """Index of the worker whose launches are recorded now, and the number of workers."""
+        """Index of the worker whose launches are being recorded, and number of workers."""
 
     @property
     def count(self) -> int:
@@ -82,7 +82,7 @@ class Grid:
     def only(
         self, layers: tuple[int, int] | None, worker: int = 0, workers: int = 1
     ) -> Iterator[None]:
-        """Record launches for a single worker within this context.
+        """Record launches for one worker within this context.
 
         Args:
             layers: Layers first <= i < last for the launches; None for all layers.
@@ -96,15 +96,15 @@ class Grid:
             self.layers, self.worker, self.workers = None, 0, 1
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Fit the window to the particles and a margin around them; return whether it changed.
+        """Fit the window to the particles with a margin; return whether the window changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
             upper: Highest corner of the particles [3], m.
 
         Raises:
-            Unstable: The particles are already outside the window, so that the grid did not move
-                them, or they are too far away for nodes to be numbered.
+            Unstable: Particles are outside the old window, so that the grid did not move them, or
+                they are too far away to number the nodes.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles moved {FARTHEST:.0e} cells away")
@@ -119,8 +119,8 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Allocate `size` [3] nodes with the value zero; the lowest node is `low` [3]."""
-        # One node more than the window, since the SIMD rows read four nodes at once.
+        """Allocate `size` [3] nodes with zero values; the lowest node is `low` [3]."""
+        # The array has one additional node, since SIMD code reads four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
@@ -133,23 +133,21 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the current wall; allocated at its first use, and zero
-        between walls.
+        """Change of each node's velocity by the current wall; allocated at first use, zero between
+        walls.
         """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
         return self._changes
 
     def reach(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the first node that particles in a box [m] touch, and the node after the last
-        one.
-        """
+        """Return the first node that particles in a box [m] use, and the node after the last."""
         low = np.floor((lower - self.origin) / self.dx - 0.5).astype(int)
         high = np.floor((upper - self.origin) / self.dx - 0.5).astype(int) + 3
         return low, high
 
     def run(self, particles: int) -> slice:
-        """Return the span of particles to which the current worker's launches may apply forces."""
+        """Return the span of particles to which the current worker may apply forces."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 
@@ -185,8 +183,8 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
     Args:
         grids: Grid of each body.
-        corners: Corners of the bounding box of each body's particles; infinite if all of the
-            particles are outliers.
+        corners: Corners of the bounding box of each body's particles; infinite if all particles are
+            outliers.
         returned: Whether an outlier has returned, possibly outside the window.
 
     Raises:
@@ -199,13 +197,13 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
         if present or not any(inside):
             changed |= grid.fit(*pair)
         else:
-            # When particles of the body return to the grid, the body needs a new window.
+            # When particles return to the grid, the body needs a new window.
             grid.stale = True
     return changed
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; a body without rows extends from -inf to
+    """Return the lowest and highest corner of each body; without rows, a body extends from -inf to
     inf.
 
     Args:

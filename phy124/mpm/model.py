@@ -25,7 +25,7 @@ PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Consecutive particles that belong to one body and have the same constitutive law."""
+    """Consecutive particles of one body with the same constitutive law."""
 
     law: Law
     start: int
@@ -71,30 +71,28 @@ class Model:
     origin: tuple[float, float, float]
     """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Length of substeps, as a fraction of the elastic limit, that the parameters of the laws
-    assume.
-    """
+    """Substep as a fraction of the elastic limit, on which parameters of the laws depend."""
     precision: str
     """float32 or float64."""
     device: str
     """Warp device, "cpu" or "cuda:0"."""
     form: str
-    """Form of the transfers: "simd" (float32 on the CPU), "plain" or "spline"."""
+    """Implementation of the transfers: "simd" (float32 on the CPU), "plain" or "spline"."""
     held: frozenset[int] = frozenset()
     """Indices of bodies that never move."""
     wet: frozenset[int] = frozenset()
-    """Indices of the bodies that consist of liquid, which another solver moves."""
+    """Indices of the liquid bodies, which another solver moves."""
     names: tuple[str, ...] = ()
-    """Names of the bodies; empty if they have none."""
+    """Names of the bodies; empty if the bodies have no names."""
     whole: Model | None = None
-    """The model of all bodies, if this model contains only some of them. The shapes of boundaries
+    """The model of all bodies, if this model contains only some bodies. The shapes of boundaries
     depend on all bodies.
     """
     least_stiffness: float = 1.0
-    """Smallest factor by which Young's modulus E of a particle is multiplied."""
+    """Smallest factor on Young's modulus E of a particle."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Function that returns the accelerations [P] that forces on particles cause; None if each
-    particle moves independently.
+    """Function that returns the accelerations [P] due to forces on particles; None if each particle
+    moves independently.
     """
 
     @classmethod
@@ -127,17 +125,17 @@ class Model:
             dx: Grid spacing [m].
             material: Index into `materials` for each particle [P]; particles of one law must be
                 consecutive. None: all particles have the first material.
-            stiffness: Factors by which Young's modulus E is multiplied [P]; None: 1.
+            stiffness: Factors on Young's modulus E [P]; None: 1.
             body: Index of each particle's body [P], counted from 0 and increasing; particles of one
                 law must be consecutive in each body. None: all particles are one body.
-            held: Bodies that never move: other bodies collide with them as with a wall.
+            held: Bodies that never move; for other bodies, they act like walls.
             wet: Bodies of liquid, which another solver moves.
-            names: Names of the bodies, in order of their indices.
+            names: Names of the bodies, in the order of the indices.
             origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
             precision: "float32" or "float64".
             device: Warp device.
-            simd: Whether to use SIMD rows if the device supports them.
+            simd: Whether to use SIMD code if the device supports it.
             gradient: Velocity gradient for stress and strain: "affine", from the affine velocity
                 around each particle, or "spline", from the gradients of the weights.
 
@@ -199,14 +197,14 @@ class Model:
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
         """Return the rest positions [Q,3], m, of a body's particles, or of all particles if the
-        name is None; also of bodies that only the whole model contains.
+        name is None. The body may belong only to the model of all bodies.
         """
         model = self if self.whole is None else self.whole
         return model.rest[model.named(name)]
 
     @property
     def moves(self) -> NDArray[np.bool_]:
-        """Whether each particle may move [P]; the particles of held bodies may not move."""
+        """Whether each particle may move [P]; the particles of fixed bodies may not."""
         free = np.ones(len(self), bool)
         for body in self.held:
             free[self.particles(body)] = False
@@ -239,8 +237,7 @@ class Model:
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """Return a recorded launch on the model's device, which can be repeated; None if it would
-        have no threads.
+        """Record a launch on the model's device; return None if the launch would have no threads.
 
         Args:
             kernel: The Warp kernel.
@@ -332,8 +329,8 @@ def _zero_held(motion: NDArray, model: Model) -> NDArray:
 
 
 def form_of(precision: str, device: str, gradient: str = "affine") -> str:
-    """Return the form of the transfers: "spline" if requested, "simd" for float32 on the CPU,
-    otherwise "plain".
+    """Return the implementation of the transfers: "spline" if requested, "simd" for float32 on
+    CPUs, otherwise "plain".
     """
     if gradient == "spline":
         return "spline"
@@ -348,14 +345,13 @@ def parameters(
     dx: float,
     cfl: float,
 ) -> NDArray[np.float64]:
-    """Return the parameters of the particles of a constitutive law: one row if all are equal,
-    otherwise one row per particle.
+    """Return the parameters of a law's particles: one row if all are equal, otherwise one per
+    particle.
 
     Args:
         materials: All materials.
         material: Index into `materials` of each particle [P].
-        stiffness: Factors [P] by which the parameters that are proportional to E are multiplied, or
-            None.
+        stiffness: Factors [P] on the parameters that are proportional to E, or None.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit of the substep.
     """
@@ -370,8 +366,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the range of particles of each law in each body: the first index, and the index after
-    the last.
+    """Return the range of particles of each law in each body: first and end index.
 
     Raises:
         ValueError: The particles of different bodies or laws are mixed, or a body has no particle.
@@ -380,7 +375,7 @@ def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> li
     law = np.array([laws.index(name) for name in laws])[material]
     steps = np.diff(body)
     if body[0] != 0 or np.any((steps != 0) & (steps != 1)):
-        raise ValueError("particles must be sorted by body, and bodies numbered from 0 on")
+        raise ValueError("particles must be sorted by body, and bodies must be numbered from 0")
     if np.any((np.diff(law) < 0) & (steps == 0)):
         raise ValueError("particles must be sorted by constitutive law")
     first = np.flatnonzero(np.diff(law, prepend=-1) | np.diff(body, prepend=-1))

@@ -1,10 +1,10 @@
-"""Outliers: particles far from all others, which move ballistically, without a grid.
+"""Outliers: particles far from all others, which move in free flight without a grid.
 
 The window grows with the particles, but a single particle that leaves at high speed must not make
-the window grow without bound. The grid is restricted to a box around the centre of the particles
-once the window would have more than `MAX_NODES` nodes, or more than `GROWTH` times the nodes of the
-initial window. Particles outside the box are counted, and only the uniform acceleration acts on
-them. A particle that returns to the box takes part in the transfers again.
+the window grow without bound. If the window would have more than `MAX_NODES` nodes, or more than
+`GROWTH` times the nodes of the initial window, the grid is therefore restricted to a box around the
+centre of the particles. Particles outside the box are counted, and only the uniform acceleration
+acts on them. A particle that returns to the box takes part in the transfers again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from phy124.mpm.workers import Part
 MAX_NODES = 2**25
 """Largest number of nodes in a window."""
 MIN_NODES = 2**20
-"""Number of nodes that a window is always allowed to have."""
+"""A window may always have this number of nodes."""
 GROWTH = 16
 """Largest ratio of the number of nodes in a window to the number of nodes in the initial window."""
 EVERYWHERE = 1e30
@@ -36,9 +36,7 @@ EVERYWHERE = 1e30
 
 
 class Outliers:
-    """The box to which the grid is restricted; it is infinite as long as the particles stay
-    together.
-    """
+    """The box to which the grid is restricted; infinite as long as the particles stay together."""
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -48,14 +46,12 @@ class Outliers:
         self.bounded = False
         self.indices = wp.zeros(0, dtype=int, device=model.device)
         """Indices of the particles that are currently outside the box."""
-        # The extent of the bulk of the particles at rest, ignoring single distant particles.
+        # The extent of the particles at rest, without single distant particles.
         runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
         first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
         self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
         self.most, self.changed = 0, False
-        """Largest number of outliers so far, and whether the last measurement changed the
-        indices.
-        """
+        """Largest number of outliers so far; whether the last measurement changed the indices."""
 
     @property
     def count(self) -> int:
@@ -63,7 +59,7 @@ class Outliers:
         return len(self.indices)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         half = self._half.tolist() if self.bounded else None
         return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
 
@@ -98,13 +94,12 @@ class Outliers:
         x = self._state.x.numpy().astype(np.float64)
         side = self._model.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)
         self._half, self.bounded = np.full(3, side / 2), True
-        # The box is centred on a particle, so that at least one particle is inside.
+        # The box is centred at a particle, so that at least one particle is inside.
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the launches for the gather of `part`; if there are outliers, launches before and
-        after it move them.
+        """Return the launches for the gather of `part`, including launches that move outliers.
 
         Args:
             part: Some of the particles.
@@ -140,6 +135,6 @@ class Outliers:
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 
     def _nodes(self, lower: NDArray, upper: NDArray) -> float:
-        """Return the number of nodes in a window over a box, as a float, which cannot overflow."""
+        """Return the number of nodes in a window over a box, as a float that cannot overflow."""
         cells = ((upper - lower) / self._model.dx).tolist()
         return math.prod(extent + 3 + 2 * MARGIN for extent in cells)

@@ -1,6 +1,6 @@
-"""Pairs: computes the contact between bodies, and the impulses that the bodies exchange.
+"""Pairs: computes the contact between bodies, and the impulses between them.
 
-Any two bodies may touch. Only pairs of bodies whose windows overlap have a launch, so bodies that
+Any two bodies may touch. There is a launch only for pairs with overlapping windows, so bodies that
 are far apart take no computing time.
 """
 
@@ -25,16 +25,14 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Length of the array of sums of each pair and worker; with this length, no two workers write to
-the same cache line.
+"""Length of the array of sums of a pair and worker, chosen so that no two workers write to one
+cache line.
 """
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 class Pair(NamedTuple):
-    """Parameters of the contact between two bodies; pairs that are not listed have the default
-    friction.
-    """
+    """Contact parameters of two bodies; pairs without such parameters have the default friction."""
 
     first: int
     """Index of a body."""
@@ -43,7 +41,7 @@ class Pair(NamedTuple):
     friction: float = 0.5
     """Coefficient of Coulomb friction."""
     sticky: bool = False
-    """Whether both bodies have the same velocity at every node where both have mass."""
+    """Whether both bodies have equal velocities at every node at which both have mass."""
 
 
 class Pairs:
@@ -68,8 +66,7 @@ class Pairs:
             )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """All pairs except pairs of two held bodies, because held bodies cannot act on each other.
-        """
+        """All pairs except pairs of two fixed bodies, which cannot act on each other."""
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
@@ -79,23 +76,21 @@ class Pairs:
         self._fill = fill_of(model)
 
     def begin(self) -> None:
-        """Start summing the impulses that bodies exchange."""
+        """Start summing the impulses between bodies."""
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the impulse of the first body on the second body, and the moment of the impulse
-        [pairs,6].
-        """
+        """Return the impulse and moment of the first body on the second body [pairs,6]."""
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS] + self._added
 
     def add(self, first: int, second: int, impulse: NDArray, moment: NDArray) -> None:
-        """Add an impulse that a liquid exchanges with a body.
+        """Add an impulse between a liquid and a body.
 
         Args:
             first: Index of a body.
             second: Index of the body on which the impulse acts.
             impulse: Impulse of the first body on the second [3], N s.
-            moment: Its moment about the origin [3], N m s.
+            moment: Moment of the impulse about the origin [3], N m s.
         """
         for index, pair in enumerate(self.all):
             if {pair.first, pair.second} == {first, second}:
@@ -103,7 +98,7 @@ class Pairs:
                 self._added[index] += sign * np.concatenate([impulse, moment])
 
     def impulse(self) -> NDArray[np.float64]:
-        """Return the impulse of held bodies on all other bodies since the start [3], N s."""
+        """Return the impulse of fixed bodies on all other bodies since the start [3], N s."""
         held = self._model.held
         signs = [(pair.first in held) - (pair.second in held) for pair in self.all]
         return np.array(signs, float) @ self._total()[:, :MOMENT]
@@ -113,8 +108,7 @@ class Pairs:
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Return, for each pair, the mean wrench of the first body on the second body, about the
-        origin.
+        """Return for each pair the mean wrench of the first body on the second, about the origin.
 
         The wrench of the second body on the first is the opposite.
 
@@ -128,13 +122,11 @@ class Pairs:
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the current sums."""
+        """Return a snapshot of the sums."""
         return {"sums": wp.clone(self._sums), "begun": self._begun, "added": self._added.copy()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, only the total of the sums is
-        restored.
-        """
+        """Restore the sums; if the number of workers differs, restore only the totals."""
         kept = snapshot["sums"]
         sums = np.asarray(kept.numpy() if isinstance(kept, wp.array) else kept)
         if sums.shape != self._sums.shape:
@@ -197,6 +189,6 @@ def kernels(real: Any) -> list[Any]:
 
 
 def _overlap(first: Grid, second: Grid) -> Box:
-    """Return the first lattice node that is in both windows, and the node after the last one."""
+    """Return the first node in both windows, and the node after the last."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

@@ -1,9 +1,9 @@
 """Step rejection: a substep that may be too long is run as a trial, and shortened if necessary.
 
-Before the gather, a substep changes only the velocities of pushed particles. A substep can
-therefore be rejected after the grid update, at the cost of one scatter. Only substeps that may be
-too long are run as trials: near the limits of speed and gradient, under forces on particles, or
-under a very large acceleration.
+Before the gather, a substep changes only velocities of particles on which forces act. A substep can
+therefore be rejected after the grid update, at the cost of one scatter. Substeps are run as trials
+only near the limits of speed and gradient, under forces on particles, or under a very large
+acceleration.
 """
 
 from __future__ import annotations
@@ -24,25 +24,19 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
-"""Largest number of trials; each trial's substep is at most half as long as the substep of the
-trial before.
-"""
+"""Largest number of trials; each trial is at most half as long as the trial before."""
 FIRST = 4
-"""Number of substeps at the start of a run that are run as trials if sudden forces act all the
-time.
-"""
+"""If sudden forces act all the time, this number of substeps at the start are trials."""
 PULL = 0.1
-"""Distance [cells]; a substep is run as a trial if forces could move a particle from rest by more
-than this distance.
-"""
+"""A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
 ROUNDED = 1 - 1e-6
-"""Fraction of the previous frame that the bounds also cover. If the fraction were 1, rounding could
+"""The bounds also cover this fraction of the previous frame. With the fraction 1, rounding could
 include forces that ended just before the previous frame.
 """
 
 
 class StepRejection:
-    """Decides whether substeps are run as trials, and runs the trials."""
+    """Decides which substeps are run as trials, and runs the trials."""
 
     def __init__(
         self,
@@ -72,15 +66,15 @@ class StepRejection:
         """Number of substeps that were rejected."""
 
     def keep(self, sums: Sums) -> None:
-        """Restore the given sums, too, after each rejected substep from now on."""
+        """From now on, restore these sums as well after each rejected substep."""
         self._accumulators = [*self._accumulators, sums]
 
     def begin(self, start: float, end: float) -> None:
         """Compute bounds of forces and walls from `start` to `end` [s].
 
-        Forces and walls that act outside the interval are ignored, so that a push does not shorten
-        the substeps of another frame. A kick includes half of the previous substep, so the duration
-        of one frame before `start` is also covered.
+        Forces and walls outside the interval are ignored, so that a push does not shorten the
+        substeps of another frame. A kick includes half of the previous substep, so the bounds also
+        cover one frame before `start`.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
         self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
@@ -95,14 +89,13 @@ class StepRejection:
         return self._pushy and (self._changing or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
-        """Return whether a substep may move a particle or a wall too far, according to the last
-        measurement.
+        """Return whether a substep may move a particle or a wall too far, by the last measurement.
 
         Args:
-            clock: Holds the last measurement.
+            clock: Clock with the last measurement.
             dt: Length of the substep [s].
-            flying: Whether no force, wall or other body is within reach of the window, so that a
-                high speed is harmless.
+            flying: Whether no force, wall or other body is near the window, so that a high speed is
+                harmless.
         """
         extremes, dx = clock.extremes, self._model.dx
         fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -114,19 +107,19 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured, which is the user's number
-        if this is safe.
+        """Return the number of substeps until speeds must be measured: the user's number if it is
+        safe.
 
         Args:
-            clock: Holds the last measurement.
+            clock: Clock with the last measurement.
             calm: Strain up to which no material stiffens significantly.
         """
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:
             return min(every, MEASURE_EVERY)
         speed, pulled = max(extremes.speed, self.wall), math.sqrt(self.acceleration)
-        # A wall or a body that moves into the next cell by a fraction of a cell strains it by this
-        # fraction.
+        # A wall or a body that moves into the next cell by a fraction of a cell strains the cell by
+        # this fraction.
         each = clock.stable().dt * max(
             speed / (calm * dx), clock.strain_rate / calm, pulled / math.sqrt(2 * calm * dx)
         )
@@ -136,8 +129,8 @@ class StepRejection:
         """Return the number of substeps in which no particle can leave the margin of its window.
 
         In substep k a particle moves by at most (v + k a dt) dt. Here a dt^2 is capped at `PULL`
-        cells. If a dt^2 is larger, substeps are run as trials, and the particles are measured after
-        a violent substep.
+        cells. If a dt^2 is larger, substeps are trials, and the particles are measured after a
+        violent substep.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):
@@ -157,7 +150,7 @@ class StepRejection:
             dt: Length of the first trial [s].
             scatter: Function that applies forces, scatters and updates the grid for a substep of a
                 given length [s].
-            grids: The grids; the largest speed of their nodes decides.
+            grids: The grids; the trial is accepted or rejected by the largest speed of their nodes.
 
         Returns:
             The accepted length [s], and whether the substep was violent. A substep is violent if a

@@ -1,8 +1,8 @@
-"""Repair: particles whose deformation no law can handle are reset to their rest shape.
+"""Repair: resets particles with invalid deformations to their rest shape.
 
-A few particles at a corner may be inverted although all other particles are sound. Particles whose
-deformation no law can handle are reset to F = I, and counted. In plastic and fluid material F_total
-grows without bound, so its norm is limited.
+A few particles at a corner may be inverted although all other particles are valid. Particles with
+deformations that no law can handle are reset to F = I and counted. In plastic and fluid material
+F_total grows without bound, so its norm is limited.
 """
 
 from __future__ import annotations
@@ -18,25 +18,23 @@ from phy124.mpm.clock import Clock
 from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
-"""Range of volume ratios that a law can handle; a particle outside this range is reset and
-counted.
-"""
+"""Range of valid volume ratios; a particle outside this range is reset and counted."""
 SOUND_F = 1e3
-"""Largest norm of a sound deformation gradient."""
+"""Largest norm of a valid deformation gradient."""
 NARROWEST = 1e-5
-"""Smallest allowed ratio of the smallest to the largest stretch; at a smaller ratio, rounding may
-change the sign of J.
+"""Smallest valid ratio of the smallest to the largest stretch; below it, rounding may change the
+sign of J.
 """
 MAX_TOTAL = 1e6
 """Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
 AFTER_STRAIN = 1.0
-"""Strain, as the sum of |C| dt over substeps, after which deformations are checked again."""
+"""Deformations are checked again after this strain (sum of |C| dt over substeps)."""
 NO_PARTICLE = 2**31 - 1
-"""An index larger than the index of any particle."""
+"""An index larger than any particle's index."""
 
 
 class Repair:
-    """Repairs the deformations of the particles in a run, from the first call of `begin` on.
+    """Repairs the deformations of a run's particles, after the first call of `begin`.
 
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """
@@ -47,8 +45,8 @@ class Repair:
         Args:
             model: The particles.
             state: State of the particles.
-            needed: Whether deformations are repaired; particles on lattices need no repair, since
-                their deformations are computed from the nodes.
+            needed: Whether deformations need repair; deformations on lattices do not, since they
+                are computed from the nodes.
         """
         self.count, self.first = 0, NO_PARTICLE
         """Number of resets in finished frames, and the lowest index of a reset particle."""
@@ -68,9 +66,7 @@ class Repair:
         self._started, self._strain, self._last = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
-        """Repair deformations again after a substep if the material has been strained by
-        `AFTER_STRAIN`.
-        """
+        """Repair deformations after a substep if the accumulated strain exceeds `AFTER_STRAIN`."""
         if not self._started:
             return
         self._strain += clock.extremes.gradient * (clock.time - self._last)
@@ -86,7 +82,7 @@ class Repair:
         self._launch(self._limit)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         return {"count": self.count, "first": self.first}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

@@ -1,6 +1,4 @@
-"""Runs the phases of a substep and other tasks on all workers; the threads wait for each other
-between phases.
-"""
+"""Runs the phases of a substep, and other tasks, on all workers."""
 
 from __future__ import annotations
 
@@ -11,20 +9,19 @@ from phy124.mpm.threads import Team
 from phy124.mpm.workers import Timings, run_timed
 
 Task = Callable[[int, int], None]
-"""Function that runs a phase or another task of a worker; its arguments are the worker's number and
-the task's.
+"""Function that runs a task (a phase or another task) of a worker, by numbers of worker and task.
 """
 
 
 class Runner:
-    """Runs all workers, each on a separate thread or one after another."""
+    """Runs all workers, one after another or on separate threads, which wait between phases."""
 
     def __init__(self, count: int, work: Task, timings: Timings) -> None:
         """Prepare the threads.
 
         Args:
             count: Number of workers.
-            work: Runs a phase or another task of one worker.
+            work: Function that runs a phase or another task of one worker.
             timings: Stages of the first worker, to which the waiting time is added.
         """
         self.team = Team[int](count, work)
@@ -51,9 +48,7 @@ class Runner:
             run_timed(self._timings, "wait", self.team.join)
 
     def complete(self, task: int) -> None:
-        """Run a task on all workers and wait for them; the time spent waiting is not added to any
-        stage.
-        """
+        """Run a task on all workers and wait; no stage includes the waiting time."""
         if self.team.alive:
             self.team.put(task)
             self._work(0, task)

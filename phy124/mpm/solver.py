@@ -1,8 +1,8 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated. They are
-repeated by one thread, by several threads that each process a part of the particles
-(phy124/mpm/workers.py), or by a CUDA device on its own (phy124/mpm/graph.py).
+The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated: by one
+thread, by several threads, each for a part of the particles (phy124/mpm/workers.py), or by a CUDA
+device without the host (phy124/mpm/graph.py).
 """
 
 from __future__ import annotations
@@ -47,22 +47,20 @@ from phy124.mpm.workers import (
 )
 
 MEASURE, GLANCE = -2, -3
-"""Two tasks of workers in addition to the phases: measure all limits, or only speeds."""
+"""Two tasks of workers besides the phases: measuring all limits, or only speeds."""
 CALM = 0.9
-"""Largest growth of the stiffness between two measurements, as a fraction of the growth that
-remains stable.
+"""Largest growth of the stiffness between two measurements, relative to the growth that remains
+stable.
 """
 
 
 class Solver:
-    """Advances a state in time under forces and boundaries by running the phases of substeps."""
+    """Advances a state in time under forces and boundaries."""
 
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """A launch of another solver, which runs after the grids are updated and before the walls
-    act.
-    """
+    """A launch of another solver, between the update of the grids and the walls."""
 
     def __init__(
         self,
@@ -91,17 +89,17 @@ class Solver:
             boundaries: Boundaries, in the order in which they act.
             accumulators: Sums that are updated in every substep.
             pairs: Pairs of bodies whose contact differs from the default.
-            free: Rigid solids that move freely.
+            free: Freely moving rigid solids.
             planes: Flat walls with which the free solids collide.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: chosen according to the numbers of free cores and
-                of particles.
-            graph: Whether to run frames as one graph on the device; None: on CUDA, with one body
-                only.
-            measure_every: Number of substeps between two measurements of the limits, used where it
-                is safe.
+            threads: Number of CPU threads; None: chosen from the numbers of free cores and
+                particles.
+            graph: Whether to run a frame as one graph on the device; None: on CUDA if there is one
+                body.
+            measure_every: Number of substeps between two measurements of the limits, used if it is
+                safe.
             scheme: The grid-to-particle transfer scheme.
-            gathered: Objects that read each part of the particles after each gather.
+            gathered: Objects that read each part of the particles after every gather.
 
         Raises:
             InputError: The region of a force holds no particle, or a boundary is too thin for the
@@ -127,18 +125,16 @@ class Solver:
         for reader in gathered:
             reader.allocate(model, count)
         self.pairs = Pairs(model, pairs, count)
-        """Contact between bodies, and the impulses that they exchange."""
+        """Contact between bodies, and the impulses between them."""
         self.free = FreeBodies(model, free)
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.flying = False
-        """Whether no force on particles, no wall and no other body is within reach of the
-        window.
-        """
+        """Whether no force on particles, no wall and no other body is near the window."""
         self._moved = False
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
-        """Factor by which the stiffness of all particles is currently multiplied."""
+        """Current factor on the stiffness of all particles."""
         self.runner = Runner(count, self._run_task, self.timings)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         self.bind(forces, boundaries, accumulators, planes)
@@ -210,7 +206,7 @@ class Solver:
             each: Whether `after` must be called after each substep, so that no graph is used.
 
         Raises:
-            Unstable: A particle left the grid's window or is no longer finite.
+            Unstable: A particle left the grid's window, or a value is not finite.
         """
         started, named = time.perf_counter(), self._seconds()
         self.rejection.begin(self.clock.time, until)
@@ -218,7 +214,7 @@ class Solver:
         if not self.clock.due:
             self.clock.interval = min(self.clock.interval, self._safe_interval())
         if len(self.workers) > 1:
-            # The measurement loads every kernel, which is not thread-safe later.
+            # The measurement loads every kernel; loading kernels later is not thread-safe.
             self._measure_if_due()
         with self.runner.on_threads():
             while self.clock.time < until:
@@ -238,8 +234,8 @@ class Solver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep in which velocities change for the time `kick` [s], and positions and F
-        for the time `drift` [s].
+        """Take one substep: change velocities for the time `kick` [s], positions and F for `drift`
+        [s].
         """
         self._measure_if_due()
         self._scatter(kick, drift)
@@ -248,13 +244,13 @@ class Solver:
         self.clock.finish(drift)
 
     def renew(self) -> None:
-        """Measure all limits again; call this method after changing the state from outside."""
+        """Measure all limits again; call after changing the state from outside."""
         self.clock.expire()
         for grid in self.grids:
             grid.stale = True
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs in order to continue bit for bit."""
+        """Return a snapshot from which `restore` continues bit for bit."""
         return {
             "state": self.state.snapshot(),
             "clock": self.clock.snapshot(),
@@ -267,9 +263,7 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore a snapshot; the run continues bit for bit only if the number of threads is the
-        same.
-        """
+        """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
         self.state.restore(snapshot["state"])
         self.clock.restore(snapshot["clock"])
         self.outliers.restore(snapshot["outliers"])
@@ -287,9 +281,7 @@ class Solver:
             self._record()
 
     def _restore_slabs(self, snapshot: dict[str, Any]) -> bool:
-        """Restore the slabs; return False if the snapshot was taken with another number of
-        threads.
-        """
+        """Restore the slabs; return False if the snapshot has a different number of threads."""
         if self.slabs is None:
             return True
         known = self.slabs.restore(snapshot)
@@ -299,7 +291,7 @@ class Solver:
         return known
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep; its stable length divides the remaining time evenly."""
+        """Take one substep; stable substeps of this length divide the remaining time evenly."""
         self._measure_if_due()
         clock = self.clock
         limit = clock.stable()
@@ -319,8 +311,7 @@ class Solver:
 
         def scatter(dt: float) -> None:
             if self.grid.apart:
-                # A rejected trial has scattered to the grid, and no gather has cleared the momenta
-                # since.
+                # After a rejected trial, no gather has cleared the scattered momenta.
                 self.grid.momenta.zero_()
             self._scatter((self.clock.last_dt + dt) / 2, dt)
             self.runner.join()
@@ -345,7 +336,9 @@ class Solver:
         measure = {MEASURE: worker.measure, GLANCE: worker.glance}.get(task)
         if measure is None:
             worker.run(task)
-        elif member == 0:  # The caller adds the time of the first worker to the calling thread's.
+        elif (
+            member == 0
+        ):  # The caller adds the time of the first worker to the time of the calling thread.
             measure()
         else:
             run_timed(worker.timings, "measure", measure)
@@ -392,7 +385,7 @@ class Solver:
             clock.interval = min(interval, room)
 
     def _calm_strain(self) -> float:
-        """Return the strain up to which the substep remains stable although materials stiffen."""
+        """Return the strain up to which the substep remains stable, although materials stiffen."""
         growth = max(CALM / self.clock.cfl**2, 1.05)
         stiffness = self.clock.extremes.stiffness / (self.model.least_stiffness * self.softened)
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
@@ -428,8 +421,8 @@ class Solver:
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit the slabs to their particles, or divide the particles again; return whether the slabs
-        have changed.
+        """Fit the slabs to the particles, or divide the particles again; return whether slabs
+        changed.
         """
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
@@ -447,8 +440,7 @@ class Solver:
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """Measure the particles, and return a row of maxima for each part of each worker, or for
-        each body.
+        """Measure the particles; return a row of maxima per part of each worker, or per body.
 
         Raises:
             Unstable: A particle is not finite.
@@ -466,7 +458,7 @@ class Solver:
             raise Unstable(f"{lost} particles are NaN or infinite")
 
     def _safe_interval(self) -> int:
-        """Return the safe number of substeps between two measurements of speeds."""
+        """Return a safe number of substeps between two measurements of speeds."""
         interval = min(self.clock.measure_every, MEASURE_EVERY)
         if not self.on_device:
             interval = self.rejection.interval(self.clock, self._calm_strain())

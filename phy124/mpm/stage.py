@@ -18,22 +18,22 @@ class Stage(NamedTuple):
     name: str
     """Name of the stage in reports, which list the time of each stage."""
     record: Callable[[Grid], wp.Launch | None]
-    """Function that records the launch for the grid's current window; it returns None if nothing is
-    within reach.
+    """Function that records the launch for the grid's current window; returns None if no launch is
+    needed.
     """
     sudden: bool = False
-    """Whether the stage may change a velocity abruptly, whatever its strength."""
+    """Whether the stage may change a velocity abruptly even if its strength is small."""
     in_newtons: bool = False
-    """Whether the stage's track is a force on each particle [N], not an acceleration [m/s^2]."""
+    """Whether the track holds a force on each particle [N] instead of an acceleration [m/s^2]."""
     keeps_C: bool = False
-    """Whether the stage never changes C, so that the sums of its work need not read C."""
+    """Whether the stage never changes C; sums of its work then need not read C."""
     by_run: bool = False
-    """Whether each worker records the stage only for the worker's particles (`Grid.run`)."""
+    """Whether each worker records the stage for only the worker's particles (`Grid.run`)."""
     alone: bool = False
-    """Whether one worker launches the stage for all layers while the others wait."""
+    """Whether one worker launches the stage for all layers while the other workers wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Function that records a single launch for the stage and the grid update; None if the two
-    cannot be combined.
+    """Function that records one launch for both the stage and the grid update; None if this is not
+    possible.
     """
     limit: Callable[[float, float], float] | None = None
     """Function that returns the largest acceleration of a particle [m/s^2] between two times [s];
@@ -41,7 +41,7 @@ class Stage(NamedTuple):
     """
     top_speed: Callable[[float, float], float] | None = None
     """Function that returns the speed [m/s] up to which the stage accelerates particles between two
-    times [s]; None if there is no such limit.
+    times [s]; None: no limit.
     """
 
 
@@ -54,7 +54,7 @@ class Attachable(Protocol):
         Args:
             model: The constants of the run.
             state: The arrays that the stages read and change.
-            tracks: The tracks to which quantities that change over time are added.
+            tracks: The tracks of the run, to which quantities that change over time are added.
         """
         ...
 
@@ -63,7 +63,7 @@ class Sums(Protocol):
     """Sums that are updated in every substep and restored after a rejected substep."""
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the current sums."""
+        """Return a snapshot of the sums."""
         ...
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -76,7 +76,7 @@ class Accumulator(Attachable, Sums, Protocol):
 
 
 Named = tuple[str, Callable[[], Any]]
-"""A name and a function, which repeats a launch."""
+"""The name of a launch, and a function that repeats the launch."""
 
 
 class Repeatable(Protocol):
@@ -88,9 +88,9 @@ class Repeatable(Protocol):
 
 
 Recorded = tuple[str, Repeatable | None]
-"""A name, and a recorded launch; None if there is nothing to launch."""
+"""The name of a launch, and the recorded launch; None if there is none."""
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """Return the named functions that repeat the recorded launches; empty launches are omitted."""
+    """Return named functions that repeat the recorded launches; omit missing launches."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

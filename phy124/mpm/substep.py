@@ -1,7 +1,7 @@
 """Records the launches of one substep for the current windows of the grids.
 
-A substep consists of push, clear, p2g, update, collide and g2p; each is one launch per law and
-worker. Repeating a recorded launch takes a few microseconds.
+A substep consists of push, clear, p2g, update, collide and g2p, with one launch per law and worker
+each. Repeating a recorded launch takes a few microseconds.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Transfers(NamedTuple):
 
     @classmethod
     def of(cls, law: Law, real: Any, form: str) -> Transfers:
-        """Return the kernels of a constitutive law for a precision and a form of the transfers."""
+        """Return a law's kernels for a precision and an implementation of the transfers."""
         return cls(
             measure.make_measure(law, real),
             transfer.make_p2g(law, real, form),
@@ -50,7 +50,7 @@ class Transfers(NamedTuple):
 
 
 def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels that one worker's substeps launch, without forces and boundaries."""
+    """Yield the kernels of a worker's substeps, except forces and boundaries."""
     yield make_update(real)
     yield measure.make_measure_speeds(real)
     for law in laws:
@@ -58,7 +58,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """Reads every part of the particles after the part's gather, without changing the particles."""
+    """An object that reads each part of the particles after the part's gather."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate memory for a number of workers."""
@@ -67,7 +67,7 @@ class Gathered(Protocol):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch for a part that a worker processes.
+        """Record the launch for a worker's part of the particles.
 
         Args:
             part: Particles of one law that a worker processes.
@@ -95,17 +95,17 @@ class Recorder:
     pairs: Pairs
     """Contact between bodies."""
     free: FreeBodies
-    """Rigid solids among the particles."""
+    """Freely moving rigid solids."""
     missed: wp.array
     """Flag of each worker [W,1]: 1 if g2p skipped a particle outside the window, otherwise 0."""
     fluctuation: Fluctuation | None = None
-    """Restores motion that the grid does not represent; None for APIC."""
+    """Object that restores motion that the grid does not represent; None for APIC."""
     gathered: Sequence[Gathered] = ()
-    """Objects that read each part right after the part's gather."""
+    """Objects that read each part of the particles right after the part's gather."""
     rpic: float = 0.0
     """Decay rate of the symmetric part of C [1/s]."""
     guest: Any = None
-    """Another solver's launch, which runs between the update of the grids and the walls."""
+    """A launch of another solver, between the update of the grids and the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -134,9 +134,7 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """Yield the phases of a worker for each pass over the grid that precedes the substep's
-        scatter.
-        """
+        """Yield a worker's phases for the passes over the grid before the substep's scatter."""
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -167,12 +165,12 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """A grid for launches that need one as an argument but do not use its nodes."""
+        """A grid for launches that need a grid as an argument but do not use its nodes."""
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return the force launches of a worker; the first worker gets all of them if one cannot be
-        divided.
+        """Return the launches of forces of a worker; if one cannot be divided, the first worker
+        gets all.
         """
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
@@ -182,8 +180,8 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return the phases of a worker: grid update, contact between bodies, contact with free
-        bodies, and walls.
+        """Return a worker's phases: grid update, contact of bodies, contact with free bodies, and
+        walls.
 
         Walls come last, so that no other stage can push material through them.
         """
@@ -210,7 +208,7 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return one launch for the grid update and a wall, or None if they need two launches."""
+        """Return one launch for both the grid update and a wall; None if it needs two launches."""
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)
@@ -226,8 +224,8 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return the launches of a worker for a wall and a body; some walls are handled by the
-        first worker alone.
+        """Return the launches of a worker for a wall and a body; the first worker handles some
+        walls alone.
         """
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
@@ -237,7 +235,7 @@ class Recorder:
             return wall.name, wall.record(grid)
 
     def _layers(self, grid: Grid, worker: int) -> tuple[int, int] | None:
-        """Return the layers of a shared grid that a worker updates; None for all layers."""
+        """Return the layers of a grid that a worker updates; None for all layers."""
         if self.slabs is None:
             return None
         first, last = (
@@ -246,7 +244,7 @@ class Recorder:
         return first, last
 
     def _clear(self, index: int, *, velocities: bool = False) -> Iterator[Named]:
-        """Yield the launches that clear the nodes to which a worker scatters.
+        """Yield the launches that clear a worker's nodes before the scatter.
 
         Args:
             index: Index of the worker.
@@ -287,8 +285,8 @@ class Recorder:
     def _scatter(self, part: Part) -> Iterator[Recorded]:
         """Yield the scatter of a part, preceded by RPIC damping if the scheme includes RPIC.
 
-        The damping does not run directly after the gather, so that measurements in between include
-        the strain of the substep.
+        The damping runs before the scatter instead of after the gather, so that measurements in
+        between include the strain of the substep.
         """
         if self.rpic > 0:
             inputs = [part.chosen, self.rpic, self.tracks.clock]
@@ -324,8 +322,8 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the launch with which a worker updates its share of a body's grid; by default with
-        the run's clock.
+        """Return the launch with which a worker updates a part of a body's grid; default: the run's
+        clock.
         """
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta

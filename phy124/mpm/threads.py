@@ -1,8 +1,8 @@
-"""A team of threads that run tasks together, one after another, and the barrier between tasks.
+"""A team of threads that run one task after another in parallel, with a barrier between tasks.
 
 Warp's CPU kernels release Python's global lock, so several threads can run kernels at the same
-time. The barrier spins inside a kernel, since putting a thread to sleep and waking it would take
-longer than a phase of a substep.
+time. The barrier spins inside a kernel, since putting a thread to sleep would take longer than a
+phase of a substep.
 """
 
 from __future__ import annotations
@@ -21,13 +21,11 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Number of spins at a barrier that only yield the core, and duration of the sleep [s] between
-later spins.
+"""Number of spins at a barrier that only yield the core; then, duration of the sleep between spins
+[s].
 """
 SPINS = 100_000
-"""Number of checks of the barrier per spin if there is a core for every thread; otherwise one check
-per spin.
-"""
+"""Number of checks of the barrier per spin if every thread has a core; otherwise one check."""
 Task = TypeVar("Task")
 
 
@@ -35,10 +33,10 @@ class Team(Generic[Task]):
     """Runs `work(member, task)` on a separate thread for each member; member 0 is the caller's
     thread.
 
-    `work` is not called for member 0, which is the caller: the caller starts a task for the others
-    with `put`, does the share of member 0 itself, and starts the next task. `put` first waits for
-    the other members. Load every kernel that `work` launches before entering `running`, since
-    loading is not thread-safe.
+    `work` is not called for member 0. The caller starts a task for the other members with `put`,
+    executes the part of member 0 itself, and starts the next task; `put` first waits for the other
+    members. Load every kernel that `work` launches before entering `running`, since loading is not
+    thread-safe.
     """
 
     def __init__(self, size: int, work: Callable[[int, Task], None]) -> None:
@@ -58,7 +56,7 @@ class Team(Generic[Task]):
     @contextmanager
     def running(self) -> Iterator[None]:
         """Start the threads; tasks can be started with `put` within this context."""
-        # Errors may remain from the previous context, if another error was raised first.
+        # Errors of the previous context may remain if another error was raised first.
         self._barrier, self._queue = Barrier(self.size), []
         self._errors = [None] * self.size
         threads = [
@@ -70,7 +68,7 @@ class Team(Generic[Task]):
                 thread.start()
             yield
         finally:
-            # Ctrl-C may have stopped the first thread anywhere, even between two barriers.
+            # Ctrl-C may have stopped the first thread at any point, even between two barriers.
             self._barrier.abandoned = True
             for thread in threads:
                 if thread.ident is not None:
@@ -78,7 +76,7 @@ class Team(Generic[Task]):
             self._barrier = None
 
     def put(self, task: Task) -> None:
-        """Wait until all members have finished their previous task, then start this task.
+        """Wait until all members have finished the previous task, then start a task.
 
         An exception of the previous task is re-raised. If several members failed, the exception of
         the member with the lowest number is raised.
@@ -86,7 +84,7 @@ class Team(Generic[Task]):
         self._hand_over(task)
 
     def join(self) -> None:
-        """Wait until all members have finished their task; re-raise any exception."""
+        """Wait until all members have finished; re-raise any exception."""
         self._hand_over(None)
 
     def _hand_over(self, task: Task | None) -> None:
@@ -110,7 +108,9 @@ class Team(Generic[Task]):
             try:
                 if task is not None:
                     self._work(member, task)
-            except BaseException as error:  # The first thread raises it after the barrier.
+            except (
+                BaseException
+            ) as error:  # The first thread raises the exception after the barrier.
                 self._errors[member] = error
 
 

@@ -5,9 +5,9 @@ d ln sigma, |v| is the largest speed, and |C| is the largest velocity gradient. 
 follows from an isolated particle, which is a harmonic oscillator with omega^2 = 4 A / (rho0 dx^2).
 See docs/design/physics.md.
 
-If the substep's length followed A in phase with a vibration, the vibration would gain energy. The
-assumed A therefore decays slowly after a measurement: leapfrog integration with substeps of equal
-length conserves energy.
+If the length of the substep followed A in phase with a vibration, the vibration would gain energy.
+Leapfrog integration with equal substeps conserves energy, so the assumed A decays slowly after a
+measurement.
 """
 
 from __future__ import annotations
@@ -21,24 +21,23 @@ from numpy.typing import NDArray
 from phy124.kernels.measure import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 
 CFL = 0.75
-"""Length of substeps as a fraction of the elastic limit."""
+"""Substep as a fraction of the elastic limit."""
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
 """Largest |C| dt; if |C| dt is below 1, an element cannot become inverted in one substep."""
 MEMORY = 0.95
-"""Factor by which an assumed stiffness decays within `MEASURE_EVERY` substeps after a measurement.
-"""
+"""Decay factor of the assumed stiffness within `MEASURE_EVERY` substeps after a measurement."""
 TRAVEL = 2
 """Largest distance that particles move between measurements of positions [cells]; the margin of the
-grid's window is twice this distance.
+grid's window is twice as wide.
 """
 MEASURE_EVERY = 4
-"""Number of substeps between two measurements of the limits that is safe for any motion."""
+"""Number of substeps between two measurements of the limits, safe for any motion."""
 
 
 class Extremes(NamedTuple):
-    """The largest values over all particles, which limit the substep."""
+    """The largest values of all particles, which limit the substep."""
 
     speed: float
     """|v| [m/s]."""
@@ -48,8 +47,7 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, with at least the speed `speed` and at least the decayed earlier
-        stiffness.
+        """Raise the extremes to at least the speed `speed` and the decayed earlier stiffness.
 
         Args:
             before: Extremes measured `substeps` earlier.
@@ -120,15 +118,13 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value that is assumed some substeps after its measurement; it decays by
-    `MEMORY`.
-    """
+    """Return the value assumed some substeps after a measurement; the value decays by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the stable fraction of the viscous limit if the fraction `cfl` of the elastic limit is
-    used.
+    """Return the stable fraction of the viscous limit for substeps of `cfl` times the elastic
+    limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.

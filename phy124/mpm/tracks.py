@@ -38,9 +38,7 @@ OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
 
 
 class Table(Section):
-    """Base class of time profiles, which are tables of times [s] and factors that are used once or
-    repeated.
-    """
+    """Base class of time profiles: tables of times [s] and factors, optionally repeated."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times since the start [s] and the factors at these times; factors are linear in
@@ -65,7 +63,7 @@ class Constant(Table):
 
 
 class Ramp(Table):
-    """Profile that changes linearly from one factor to another, and is then constant."""
+    """Profile that changes linearly from one factor to another and is then constant."""
 
     kind: Literal["ramp"] = "ramp"
     duration: float = Field(
@@ -84,10 +82,12 @@ class Sine(Table):
 
     kind: Literal["sine"] = "sine"
     frequency: float = Field(
-        default=1.0, ge=1e-5, le=1e4, description="Oscillations per second [Hz]."
+        default=1.0, ge=1e-5, le=1e4, description="Frequency of the oscillation [Hz]."
     )
     phase: float = Field(default=0.0, ge=-360, le=360, description="Phase at the start [degrees].")
-    offset: Factor = Field(default=0.0, description="Factor around which the sine oscillates.")
+    offset: Factor = Field(
+        default=0.0, description="Mean factor, around which the sine oscillates."
+    )
 
     @property
     def period(self) -> float:
@@ -102,12 +102,16 @@ class Sine(Table):
 
 
 class Keyframes(Table):
-    """Profile with factors at given times, linear in between."""
+    """Profile with factors at given times, and linear interpolation."""
 
     kind: Literal["keyframes"] = "keyframes"
-    times: tuple[Instant, ...] = Field(default=(0.0, 1.0), description="Times of the factors [s].")
-    factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at these times.")
-    repeat: bool = Field(default=False, description="Repeat from the first key after the last.")
+    times: tuple[Instant, ...] = Field(
+        default=(0.0, 1.0), description="Times at which the factors apply [s]."
+    )
+    factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at `times`.")
+    repeat: bool = Field(
+        default=False, description="Whether the profile repeats after the last time."
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Keyframes:
@@ -128,14 +132,14 @@ AnyProfile = Annotated[Constant | Ramp | Sine | Keyframes, Field(discriminator="
 
 
 def check_times(times: Sequence[float], values: int, name: str) -> None:
-    """Check that times increase from 0 or later, and that each time has a value.
+    """Check that times increase and are not negative, and that each time has a value.
 
     Raises:
         ValueError: A condition is not met.
     """
     if len(times) != values or len(times) < 2:
         raise ValueError(
-            f"{len(times)} times and {values} {name} do not match; give "
+            f"{len(times)} times and {values} {name} do not match; enter "
             "the same number of each, at least two"
         )
     if times[0] < 0 or any(a >= b for a, b in itertools.pairwise(times)):
@@ -144,8 +148,8 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """Keys in order of time; the value is linear between the keys, and constant before the first
-    and after the last.
+    """Values at given times (keys), linear in between, and constant before the first and after the
+    last key.
     """
 
     keys: tuple[Key, ...]
@@ -159,13 +163,13 @@ class Track:
     period: float = 0.0
     """Time after which the keys repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """True: the track is averaged over each kick, and is zero while inactive. False: the slot's
-    flags decide.
+    """True: the track is averaged over each kick and is zero while inactive. False: see the slot's
+    flags.
     """
 
     @classmethod
     def constant(cls, value: Sequence[float]) -> Track:
-        """Return a track with the same value at all times."""
+        """Return a track with a constant value."""
         x, y, z = value
         return cls(((0.0, (x, y, z)),))
 
@@ -204,16 +208,16 @@ class Track:
     def changes(self, start: float, end: float) -> bool:
         """Return whether the value may change from `start` to `end` [s].
 
-        A change exactly at `end` is excluded, since it acts only after `end`. Before `end`, a live
-        run does not know about a push that begins at `end`, but it must take the same substeps as a
-        run that knows about the push.
+        A change exactly at `end` is excluded, since it acts only after `end`. A live run does not
+        know before `end` about a push that begins at `end`, but must take the same substeps as a
+        repetition that knows about the push.
         """
         begins_or_ends = start <= self.start < end or start <= self.end < end
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:
         """Return an upper bound of the value's norm from `start` to `end` [s]; 0 if the track is
-        inactive then.
+        inactive.
         """
         if not self.acts(start, end):
             return 0.0
@@ -250,8 +254,8 @@ class Tracks:
 
         Args:
             track: The track.
-            limited: Whether the stage that reads the track has a separate limit, so that the
-                track's values are not used as bounds.
+            limited: Whether the stage that uses the track has its own limit, which replaces the
+                limit from the track's values.
             over: For a track with `mean` false: the interval (the kick or the substep ahead) over
                 which the value is averaged, even beyond the track's active time. If empty, the
                 current value is used.

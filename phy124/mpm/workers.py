@@ -1,17 +1,16 @@
-"""Workers: each worker processes a part of the particles and scatters them to a separate set of
-nodes.
+"""Workers: each worker processes a part of the particles, on a separate set of nodes.
 
-A worker scatters its particles into private nodes, updates its layers of the shared grid from all
-private nodes, and then gathers. A single worker has all particles and scatters to the shared grid.
+A worker scatters its particles to private nodes, updates some layers of the common grid from all
+private nodes, and then gathers. A single worker has all particles and scatters to the common grid.
 phy124/mpm/threads.py runs several workers in parallel.
 
-With several workers, each has slabs of particles. The particles of each group, which are sorted in
-layers along the longest axis (phy124/simulation/setup.py), are divided into slabs of equal particle
-numbers. A slab has the nodes that its particles can touch until the next measurement: the nodes of
-the slab's layers, and a margin on each side. As the object rotates or flows, slabs begin to
-overlap. Once the slabs have too many nodes in total, the particles are divided again by their
-current positions. Workers then access their particles through lists of indices, which makes a
-substep up to twice as expensive. Particles are therefore rarely divided again.
+With several workers, the particles of each group are divided into slabs with equal numbers of
+particles; the particles are sorted in layers along the longest axis (phy124/simulation/setup.py). A
+slab has the nodes that its particles can use until the next measurement: the nodes of the slab's
+layers, and a margin on each side. When the object rotates or flows, slabs begin to overlap. If the
+slabs have too many nodes in total, the particles are divided again by their current positions.
+Workers then access their particles through lists of indices, so a substep becomes up to twice as
+expensive. Particles are therefore rarely divided again.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ from phy124.mpm.timestep import Maxima
 from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
-"""Smallest number of particles per worker; with fewer particles, barriers take more time than
-threads save.
+"""Smallest number of particles per worker; with fewer, barriers take more time than threads save.
 """
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
@@ -46,22 +44,22 @@ SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "foll
 the functions that are called after each substep (progress, budget and observers).
 """
 NODES, GROWN = 16, 1.25
-"""Thresholds above which particles are divided again. `NODES`: number of nodes in slabs per
-particle, which also limits the memory. `GROWN`: growth of the ratio of the slabs' nodes to the
-window's nodes since the last division.
+"""Thresholds for dividing the particles again. `NODES`: number of nodes in slabs per particle,
+which also limits the memory. `GROWN`: growth, since the last division, of the ratio of the slabs'
+nodes to the window's nodes.
 """
 GAP, LINE = 1, 4
-"""`GAP`: gap between two slabs [nodes], because SIMD rows touch one more node. `LINE`: nodes per
-cache line; no two workers ever write to the same cache line.
+"""`GAP`: gap between two slabs [nodes], because SIMD code reads one additional node. `LINE`: nodes
+per cache line; no two workers write to one cache line.
 """
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
-"""Seconds and number of launches by name of the stage."""
+"""Seconds and number of launches, keyed by the name of the stage."""
 
 
 @dataclass
 class Part:
-    """The particles of one group that a worker processes."""
+    """A worker's particles of one group."""
 
     group: Group
     particles: slice
@@ -71,7 +69,7 @@ class Part:
     count: int
     """Number of particles."""
     nodes: Grid
-    """The nodes to which the part scatters: the body's shared grid, or private nodes."""
+    """The nodes to which the part scatters: the common grid of the body, or private nodes."""
     maxima: wp.array
     """Maxima measured over the part (phy124/kernels/measure.py)."""
 
@@ -82,7 +80,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the given indices that belong to the part's particles."""
+        """Return those of some indices that belong to the part's particles."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -131,8 +129,8 @@ class Slabs:
 
         Args:
             model: The particles.
-            state: Their positions.
-            grids: The shared grid of each body.
+            state: Positions of the particles.
+            grids: The common grid of each body.
             count: Number of workers.
         """
         self._model, self._state, self._grids = model, state, grids
@@ -147,7 +145,7 @@ class Slabs:
         self.starts: list[wp.array] = []
         """Index in the pool of the first node of each slab of each body."""
         self.runs: list[wp.array] = []
-        """Nodes in the pool that belong to each worker."""
+        """Each worker's nodes in the pool."""
         self._owner = np.zeros(len(model), np.int16)
         self._share = 0.0
         """Ratio of the slabs' nodes to the window's nodes after the last division."""
@@ -166,14 +164,14 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown so far that dividing the particles again would save time."""
+        """Whether slabs have grown so much that dividing the particles again would save time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give the workers equal shares of each group's particles, in the order of memory or in the
-        order `order` [P].
+        """Give the workers equal numbers of each group's particles, in memory order or in the order
+        `order` [P].
         """
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
@@ -185,7 +183,7 @@ class Slabs:
         self._share_out()
 
     def divide_again(self, lower: NDArray, upper: NDArray) -> None:
-        """Divide the particles along the longest axis of a box with these corners [m]."""
+        """Divide the particles along the longest axis of a box, given by its corners [m]."""
         x: NDArray[Any] = self._state.x.numpy()
         layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
         orders = [
@@ -195,17 +193,16 @@ class Slabs:
         self.divide(np.concatenate(orders))
 
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
-        """Make the nodes of every slab cover the slab's particles; return whether the nodes
-        changed.
+        """Fit the nodes of every slab to the slab's particles; return whether the nodes changed.
 
         Args:
             rows: Measurements of the particles of each part [parts,COUNT].
-            force: Whether the shared window has changed.
+            force: Whether the common window has changed.
         """
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):
             return False
-        # All slabs are fitted at once, so that no other slab has to change soon.
+        # All slabs are fitted together, so that no other slab has to change soon.
         boxes = []
         for part, reach in zip(self.parts, reaches, strict=True):
             grid = self._grids[part.group.body]
@@ -217,7 +214,7 @@ class Slabs:
         return True
 
     def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
-        """Return the nodes that the measured particles of a part can touch; None if all of them are
+        """Return the nodes that a part's measured particles can use; None if all particles are
         outliers.
         """
         grid = self._grids[part.group.body]
@@ -245,13 +242,13 @@ class Slabs:
         return cast("wp.array", self.pool[first:last])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state that `restore` needs, as plain data and arrays."""
+        """Return a snapshot of the state, as plain data and arrays."""
         boxes = [[part.nodes.low.tolist(), part.nodes.size.tolist()] for part in self.parts]
         count = len(self.workers)
         return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
 
     def restore(self, snapshot: dict[str, Any]) -> bool:
-        """Restore a snapshot; return False if it was taken with another number of workers."""
+        """Restore a snapshot; return False if the number of workers differs."""
         if snapshot.get("workers") != len(self.workers):
             self.divide()
             return False
@@ -287,7 +284,7 @@ class Slabs:
 
 
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
-    """Return a single worker, which scatters all particles to the shared grids of their bodies."""
+    """Return a single worker, which scatters all particles to the common grids of the bodies."""
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
@@ -303,9 +300,7 @@ def numbers(count: int, model: Model) -> wp.array:
 
 
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
-    """Return the requested number of workers, or the fastest number if none is requested; 1 on a
-    GPU.
-    """
+    """Return the requested or, by default, the fastest number of workers; 1 on a GPU."""
     if device != "cpu":
         return 1
     if asked is not None:
@@ -325,7 +320,7 @@ def run_timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result
 
 
 def run_launches(timings: Timings, named: Sequence[Named]) -> None:
-    """Run launches; the time between two launches counts towards the later launch."""
+    """Run launches; the time between two launches counts as time of the later launch."""
     before = time.perf_counter()
     for name, launch in named:
         launch()
@@ -343,9 +338,7 @@ def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether the margin of the private nodes of a part suffices until the next
-    measurement.
-    """
+    """Return whether the margin of a part's private nodes suffices until the next measurement."""
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach
