@@ -1,4 +1,4 @@
-"""Observers of a run: each observer is in a separate file, and all are listed in `OBSERVERS`."""
+"""Observers of a run, one per file; `OBSERVERS` lists all observers."""
 
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.coupled import (
@@ -46,8 +46,8 @@ OBSERVERS: tuple[type[Observer], ...] = (
 """All observers, in the order in which a run calls them.
 
 Each observer wraps the stages that earlier observers return. `ExternalWork` therefore measures all
-walls together, around the measurements of single walls. A violation ends an attempt, so `Tearing`
-reads only sound frames.
+walls together, around the measurements of single walls. An error ends an attempt, so `Tearing`
+reads only valid frames.
 """
 LIQUID_OBSERVERS: tuple[type[Observer], ...] = tuple(
     MeanWork if observer is ExternalWork else observer for observer in OBSERVERS
@@ -66,9 +66,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWatchdog,
     Sleep,
 )
-"""Observers of bodies that are simulated on lattices; tearing is not observed, since lattices
-cannot tear.
-"""
+"""Observers of bodies on lattices; there is no `Tearing`, since lattices cannot tear."""
 COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledPairs,
     LatticeSelfContact,
@@ -78,11 +76,11 @@ COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledWork,
     CoupledWatchdog,
 )
-"""Observers of runs with both bodies on lattices and bodies of particles."""
+"""Observers of runs with both bodies on lattices and particle bodies."""
 
 
 def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
-    """Return the observers of a scene's solver."""
+    """Return the observers for a scene's solver."""
     if scene.couples:
         return COUPLED_OBSERVERS
     if scene.projects and not scene.mixes:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 STAGE = "contacts"
 """Name of the stages that sum contact impulses."""
 PARTICLE_COST = 20
-"""Cost of distributing the impulse of one wall to the particles [ns per particle]."""
+"""Cost of distributing a wall's impulse to the particles [ns per particle]."""
 
 
 class Contacts(Observer):
@@ -40,7 +40,7 @@ class Contacts(Observer):
 
     def __init__(self) -> None:
         self._impulses: dict[int, wp.array] = {}
-        """Impulse on each particle [P,3], N s, separately for each worker."""
+        """Impulse on each particle [P,3], N s, one array per worker."""
         self._setup: Observed | None = None
         self._nearest_gaussian: NDArray[np.int64] | None = None
 
@@ -75,7 +75,7 @@ class Contacts(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> list[Attachable]:
-        """Return the walls with stages that measure before and after each wall acts."""
+        """Return the walls with measuring stages before and after each wall."""
         pairs = zip(walls, walls if inner is None else inner, strict=True)
         return [Measured([wrapped], partial(self._measure, wall)) for wall, wrapped in pairs]
 
@@ -88,7 +88,7 @@ class Contacts(Observer):
         """Return the frame with the mean force on each moving Gaussian [N,3], N.
 
         The mean force is taken over the time since the previous frame. The force on an inner
-        particle is added to the force on the nearest Gaussian.
+        particle acts on the nearest Gaussian.
         """
         assert self._setup is not None
         moving = self._setup.scenery.moving
@@ -99,13 +99,13 @@ class Contacts(Observer):
         return replace(frame, contacts=np.stack(sums, axis=1).astype(np.float32))
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return, for each particle, the moving Gaussian to which its impulse is assigned [P]."""
+        """Return for each particle the moving Gaussian that receives the particle's impulse [P]."""
         moving, particles = setup.scenery.moving, setup.particles
         nearest = scipy.spatial.KDTree(moving.means).query(particles.x)[1]
         return np.where(particles.gaussian >= 0, particles.gaussian, nearest)
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulse on each particle since the frame began [P,3], N s."""
+        """Return the impulse on each particle since the start of the frame [P,3], N s."""
         return self.impulses(len(setup.particles))
 
     def impulses(self, count: int) -> NDArray[np.float64]:
@@ -116,7 +116,7 @@ class Contacts(Observer):
         return total
 
     def snapshot(self) -> dict[str, Any]:
-        """Return copies of the sums of impulses."""
+        """Return a snapshot of the sums of impulses."""
         return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -130,8 +130,7 @@ class Contacts(Observer):
     ) -> tuple[Stage, Stage, Stage]:
         """Return the stages that measure a wall: one before the wall acts, and two after.
 
-        The wall itself acts in `stages`, which run between the first and the second of the returned
-        stages.
+        The wall itself acts in `stages`, between the first and the second of the returned stages.
         """
         del stages
         near = NodesNear([wall], model)
@@ -141,8 +140,7 @@ class Contacts(Observer):
         def before(grid: Grid) -> wp.Launch | None:
             nonlocal corners
             near.fit(grid)
-            # There is one pair of corners per worker, since each worker has separate layers of
-            # nodes.
+            # Each worker has a pair of corners, since workers have separate layers of nodes.
             corners = [wp.zeros(3, dtype=int, device=model.device) for _ in range(2)]
             return model.launch(copy, near.threads, near.read, [near.copy, *corners])
 
@@ -161,10 +159,9 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the array [P,3] in which a worker sums the impulse on each particle.
+        """Return the array [P,3] of a worker's sums of the impulse on each particle.
 
-        The nodes of several workers may act on the same particle, so each worker has a separate
-        array.
+        Nodes of several workers may act on one particle, so each worker has a separate array.
         """
         if grid.worker not in self._impulses:
             zeros = wp.zeros(len(model), dtype=wp.vec3d, device=model.device)
@@ -173,7 +170,7 @@ class Contacts(Observer):
 
 
 def contact_kernels(real: Any) -> tuple[Any, Any, Any]:
-    """Return the kernels that measure contacts: one before a wall acts, two after."""
+    """Return the kernels that measure contacts: one before a wall acts, and two afterwards."""
     return (
         kernels.make_contact_copy(real),
         kernels.make_contact_reach(real),

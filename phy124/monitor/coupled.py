@@ -1,7 +1,7 @@
-"""Observers of runs with both bodies on lattices and bodies of particles.
+"""Observers of runs with both bodies on lattices and particle bodies.
 
-On lattices, the contact with each wall sums the wall's impulse (phy124/monitor/lattice.py). On the
-grids of the particles, observers measure the impulses of the walls.
+On lattices, the contact with a wall sums the wall's impulse (phy124/monitor/lattice.py). On the
+grids of particles, observers measure the impulses of walls.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class CoupledTotals(Totals):
-    """Sums of momentum and energy over the particles and over the nodes of lattices."""
+    """Sums of momentum and energy over particles and lattice nodes."""
 
     def __init__(self, solver: CoupledSolver) -> None:
         """Record the launches."""
@@ -63,29 +63,27 @@ class CoupledWatchdog(LatticeWatchdog):
 
 
 class CoupledWork(ExternalWork):
-    """External impulse and work on lattices and particles."""
+    """Sums external impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, so that the solver's sums for walls on lattices are also read."""
+        """Bind to the solver, in order to read the solver's sums for walls on lattices as well."""
         self._solver = solver
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the sums of the earlier walls, and read the sums of the current walls from now
-        on.
-        """
+        """Keep the sums of the previous walls, and read the sums of the new walls from now on."""
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums
 
 
 class CoupledWrenches(Wrenches):
-    """Wrenches that lattices and particles exert on walls, and wrenches between bodies."""
+    """Measures the wrenches of lattices and particles on walls, and wrenches between bodies."""
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Sequence[Attachable]:
-        """Return the walls with measuring stages, and store the names of the walls' parts."""
+        """Return the walls with measuring stages; store the names of the walls."""
         self._parts = [
             name if len(wall.parts()) == 1 else f"{name}_{part}"
             for name, wall in zip(wall_names(walls), walls, strict=True)
@@ -94,7 +92,7 @@ class CoupledWrenches(Wrenches):
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in which walls sum their impulses on lattices."""
+        """Bind to the solver, which sums the impulses of walls on lattices."""
         super().bind(solver, observers)
         self._before = self._now()
 
@@ -104,7 +102,7 @@ class CoupledWrenches(Wrenches):
         self._before = self._now()
 
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
-        """Return the mean wrench on a wall since the frame began."""
+        """Return the mean wrench on a wall since the start of the frame."""
         force, torque = super().of_wall(wall, centre, fps)
         rows = self._before - self._now()
         for name, row in zip(self._parts, rows, strict=True):
@@ -121,7 +119,7 @@ class CoupledWrenches(Wrenches):
 
 
 class CoupledContacts(Contacts):
-    """The force of walls on each Gaussian, from particles and lattices."""
+    """Measures the force of walls on each Gaussian, for particles and lattices."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
@@ -130,12 +128,12 @@ class CoupledContacts(Contacts):
         yield from LatticeContacts.kernels(subject, real)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Start to sum the impulses that walls exert on lattices."""
+        """Start to sum the impulses of walls on lattices."""
         self._lattices = LatticeContacts()
         self._lattices.bind(solver.lattice)
 
     def change(self, scene: Scene) -> None:
-        """Start to sum the impulses that the new walls exert on lattices."""
+        """Start to sum the impulses of new walls on lattices."""
         self._lattices.change(scene)
 
     def before_attempt(self, *, closely: bool = False) -> None:
@@ -144,9 +142,7 @@ class CoupledContacts(Contacts):
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return, for each particle, surface point and node, the Gaussian to which its impulse is
-        assigned.
-        """
+        """Return the Gaussian for the impulse of each particle, surface point and node."""
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
@@ -157,9 +153,7 @@ class CoupledContacts(Contacts):
 
 
 class CoupledPairs(LatticePairs):
-    """The row of the effects report that names the bodies simulated on lattices and the bodies made
-    of particles.
-    """
+    """The row of the effects report that lists the bodies on lattices and the particle bodies."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

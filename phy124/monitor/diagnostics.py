@@ -1,6 +1,6 @@
-"""Measures momentum, energy and volume ratios of a state, and finds unsound particles.
+"""Measures momentum, energy and volume ratios of a state, and finds invalid particles.
 
-Descriptions of particles and substeps are made only after a problem has been detected.
+Particles and substeps are described only after a problem has been detected.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NO_PARTICLE = 2**31 - 1
-"""An index larger than the index of any particle."""
+"""An index larger than any particle's index."""
 VECTORS = ("momentum", "angular", "middle")
 """Names of the fields that are vectors."""
 LIMITS = {
@@ -34,7 +34,7 @@ LIMITS = {
     "user": "time.substep",
     "wave": "the waves on its surface",
 }
-"""Maps each limit of the substep to a phrase that messages use."""
+"""Phrases for messages, by limit of the substep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,11 @@ class Diagnostics:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """Kinetic energy [J] after the last kick, half a substep before the time of the positions.
-    """
+    """Kinetic energy [J] after the last kick, half a substep before the time of the positions."""
     elastic: float
     """Elastic energy [J]."""
     lag: float
-    """Change of the kinetic energy [J] from the time of the velocities to the time of the elastic
+    """Change of the kinetic energy [J] between the time of the velocities and of the elastic
     energy.
     """
     middle: NDArray[np.float64]
@@ -71,10 +70,10 @@ class Diagnostics:
 
     @property
     def energy(self) -> float:
-        """Kinetic plus elastic energy at the same time [J].
+        """Sum of kinetic and elastic energy at the same time [J].
 
-        It is the sum of m/2 v(t - dt/2) . v(t + dt/2) and psi(t), which leapfrog integration
-        conserves exactly in a vibration.
+        The value is the sum of m/2 v(t - dt/2) . v(t + dt/2) and psi(t). Leapfrog integration
+        conserves this sum exactly in a vibration.
         """
         return self.kinetic + self.elastic + self.lag
 
@@ -96,7 +95,7 @@ class Totals:
 
         Args:
             model: The constants of the run.
-            state: The state that each call of `read` sums.
+            state: The state, over which `read` sums.
         """
         device, sums = model.device, at.SUMS
         self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
@@ -144,7 +143,7 @@ class Totals:
 
 
 def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
-    """Split an array into its first elements and the others."""
+    """Split an array into the first elements and the others."""
     return cast("wp.array", array[:count]), cast("wp.array", array[count:])
 
 
@@ -154,9 +153,7 @@ def diagnose(solver: AnySolver) -> Diagnostics:
 
 
 def energies(model: Model, state: State) -> NDArray[np.float64]:
-    """Return the kinetic plus elastic energy of each particle [P], J; infinity if it is not
-    finite.
-    """
+    """Return kinetic plus elastic energy of each particle [P], J; NaN becomes infinity."""
     energy = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
         part = group.particles
@@ -168,7 +165,7 @@ def energies(model: Model, state: State) -> NDArray[np.float64]:
 
 
 def speeds(state: State) -> NDArray[np.float64]:
-    """Return the speed of each particle [P], m/s; infinity if it is not finite."""
+    """Return the speed of each particle [P], m/s; NaN becomes infinity."""
     velocities: NDArray[Any] = state.v.numpy()
     return _finite_or_infinity(np.linalg.norm(velocities.astype(np.float64), axis=1))
 
@@ -188,12 +185,12 @@ def law_of(model: Model, index: int) -> str:
     """Return the name of a particle's constitutive law, as written in scene files."""
     kernel = next(g.law.name for g in model.groups if g.start <= index < g.stop)
     sections = [section for section in model.materials if section.device_law.name == kernel]
-    # A law that is not part of phy124 may have no name.
+    # A law from outside phy124 may have no name.
     return " or ".join(sorted({str(getattr(section, "law", kernel)) for section in sections}))
 
 
 def describe_particle(model: Model, state: State, index: int) -> str:
-    """Return a phrase with a particle's index, law, position and speed."""
+    """Return a phrase for messages with a particle's index, law, position and speed."""
     rest, now = _position(model.rest[index]), np.asarray(state.x.numpy())[index]
     words = f"particle {index} of law {law_of(model, index)}, at {rest} m at rest"
     speed = speeds(state)[index]
@@ -203,9 +200,7 @@ def describe_particle(model: Model, state: State, index: int) -> str:
 
 
 def describe_substep(model: Model, state: State, clock: Clock) -> str:
-    """Return a phrase with the current substep, the limit that determines it, and the fastest
-    particle.
-    """
+    """Return a phrase for messages with the substep, its limit, and the fastest particle."""
     limit = clock.stable()
     fastest = describe_particle(model, state, int(speeds(state).argmax()))
     return (

@@ -1,9 +1,9 @@
-"""Dissipation: computes the energy lost to the material, to walls and to the grid.
+"""Dissipation: computes how much energy is lost to the material, to walls and to the grid.
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
-materials also dissipate the work of the rate-independent part of their stress, minus the elastic
-energy that is stored. Walls dissipate energy by friction. All other losses are numerical; they
-occur in the transfers and in the layer of cells that a wall stops.
+materials also dissipate the work of the rate-independent part of their stress, minus the stored
+elastic energy. Walls dissipate energy by friction. All other losses are numerical: they occur in
+the transfers, and in the layer of cells that a wall stops.
 """
 
 from __future__ import annotations
@@ -27,24 +27,22 @@ from phy124.mpm.workers import Part
 STAGE = "dissipation"
 """Name of the stages that sum the work of the stress."""
 STRIDE = 16
-"""Length of the row of sums of each worker; with this length, no two workers write to the same
-cache line.
-"""
+"""Length of each worker's row of sums, chosen so that no two workers write to one cache line."""
 
 
 class Loss(NamedTuple):
-    """Energy [J] lost since the start to each cause."""
+    """Energy [J] lost since the start, by cause."""
 
     material: float
     """Energy lost to viscosity, plastic flow and fluid flow."""
     contact: float
     """Energy lost to friction at walls."""
     numerical: float
-    """Energy lost by the numerical errors of grid and substeps; negative if energy was gained."""
+    """Energy lost by numerical errors of grid and substeps; negative if energy was gained."""
 
     @property
     def total(self) -> float:
-        """Energy lost to all causes [J]."""
+        """Total lost energy [J]."""
         return sum(self)
 
 
@@ -58,7 +56,7 @@ class Dissipation(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests the energy lost to each cause."""
+        """Return whether the scene requests the lost energy by cause."""
         return subject.scene.checks.energy and not subject.scene.projects
 
     @classmethod
@@ -69,7 +67,7 @@ class Dissipation(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
         """Return the row of the effects report for the work of the stress."""
-        why = "checks.energy is off: the lost energy is not divided by cause"
+        why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of the stress", cls.called_for(subject), why)
 
     def allocate(self, model: Model, workers: int) -> None:
@@ -85,7 +83,7 @@ class Dissipation(Observer):
         """Record the launch that sums the work of the stress in a worker's part.
 
         Args:
-            part: Particles of one law that a worker processes.
+            part: A worker's particles of one law.
             worker: Index of the worker.
             model: The particles' constants.
             state: The state after the gather.
@@ -101,13 +99,13 @@ class Dissipation(Observer):
         return STAGE, model.launch(kernel, threads, inputs, outputs)
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
-        """Return the energy [J] lost to each cause: the material, the walls and the grid.
+        """Return the energy [J] lost to the material, to the walls and to the grid.
 
         Args:
-            gained: Current energy of the body, minus the energy at the start and the work of all
-                forces and walls [J].
+            gained: Current energy of the body minus the initial energy and the work of all forces
+                and walls [J].
             rubbed: Energy lost to friction at walls [J].
-            stored: Current elastic energy, minus the elastic energy at the start [J].
+            stored: Current elastic energy minus the initial elastic energy [J].
         """
         assert self._sums is not None
         rows: NDArray[Any] = self._sums.numpy()
@@ -118,10 +116,10 @@ class Dissipation(Observer):
         return Loss(material, rubbed, -gained - material)
 
     def details(self, loss: Loss, change: float) -> dict[str, float]:
-        """Return further terms of the energy balance [J]; by default, there are none.
+        """Return further terms of the energy balance [J]; none by default.
 
         Args:
-            loss: Energy lost to each cause.
+            loss: Lost energy by cause.
             change: Change of the energy.
         """
         del loss, change
@@ -131,7 +129,7 @@ class Dissipation(Observer):
         """Start counting from the current state."""
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the current sums, and the stress at the start of the next substep."""
+        """Return a snapshot: the sums, and the stress at the start of the next substep."""
         assert self._sums is not None
         return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
 
@@ -148,5 +146,5 @@ class Dissipation(Observer):
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
-    """Return the time [s] spent on computing the losses, computed from the times of the stages."""
+    """Return the time [s] for computing the losses, from the times of the stages."""
     return timings.get(STAGE, (0.0, 0))[0]

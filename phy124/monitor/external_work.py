@@ -1,8 +1,8 @@
-"""External work: sums the impulse and work of forces and walls on the object, in every substep.
+"""External work: sums impulse and work of forces and walls on the object in every substep.
 
 Velocities are stored before the forces on particles or the walls act, and compared with the
 velocities afterwards. A constant uniform acceleration contributes the impulse M a dt and the work M
-a . dx, which needs no launch. If the acceleration varies in time, a kernel of one thread adds its
+a . dx, which needs no launch. If the acceleration varies in time, a single-thread kernel adds its
 impulse and work at the end of each substep.
 """
 
@@ -35,20 +35,16 @@ if TYPE_CHECKING:
 STAGE = "external work"
 """Name of the stages that sum external work."""
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
-"""Names of the causes of external work: forces on particles, walls, and a varying uniform
-acceleration.
-"""
+"""Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Names of further causes: forces on points, and walls, whose work on lattices and projected
-liquids is computed with the mean velocities of a step.
+"""Further causes: forces on points, and walls, on lattices and projected liquids. Their work is
+computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
-"""Length of the array of sums of each worker; with this length, no two workers write to the same
-cache line.
-"""
+"""Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Slice of the sums that holds the impulse."""
+"""Slice of the impulse within the sums."""
 Sums = NDArray[np.float64]
 
 
@@ -65,7 +61,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return this exchange plus the exchange with rigid solids (phy124/kernels/free)."""
+        """Return the sum with the impulse and work of rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -87,23 +83,21 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; the kernels that measure forces are compiled when
-        needed (0.3 s).
+        """Yield the kernels that measure walls; kernels for forces are compiled when needed (0.3
+        s).
         """
         if subject.scene.boundaries:
             yield from wall_kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for the balance; constant uniform forces need no
-        sums.
-        """
+        """Return the effects report's row for the balance; constant uniform forces need no sums."""
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
         )
         if scene.checks.balance:
-            why = "all forces are constant: their work need not be summed"
+            why = "all forces are constant, so that their work need not be summed"
         unsteady = any(not force.uniform or force.varies for force in scene.acting)
         summed = scene.checks.balance and (bool(scene.boundaries) or unsteady)
         return Effect("balance of momentum and energy", summed, why)
@@ -117,20 +111,18 @@ class ExternalWork(Observer):
         """Set all sums to zero.
 
         Args:
-            summed: Whether the work of a constant acceleration is also summed in every substep.
-                This is necessary if forces and boundaries may be replaced later in the run.
+            summed: Whether the work of a constant acceleration is also summed in every substep,
+                because forces and boundaries may be replaced during the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums of each worker since the worker's launches were last recorded [W,ROOM], which have
-        not been collected yet.
-        """
+        """Sums [W,ROOM] of each worker since the launches were last recorded, not yet collected."""
         self.stored = 0.0
-        """Energy that the object has received without motion since the start [J]."""
+        """Energy that the object has gained without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame [kg m/s], without the sums that are not
-        collected yet; time of the velocities [s] when counting began.
+        """Momentum of the object at the start of the frame [kg m/s], without sums that are not yet
+        collected; initial time of the velocities [s].
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
@@ -147,9 +139,7 @@ class ExternalWork(Observer):
         return [Measured(inner, partial(self._attach_walls, walls))]
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that ends each substep; there is none if the uniform acceleration is
-        constant.
-        """
+        """Return the stage that ends each substep; none if the uniform acceleration is constant."""
         del state
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
@@ -158,7 +148,7 @@ class ExternalWork(Observer):
         return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; a solver of projected liquids sums the work of its walls itself."""
+        """Bind to the solver; a solver of projected liquids sums the work of walls itself."""
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
@@ -172,7 +162,7 @@ class ExternalWork(Observer):
 
     @property
     def by_momentum(self) -> bool:
-        """Whether the work of the uniform acceleration is summed in every substep, from momenta."""
+        """Whether the work of the uniform acceleration is summed from momenta in every substep."""
         return self._summed or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
@@ -184,13 +174,13 @@ class ExternalWork(Observer):
         self._opened, self.stored = clock.time - clock.behind, 0.0
 
     def store(self, energy: float) -> None:
-        """Add energy [J] that the object receives without motion, for example by stiffening."""
+        """Add energy [J] that the object gains without motion, for example by stiffening."""
         self.stored += energy
         self._closed[PUSH] = self._closed[PUSH].copy()
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
     def begin(self, momentum: Sums) -> None:
-        """Start a frame with a momentum [kg m/s], on which the work of varying forces depends."""
+        """Start a frame with a momentum [kg m/s], which determines the work of varying forces."""
         if self.by_momentum:
             self._momentum = momentum - self._sum()[IMPULSES]
             self._set_base()
@@ -199,8 +189,7 @@ class ExternalWork(Observer):
         """Return the impulse and the work since the start.
 
         Args:
-            clock: Clock with the current time, which determines the impulse of a constant
-                acceleration.
+            clock: Clock; its time determines the impulse of a constant acceleration.
             way: Sum of mass times displacement since the start [3], kg m.
             momentum: Current momentum of the object [3], kg m/s.
         """
@@ -208,8 +197,8 @@ class ExternalWork(Observer):
         values: NDArray[Any] = self._tracks.values.numpy()
         a = values[0, :3].astype(np.float64)
         if self.by_momentum:
-            # The sums include the bodies' last kick, half a substep ago; a liquid lags further
-            # behind.
+            # The sums include the bodies' last kick half a substep ago; the time lag of a liquid is
+            # larger.
             late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
             total[IMPULSES] -= late * a
             total[kernels.WORK] += clock.uniform_work(momentum)
@@ -221,13 +210,11 @@ class ExternalWork(Observer):
         return Exchange(total[IMPULSES], work, moved, turned)
 
     def of_walls(self) -> float:
-        """Return the work of the walls since the start [J]; walls at rest only dissipate energy
-        (work < 0).
-        """
+        """Return the work of the walls since the start [J]; negative for walls at rest."""
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         return {
             "closed": {name: sums.tolist() for name, sums in self._closed.items()},
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
@@ -251,7 +238,7 @@ class ExternalWork(Observer):
         self.stored = snapshot.get("stored", 0.0)
 
     def _sum(self, *names: str) -> Sums:
-        """Return the total of the sums for all causes, or for the named causes."""
+        """Return the total over all causes, or over the named causes."""
         total = np.zeros(kernels.EXCHANGE)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -265,7 +252,7 @@ class ExternalWork(Observer):
         return rows[:, : kernels.EXCHANGE].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
-        """Return an array of sums for one launch; no two threads then add to the same array."""
+        """Return an array of sums for one launch, so that no two threads add to one array."""
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
@@ -286,8 +273,8 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum minus the impulses since the sums were last cleared, which include the
-        last impulse of the walls.
+        """Store the momentum without the impulses since the sums were last cleared, including the
+        walls' last impulse.
         """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
@@ -299,13 +286,13 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return a stage before the `stages` of forces on particles, and a stage after them."""
+        """Return stages before and after the `stages` of forces on particles."""
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy, sums = push_kernels(model.real, keeps_C)
 
         def copies_for(grid: Grid) -> list[wp.array]:
-            """Return the arrays for copies of v and C of the particles on which forces act."""
+            """Return arrays for copies of v and C of the particles on which forces act."""
             run = grid.run(len(model))
             return [part_of(array, run) for array in copied]
 
@@ -328,7 +315,7 @@ class ExternalWork(Observer):
     def _attach_walls(
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return a stage before the `stages` of walls, and a stage after them."""
+        """Return stages before and after the `stages` of walls."""
         del stages, state
         near, (copy, sums) = NodesNear(walls, model), wall_kernels(model.real)
 
@@ -344,16 +331,15 @@ class ExternalWork(Observer):
 
 
 class MeanWork(ExternalWork):
-    """Reads the external work from solvers that themselves sum the work of walls and of forces on
-    particles.
+    """Reads the external work from solvers that sum the work of walls and forces themselves.
 
-    In a projected liquid, the pressure resists a force in the same step; on lattices, clamps do.
+    In a projected liquid, the pressure resists a force within the step; on lattices, clamps do so.
     All work is therefore computed with the mean velocities of the step.
     """
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because walls need no kernels that measure them."""
+        """Yield nothing, because measuring walls needs no kernels."""
         del subject, real
         yield from ()
 
@@ -368,7 +354,7 @@ class MeanWork(ExternalWork):
         return list(forces)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let it sum the impulse and the work of forces on particles."""
+        """Bind to the solver, and let the solver sum impulse and work of forces on particles."""
         super().bind(solver, observers)
         sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
         self._device[MEAN_PUSH] = sums

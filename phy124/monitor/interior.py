@@ -1,11 +1,10 @@
-"""Interior: adds Gaussians inside elastic material, which become visible where the material is
-torn.
+"""Interior: adds Gaussians inside elastic material, which become visible if the material tears.
 
-Generators place Gaussians only on the surface of an object, so a torn object would show a hole.
-Once the grid has torn material, inner particles that have lost a neighbour get round Gaussians in
-the colours of the surface, like grains. The particles that a tear will expose are not known in
-advance, so the Gaussians are added to the finished clip. Until the particle of such a Gaussian is
-exposed, the Gaussian is hidden in the surface Gaussian above it.
+Generators place Gaussians only on the surface of an object, so a torn object would show a hole. If
+material tears, inner particles that have lost a neighbour get round Gaussians in the colours of the
+surface, like grains. It is not known in advance which particles will be exposed, so these Gaussians
+are added to the finished clip. Until its particle is exposed, such a Gaussian is hidden in the
+surface Gaussian above it.
 """
 
 from __future__ import annotations
@@ -36,8 +35,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
-"""Number of nearest particles at rest that are examined: six neighbours in a lattice, and the
-particle itself.
+"""Number of nearest particles at rest that are examined: six neighbours, and the particle itself.
 """
 Opened = dict[str, NDArray]
 
@@ -55,7 +53,7 @@ class Interior(Observer):
         dx: float,
         keep: bool = True,
     ) -> None:
-        """Store the object at rest; nothing else is computed until material tears.
+        """Store the object at rest; everything else is computed only if material tears.
 
         Args:
             shown: All N other visible Gaussians.
@@ -63,7 +61,7 @@ class Interior(Observer):
             materials: The materials of the particles; only elastic materials can be torn.
             spacing: Distance between neighbouring particles at rest [m].
             dx: Grid spacing [m].
-            keep: Whether the run keeps its frames, so that there will be a clip.
+            keep: Whether the run keeps the frames for a clip.
         """
         self._shown, self._rest, self._materials = shown, particles, materials
         self._spacing, self._dx, self._keep = spacing, dx, keep
@@ -71,11 +69,11 @@ class Interior(Observer):
         self._inside: NDArray[np.int64] | None = None
         self._uploaded: tuple[wp.array, wp.array, wp.array] | None = None
         self._opened: dict[int, Opened] = {}
-        """The exposed particles and their positions, for each frame with a tear."""
+        """The exposed particles and their positions, for each frame with torn material."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether grains are to be shown and any material can be torn."""
+        """Return whether grains are shown and any material can tear."""
         return subject.scene.grains and subject.elastic
 
     @classmethod
@@ -98,7 +96,7 @@ class Interior(Observer):
         self._real = solver.model.real
 
     def after_frame(self, frame: Frame) -> Frame:
-        """If material is likely torn, find the exposed particles; return the frame unchanged."""
+        """Find the exposed particles if material is likely torn; return the frame unchanged."""
         if self._keep and self._tearing is not None and self._tearing.likely:
             self.look(frame.index, self._state.x)
         return frame
@@ -122,9 +120,9 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return a mask of inner particles that are too far from one of their rest neighbours.
+        """Return a mask of inner particles that are too far from a neighbour at rest.
 
-        The kernel is compiled when it is first needed, because most runs do not need it.
+        The kernel is compiled at first use, because most runs do not need it.
         """
         assert self._inside is not None
         if self._uploaded is None:
@@ -159,8 +157,8 @@ class Interior(Observer):
     def _list_exposed(self, count: int) -> Exposed | None:
         """Return the particles that are exposed in any of `count` frames; None if there are none.
 
-        A frame that was not examined, because nothing had moved, has the same exposed particles as
-        the frame before.
+        If a frame was not examined because nothing had moved, it has the exposed particles of the
+        frame before.
         """
         latest: Opened = {"ids": np.zeros(0, int), "x": np.zeros((0, 3), np.float32)}
         frames = [latest := self._opened.get(index, latest) for index in range(count)]
@@ -177,7 +175,7 @@ class Interior(Observer):
         return Exposed(grains, above.astype(np.int32), *listed)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the exposed particles of all frames so far."""
+        """Return a snapshot: the exposed particles of all frames so far."""
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -185,14 +183,12 @@ class Interior(Observer):
         self._opened = {int(index): opened for index, opened in snapshot.items()}
 
     def _prepare(self) -> None:
-        """Find the elastic particles that have no Gaussian, and the neighbours and grains of these
-        particles.
-        """
+        """Find the elastic particles without a Gaussian, with their neighbours and grains."""
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
-        # Objects that touch at the start and separate later are not torn, so each object is handled
-        # alone.
+        # Each object is handled alone, because objects that touch at the start and then separate
+        # are not torn.
         self._objects = [
             (gaussians, *self._prepare_object(gaussians, particles, free[particles]))
             for gaussians, particles in by_object(self._shown, rest)
@@ -219,13 +215,13 @@ class Interior(Observer):
         near = np.reshape(
             scipy.spatial.KDTree(x).query(x[inside], k=count, workers=-1)[1], (len(inside), count)
         )
-        # In a tiny object particles have fewer neighbours; the last neighbour is repeated.
+        # In a tiny object, particles have fewer neighbours; the last neighbour is then repeated.
         near = np.pad(near, ((0, 0), (0, NEIGHBOURS - count)), mode="edge")
         return particles[inside], particles[near]
 
     def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
-        """Return the surface Gaussians nearest to the exposed particles, and the grains of these
-        particles.
+        """Return the surface Gaussians nearest to the exposed particles, and these particles'
+        grains.
         """
         above, grains, first = [], [], 0
         for gaussians, inside, _ in self._objects:

@@ -1,6 +1,6 @@
-"""Observers of bodies on lattices, for momentum, energy, and the impulse and work of walls.
+"""Observers of bodies on lattices: momentum, energy, and the impulse and work of walls.
 
-The contact with each wall sums the wall's impulse, moment and work
+The contact with a wall sums the wall's impulse, moment and work
 (phy124/kernels/lattice/contact.py), so nothing has to be copied before and after walls act.
 """
 
@@ -40,9 +40,7 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: momentum and kinetic energy are summed over nodes, all other
-    quantities over points.
-    """
+    """Sums for a body on a lattice: momentum and kinetic energy over nodes, others over points."""
 
     def __init__(self, solver: LatticeSolver) -> None:
         """Record the launches."""
@@ -61,7 +59,7 @@ class LatticeTotals(Totals):
         return super()._sum(group, outputs)
 
     def read(self, clock: Clock) -> Diagnostics:
-        """Return the diagnostics of the current state; the points must already follow the nodes."""
+        """Return the diagnostics of the current state, after the points have followed the nodes."""
         points = super().read(clock)
         self._of_nodes.zero_()
         if self._launch is not None:
@@ -81,7 +79,7 @@ class LatticeWatchdog(Watchdog):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because the kernels of lattices include the sums."""
+        """Yield nothing, because the sums are part of the kernels of lattices."""
         del subject, real
         yield from ()
 
@@ -90,7 +88,7 @@ class LatticeWatchdog(Watchdog):
         return LatticeTotals(solver)
 
     def _energy(self) -> dict[str, Any]:
-        """Return the energy [J] lost to each cause, and the largest supplied energy [J]."""
+        """Return the lost energy [J] by cause, and the largest supplied energy [J]."""
         divided = self._dissipation
         if not isinstance(divided, LatticeDissipation):
             return {}
@@ -102,13 +100,13 @@ class LatticeWork(MeanWork):
     """Computes the external impulse and work from the solver's sums for walls and forces on points.
 
     If there are other forces, the work of a constant acceleration is also summed in every substep,
-    because its product with the displacement refers to the time of the positions. When a wind blew
-    against gravity, the difference in a frame of two substeps was 32 % of the energy.
+    because acceleration times displacement refers to the time of the positions. In a wind against
+    gravity, in a frame of two substeps, the difference was 32 % of the energy.
     """
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that sums the work of a uniform acceleration, if it is needed."""
+        """Yield the kernel that sums the work of a uniform acceleration, if needed."""
         if _sums_uniform_work(subject):
             yield make_uniform_sums(real)
 
@@ -118,13 +116,13 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, so that the sums of its walls are also read."""
+        """Bind to the solver, in order to read the sums of its walls as well."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)
 
     def change(self, scene: Scene) -> None:
-        """Keep the sums of the earlier walls, and read the sums of the new walls from now on."""
+        """Keep the sums of the previous walls, and read the sums of the new walls from now on."""
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
@@ -138,11 +136,11 @@ def _sums_uniform_work(subject: Subject) -> bool:
 
 
 class LatticeWrenches(Wrenches):
-    """Computes wrenches on walls and between bodies from the sums that the solver keeps."""
+    """Computes wrenches on walls and between bodies from the solver's sums."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because walls need no kernels that measure them."""
+        """Yield nothing, because measuring walls needs no kernels."""
         del subject, real
         yield from ()
 
@@ -163,7 +161,7 @@ class LatticeWrenches(Wrenches):
         return walls if inner is None else inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose walls keep the sums."""
+        """Bind to the solver; its walls contain the sums."""
         self._solver = solver
         self._before = self._now()
 
@@ -172,7 +170,7 @@ class LatticeWrenches(Wrenches):
         self._before = self._now()
 
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
-        """Return the mean wrench on a wall since the frame began."""
+        """Return the mean wrench on a wall since the start of the frame."""
         row = (self._before - self._now())[self._names.index(wall)]
         impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
@@ -190,8 +188,8 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeContacts(Contacts):
-    """Computes the force of walls on each Gaussian from the impulses on surface points and nodes
-    held by clamps.
+    """Computes the force of walls on each Gaussian, from impulses on surface points and clamped
+    nodes.
     """
 
     in_substeps = False
@@ -204,7 +202,7 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for contact forces, which cost less than the contact
+        """Return the effects report's row for contact forces, which cost less than the contact
         itself.
         """
         return super().effect(subject)._replace(cost=Cost())
@@ -261,7 +259,7 @@ class LatticeContacts(Contacts):
 
 
 class LatticeMethod(Observer):
-    """The row of the effects report that names the solver and the effects that it omits."""
+    """The row of the effects report about the solver and the omitted effects."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -273,7 +271,7 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """The row of the effects report for the viscosity that resists fast compression."""
+    """The row of the effects report for the viscosity against fast compression."""
 
     NAME = "artificial viscosity in fast compression"
 
@@ -311,7 +309,7 @@ class LatticePairs(Observer):
         return Effect("contact of surface points between objects")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to report its pairs."""
+        """Bind to the solver, in order to report its contact pairs."""
         self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:
@@ -325,7 +323,7 @@ class LatticeSelfContact(Observer):
     """The row of the effects report for contact of a body with itself."""
 
     LOOKING = Cost(fixed=40e3)
-    """Cost of the search for parts that are near each other, for an object of 50,000 points."""
+    """Cost of the search for parts that are near each other, for an object with 50,000 points."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -334,7 +332,7 @@ class LatticeSelfContact(Observer):
         return Effect("self-contact, if parts come near each other", cost=cls.LOOKING)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to report its pairs."""
+        """Bind to the solver, in order to report its contact pairs."""
         self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:

@@ -1,4 +1,4 @@
-"""LatticeDissipation: reports the energy that bodies on lattices lose to each cause.
+"""LatticeDissipation: reports how much energy bodies on lattices lose to each cause.
 
 The solver sums the work of each cause in every substep (phy124/lattice/energies.py). The work of
 all causes adds up to the change of the kinetic energy, except for rounding errors; the report shows
@@ -19,11 +19,11 @@ from phy124.monitor.observer import Effect, Observer, Subject, find
 
 
 class LatticeDissipation(LiquidDissipation):
-    """Reads the mechanical work done on bodies on lattices, which is summed in every substep."""
+    """Reads the solver's sums of mechanical work on bodies on lattices."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests the energy lost to each cause."""
+        """Return whether the scene requests the lost energy by cause."""
         return subject.scene.checks.energy
 
     @classmethod
@@ -35,11 +35,11 @@ class LatticeDissipation(LiquidDissipation):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report for the work of each cause."""
-        why = "checks.energy is off: the lost energy is not divided by cause"
+        why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the work from its first substep on."""
+        """Bind to the solver, and let the solver sum the work from its first substep on."""
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
         self._energies.start()
 
@@ -60,7 +60,7 @@ class LatticeDissipation(LiquidDissipation):
         elastic = last.elastic + last.lag - first.elastic - first.lag
         unexplained = sum(works) - kinetic
         substeps = stiffened - works.elastic - elastic
-        # Losses are subtracted from 0.0, because a negated zero would be written as -0.0.
+        # Losses are subtracted from 0.0, because the negative of zero would be written as -0.0.
         contact = works.friction + works.impacts + works.itself + works.pairs
         loss = Loss(0.0 - works.viscous, 0.0 - contact, unexplained + substeps - works.shock)
         return {

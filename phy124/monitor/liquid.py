@@ -1,4 +1,4 @@
-"""LiquidDissipation: reports the energy that a projected liquid loses to each cause.
+"""LiquidDissipation: reports how much energy a projected liquid loses to each cause.
 
 The solver sums the work of each cause in every step (phy124/liquid/energies.py). The remaining loss
 occurs in the transfers between particles and faces.
@@ -16,7 +16,7 @@ from phy124.monitor.observer import Effect, Observer, Subject, find
 
 
 class LiquidDissipation(Dissipation):
-    """Reads the work on the liquid, which is summed in every step."""
+    """Reads the solver's sums of work on the liquid."""
 
     in_gathers = False
     in_substeps = True
@@ -26,7 +26,7 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests the energy that its liquid lost to each cause."""
+        """Return whether the scene requests the liquid's lost energy by cause."""
         return subject.scene.checks.energy and subject.scene.projects
 
     @classmethod
@@ -40,12 +40,12 @@ class LiquidDissipation(Dissipation):
         """Return the row of the effects report for the work of each cause; None if there is no
         liquid.
         """
-        why = "checks.energy is off: the lost energy is not divided by cause"
+        why = "checks.energy is off: the causes of energy loss are not distinguished"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let it sum the work from its first step on."""
+        """Bind to the solver, and let the solver sum the work from its first step on."""
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
         self._energies.start()
 
@@ -54,12 +54,12 @@ class LiquidDissipation(Dissipation):
         self._energies.clear()
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
-        """Return the energy [J] lost to each cause: viscosity, friction at walls, and numerics.
+        """Return the energy [J] lost to viscosity, to friction at walls, and to numerical errors.
 
         Args:
-            gained: Current energy of the liquid, minus the energy at the start and the work of all
-                forces and walls.
-            rubbed: The work of walls with the opposite sign; friction is a part of it.
+            gained: Current energy of the liquid minus the initial energy and the work of all forces
+                and walls.
+            rubbed: Minus the work of walls, which includes friction.
             stored: Elastic energy, which is zero for a liquid.
         """
         del stored
@@ -74,7 +74,7 @@ class LiquidDissipation(Dissipation):
         """Return the work that changed kinetic energy, and the parts of the numerical loss [J].
 
         Args:
-            loss: Energy lost to each cause.
+            loss: Lost energy by cause.
             change: Change of the kinetic energy.
         """
         works = self._energies.read()
@@ -88,7 +88,7 @@ class LiquidDissipation(Dissipation):
         }
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the current sums."""
+        """Return a snapshot of the sums."""
         return {"sums": self._energies.snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

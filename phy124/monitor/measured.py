@@ -1,5 +1,4 @@
-"""Adds stages before and after forces and boundaries that measure the effect of the forces and
-boundaries.
+"""Adds measuring stages before and after forces and boundaries.
 
 Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
 """
@@ -20,7 +19,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines forces or boundaries, and adds stages that measure the effect of their stages."""
+    """Combines forces or boundaries, and adds stages that measure their effect."""
 
     def __init__(
         self,
@@ -30,9 +29,7 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the measuring stage before the inner stages, the inner stages, and the measuring
-        stages after them.
-        """
+        """Return the measuring stage, the inner stages, and the measuring stages that follow."""
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []
@@ -50,14 +47,14 @@ class NodesNear:
         self.threads: tuple[int, ...] = ()
         """Shape of the launch of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """First inputs of a kernel over these segments: a segment's length, box, window, and the
-        grid's nodes.
+        """First inputs of a kernel over these segments: a segment's length, the box, the window,
+        and the grid's nodes.
         """
         self.copy: wp.array | None = None
-        """Memory for a copy of these nodes."""
+        """Memory for a copy of the nodes."""
 
     def fit(self, grid: Grid) -> None:
-        """Determine the nodes in the grid's current window."""
+        """Determine the nodes for the grid's current window."""
         start, extent = grid.nodes_within(*self._corners)
         corners = np.stack([start, extent]).astype(np.int32)
         box = wp.array(corners, dtype=wp.vec3i, device=self._device)

@@ -1,10 +1,9 @@
 """Observer: measures or checks a run, from the first launch to the report.
 
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
-requires; all others cost neither compilation, memory nor launches. A run handles its observers in
-loops over this list, in the order of the list: it compiles, binds, calls, pauses, resumes and
-reports them. Every method has a default that does nothing, so a new observer overrides only the
-methods that it needs.
+requires; the others cost no compilation, memory or launches. A run compiles, binds, calls, pauses,
+resumes and reports its observers in loops, in the order of the list. Every method has a default
+that does nothing, so a new observer overrides only the methods that it needs.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Cost(NamedTuple):
-    """Cost of an effect on one core [ns per substep]; measured in docs/lab/benchmarks.md."""
+    """Cost of an effect on one core [ns per substep], as measured in docs/lab/benchmarks.md."""
 
     fixed: float = 0.0
     particle: float = 0.0
@@ -49,14 +48,14 @@ UNKNOWN = Cost()
 
 
 class Effect(NamedTuple):
-    """A row of the effects report: an effect, and whether the scene includes it."""
+    """A row of the effects report: an effect, and whether the scene includes the effect."""
 
     name: str
     called_for: bool = True
     why: str = ""
-    """Reason why the effect is omitted, if it is."""
+    """Reason why the effect is omitted; empty if it is not."""
     cost: Cost = UNKNOWN
-    """Cost of the effect if it is active."""
+    """Cost of the effect, if active."""
 
 
 class Violation(NamedTuple):
@@ -65,8 +64,7 @@ class Violation(NamedTuple):
     what: str
     """Description of the problem, as a clause."""
     causes: tuple[str, ...]
-    """Possible causes, the likeliest first, from which `phy124.budget.remedies` suggests remedies.
-    """
+    """Possible causes, likeliest first, for which `phy124.budget.remedies` suggests remedies."""
 
 
 class Subject(NamedTuple):
@@ -74,7 +72,7 @@ class Subject(NamedTuple):
 
     scene: Scene
     materials: Sequence[AnyMaterial]
-    """Materials of the particles, from the scene or from its file of properties."""
+    """Materials of the particles, from the scene or from its properties file."""
     changes: bool = False
     """Whether forces, boundaries and stiffness may change during the run."""
 
@@ -127,13 +125,13 @@ class Observer:
     """Observes one run; the base class observes nothing."""
 
     absent: ClassVar[dict[str, Any]] = {}
-    """Section of the report if the run does not have this observer."""
+    """The section that the report contains if a run does not have this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether the observer updates sums in every substep, so that its sums are restored after
-    rejected substeps.
+    """Whether the observer updates sums in every substep; the sums are restored after a rejected
+    substep.
     """
     in_gathers: ClassVar[bool] = False
-    """Whether the observer records a launch after each gather; its sums are restored after a
+    """Whether the observer records a launch after each gather; the sums are restored after a
     rejected frame.
     """
 
@@ -157,28 +155,28 @@ class Observer:
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Return the observer of a run, whose solver does not exist yet."""
+        """Return the observer of a run, before the run's solver exists."""
         del setup
         return cls()
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> Sequence[Attachable]:
-        """Return the forces with stages that measure them."""
+        """Return the forces with measuring stages."""
         return forces
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return `inner` with stages that measure the walls.
+        """Return the boundaries `inner` with measuring stages.
 
         Args:
             walls: The boundaries of the scene.
-            inner: The boundaries as wrapped by earlier observers, one per wall in `walls`.
+            inner: The boundaries in `walls`, wrapped by earlier observers.
         """
         del walls
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages at the end of each substep (if `in_substeps`)."""
+        """Return the observer's stages at the end of each substep (if `in_substeps`)."""
         del model, state, tracks
         return []
 
@@ -191,7 +189,7 @@ class Observer:
         """Record the launch that follows the gather of a worker's part (if `in_gathers`).
 
         Args:
-            part: Particles of one law that a worker processes.
+            part: A worker's particles of one law.
             worker: Index of the worker.
             model: The particles' constants.
             state: The state after the gather.
@@ -206,18 +204,18 @@ class Observer:
         """Continue under the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
-        """If a frame needs no substeps, return its time [s]; otherwise return None."""
+        """Return the time [s] of a frame if it needs no substeps, otherwise None."""
         del index
 
     def before_frame(self, time: float) -> None:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame; if an attempt fails, the next attempt takes substeps of
-        half the length.
+        """Prepare an attempt at a frame; after a failure, the next attempt takes half as long
+        substeps.
 
         Args:
-            closely: Whether this is the second attempt, which is checked after every substep.
+            closely: Whether to check every substep, as in a second attempt.
         """
 
     def after_substep(self) -> None:
@@ -227,11 +225,11 @@ class Observer:
         """Check the state at the end of a frame; return a violation to end the attempt."""
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Return the frame of the moving Gaussians, with this observer's results added."""
+        """Return the frame of the moving Gaussians with this observer's results."""
         return frame
 
     def complete(self, clip: Clip) -> Clip:
-        """Return the clip with this observer's results added."""
+        """Return the clip with this observer's results."""
         return clip
 
     def finished_effect(self, subject: Subject) -> Effect | None:
@@ -243,7 +241,7 @@ class Observer:
         return []
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the section of the observer in report.json.
+        """Return the observer's section of report.json.
 
         Args:
             frames: All frames if they are kept, otherwise none.
@@ -252,7 +250,7 @@ class Observer:
         return {}
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, as arrays and plain data."""
+        """Return a snapshot of the state, as arrays and plain data."""
         return {}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

@@ -1,16 +1,16 @@
 """Sleep: skips substeps while all objects are at rest and no force or boundary changes.
 
-Zero speed at one time is not rest: a thrown body has zero speed at the top of its path. An object
-is at rest if, for Q frames of T seconds, no particle has moved further than D from its starting
-point. Under a constant acceleration, a particle can then move by at most 7 D m (1 + m) in the next
-M = m Q frames. The worst case is a particle that first moved by D to one side of its starting
-point, turned, and is now at the distance D on the other side, moving away. A vibration in phase
-with the frames, with the largest speed v, can hide a displacement of v T / 2 pi.
+A body with zero speed need not be at rest: a thrown body has zero speed at the top of its path. An
+object counts as at rest if, for Q frames of T seconds, no particle has moved further than D from
+its starting point. Under a constant acceleration, a particle can then move by at most 7 D m (1 + m)
+in the next M = m Q frames. In the worst case, a particle first moved by D to one side of its
+starting point, turned, and is now at the distance D on the other side, moving away. In addition, a
+vibration in phase with the frames, with the largest speed v, can hide a displacement of v T / 2 pi.
 
-The object sleeps if the sum of both displacements is invisible and the speed of the object does not
-grow. It sleeps until a force or boundary of the scene changes, or the clip ends. Under gravity, an
-object sleeps only if it has also moved much less than a free body would. Without this condition, an
-object at the top of its path would count as resting in a clip with many frames per second.
+The object sleeps if the sum of both displacements is invisible and its speed does not grow, until a
+force or boundary of the scene changes or the clip ends. Under gravity, an object sleeps only if it
+has also moved much less than a free body would. Otherwise, in a clip with many frames per second,
+an object at the top of its path would count as at rest.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error caused by sleep, relative to the object's size: a tenth of a pixel for an object of
-300 pixels.
+"""Largest error due to sleep, relative to the object's size: 0.1 pixels for an object of 300
+pixels.
 """
 CALM = 1 / 6
-"""Fraction of `STILL` below which the movement of particles counts as rest."""
+"""Particles count as at rest if they have moved less than this fraction of `STILL`."""
 HELD = 0.1
-"""Fraction of a free body's displacement below which the displacement of a body means that it is
-held.
+"""A body counts as supported if its displacement is less than this fraction of a free body's
+displacement.
 """
 
 
@@ -64,15 +64,15 @@ class Sleep(Observer):
         self.anchor: NDArray[np.float64] | None = None
         """Positions of the particles [P,3], m, from which the drift is measured."""
         self.drift = 0.0
-        """Largest distance of a particle from its anchor [m]."""
+        """Largest distance of a particle from its position in `anchor` [m]."""
         self.speeds: list[float] = []
         """Largest speed in each frame since the anchor was set [m/s]."""
         self._fastest, self._last, self._before = 0.0, 0, 0
         self.since: int | None = None
         """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Number of skipped frames, and number of saved substeps as estimated from the last
-        computed frame.
+        """Number of skipped frames; number of saved substeps, estimated from the last computed
+        frame.
         """
 
     @classmethod
@@ -96,7 +96,7 @@ class Sleep(Observer):
         return sleep
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose tracks give the times at which forces and boundaries change."""
+        """Bind to the solver; its tracks give the times at which forces and boundaries change."""
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
@@ -104,7 +104,7 @@ class Sleep(Observer):
         self._stiffness_changes = scene.stiffness_profile is not None
 
     def skip_to(self, index: int) -> float | None:
-        """If a frame needs no substeps, count it and return its time [s]; otherwise return None."""
+        """Count a frame that needs no substeps, and return its time [s]; otherwise return None."""
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None
@@ -114,7 +114,7 @@ class Sleep(Observer):
         return index / self._fps
 
     def before_frame(self, time: float) -> None:
-        """Store the number of substeps so far."""
+        """Store the current number of substeps."""
         self._before = self._clock.substeps
 
     def after_substep(self) -> None:
@@ -144,7 +144,7 @@ class Sleep(Observer):
             self.anchor, self.drift, self.speeds = x, 0.0, []
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, as arrays and plain data."""
+        """Return a snapshot of the state, as arrays and plain data."""
         return {
             "anchor": self.anchor,
             "drift": self.drift,
@@ -163,7 +163,7 @@ class Sleep(Observer):
         self._last = snapshot["last"]
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the first skipped frame, the number of skipped frames, and the substeps saved."""
+        """Return the first skipped frame, and the numbers of skipped frames and saved substeps."""
         del frames
         if self.since is None:
             return {"sleep": None}
@@ -171,7 +171,7 @@ class Sleep(Observer):
         return {"sleep": sleep}
 
     def finished_effect(self, subject: Subject) -> Effect:
-        """Return the row of the effects report, with the first frame and the duration of sleep."""
+        """Return the row of the effects report, with the start and the duration of sleep."""
         row = self.effect(subject)
         if self.since is None:
             return row._replace(called_for=False)
@@ -179,9 +179,7 @@ class Sleep(Observer):
         return row._replace(name=f"{row.name}: asleep from frame {self.since}, {saved}")
 
     def _rests(self, index: int) -> bool:
-        """Return whether the picture stays the same from a frame until the next change of a force
-        or boundary.
-        """
+        """Return whether the image stays constant until the next change of a force or boundary."""
         if not self.speeds:
             return False
         until = self._quiet_until((index - 1) / self._fps)
@@ -195,38 +193,36 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration with a given largest speed [m/s] and one period
-        per frame.
+        """Return the amplitude [m] of a vibration with a largest speed [m/s] and one period per
+        frame.
         """
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
         """Return whether material under the acceleration a [m/s^2] stays in place.
 
-        If the material were free, it would move by a t^2 / 8.
+        Free material would move by a t^2 / 8.
         """
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the motion was fastest in the last frame, as when an object begins to
+        """Return whether the motion was fastest in the last frame, as if an object begins to
         topple.
         """
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 
     def _quiet_until(self, time: float) -> float:
-        """Return the time [s] until which all forces and boundaries remain the same as at `time`
-        [s].
-        """
+        """Return the time [s] until which all forces and boundaries remain as at `time` [s]."""
         return min(next_change(track, time) for track in self._solver.tracks.tracks)
 
 
 def next_change(track: Track, time: float) -> float:
     """Return the next time at which a track changes [s], or `time` if it is already changing.
 
-    The result is infinity if the track never changes again.
+    If the track never changes again, the result is infinity.
     """
     edges = [edge for edge in (track.start, track.end) if time <= edge < FOREVER]
     keys = [(track.origin + at, value) for at, value in track.keys]

@@ -1,8 +1,8 @@
 """Softening: changes Young's modulus over time, frame by frame.
 
-The parameters of a law that are proportional to E (`Material.scaled`) are multiplied in the arrays
-that the solver reads. The resulting change of the elastic energy counts as external work, since
-stiffening a bent body stores energy in it.
+The parameters of a law that are proportional to E (`Material.scaled`) are multiplied in the
+solver's arrays. The resulting change of the elastic energy counts as external work, since the
+energy of a bent body increases when it stiffens.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 
 class Softening(Observer):
-    """Multiplies the Young's moduli of a run by a factor that changes in time."""
+    """Multiplies Young's moduli of a run by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
         """Start with the factor 1.
 
         Args:
-            scene: The scene, whose stiffness may change in time.
-            material: Index of each particle's material among the materials of the model [P].
+            scene: The scene, with the stiffness over time.
+            material: Material index of each particle among the model's materials [P].
         """
         self._scene, self._material = scene, material
         self.factor = 1.0
@@ -50,7 +50,7 @@ class Softening(Observer):
         return cls(setup.scene, setup.particles.material)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Store the parameters without softening, that is, with the factor 1."""
+        """Store the parameters for the factor 1."""
         self._solver, self._external = solver, find(observers, ExternalWork)
         model = solver.model
         scaled = np.array([section.scaled for section in model.materials])[self._material]
@@ -69,7 +69,7 @@ class Softening(Observer):
         self.follow(self._scene.softness(time))
 
     def follow(self, factor: float) -> None:
-        """Set a factor, and add the resulting change of energy to the external work."""
+        """Set a factor; add the resulting change of energy to the external work."""
         if factor == self.factor:
             return
         before = diagnose(self._solver).elastic
@@ -80,24 +80,22 @@ class Softening(Observer):
         self._solver.clock.expire()
 
     def notes(self) -> list[str]:
-        """Return a note if the stiffness varies with a period shorter than two frames."""
+        """Return a note if the stiffness has a period shorter than two frames."""
         profile, fps = self._scene.stiffness_profile, self._scene.time.fps
         if profile is None or not 0 < profile.period < 2 / fps:
             return []
         return [
             f"stiffness_profile repeats every {profile.period:.2g} s and is read once at the start "
-            f"of each frame, every {1 / fps:.2g} s: changes in between are "
+            f"of each frame, every {1 / fps:.2g} s; changes in between are "
             "missed. A larger time.fps resolves these changes."
         ]
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the factor."""
+        """Return a snapshot: the factor."""
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor without counting the work, because the restored state already includes
-        it.
-        """
+        """Set the factor without counting the work, which is part of the restored state."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

@@ -1,16 +1,14 @@
-"""Tearing: detects numerical fracture of material that should stay whole according to its
-constitutive law.
+"""Tearing: detects numerical fracture of material whose constitutive law does not fracture.
 
-The grid stores no connectivity: particles interact only through common nodes. Once stretching has
-moved particles more than about a cell apart, they share no nodes, and the material separates
-although its law does not fracture. A bar under tension does not tear until the mean spacing of its
-particles is about one cell; its most stretched regions then reach `APART`
-(docs/design/stability.md). A finer grid does not help, since it resolves sharper corners, which are
-stretched more. More particles per cell do help.
+The grid stores no connectivity: particles interact only through common nodes. If stretching moves
+particles more than about a cell apart, they have no common nodes, and the material separates. A bar
+under tension tears when the mean spacing of its particles is about one cell; its most stretched
+regions then reach `APART` (docs/design/stability.md). A finer grid does not help, since it resolves
+sharper corners, which are stretched more. More particles per cell help.
 
-Two signs are checked: particles that are stretched by `APART` or more, and pieces that have
-separated. The first sign indicates a possible tear, but misses tears of thin stems; the second sign
-proves a tear.
+There are two checks: for particles stretched by `APART` or more, and for pieces that have
+separated. Stretched particles indicate a possible tear, but not in thin stems; separated pieces
+prove a tear.
 """
 
 from __future__ import annotations
@@ -33,31 +31,29 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 APART = 1.2
-"""Spacing of particles [cells] above which the material may separate."""
+"""Material may separate if the spacing of particles exceeds this [cells]."""
 MANY, FEW = 5e-3, 3
-"""A tear is likely if more than `MANY` P^(2/3) particles, and more than `FEW`, lie farther apart
-than `APART`. P^(2/3) is about the number of particles in a cross-section; a few particles separate
-at any corner.
+"""A tear is likely if more than `MANY` P^(2/3) particles, and more than `FEW`, are farther apart
+than `APART`. P^(2/3) is about the number of particles in a cross-section. At corners, a few
+particles always separate.
 
-In tests with pressed, dropped and bounced ducks, all ducks below 5.2e-3 stayed whole; one duck at
-6.7e-3 lost its head, and another at 7.9e-3 did not.
+In tests with pressed, dropped and bounced ducks, all ducks below 5.2e-3 stayed whole. One duck at
+6.7e-3 lost its head, but another at 7.9e-3 did not.
 """
 REACH = 1.5
-"""Reach of a particle's B-spline [cells]; an empty layer that is wider separates two pieces."""
+"""Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""
 LOOSE, FLAKE = 2e-3, 8
-"""A separated piece has at least the fraction `LOOSE` of the elastic particles, and at least
+"""A separated piece has at least the fraction `LOOSE` of all elastic particles, and at least
 `FLAKE` particles.
 """
 ALONE, STURDY = 1.0, 1e9
-"""`ALONE`: spacing at rest [cells] above which a particle has no neighbours. `STURDY`: stretch that
-no particle ever reaches.
+"""`ALONE`: a particle with a larger spacing at rest [cells] has no neighbours. `STURDY`: stretch
+that no particle reaches.
 """
 FAR = 4096
-"""Number of cubes along an axis above which empty space is removed before pieces are labelled."""
+"""If there are more cubes along an axis, empty space is removed before pieces are labelled."""
 MOST = 50_000_000
-"""Largest number of cubes to label; if particles are scattered over more cubes, no pieces are
-determined.
-"""
+"""Largest number of cubes; if particles are scattered over more, pieces are not determined."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -67,8 +63,7 @@ REMEDY = (
 class Tearing(Observer):
     """Checks after each frame whether particles of elastic materials have been stretched apart.
 
-    Plastic and fluid material (a law with a return mapping) may separate and join, so it is not
-    checked.
+    Material with a return mapping (plastic or fluid) may separate and join, so it is not checked.
     """
 
     absent: ClassVar[dict[str, Any]] = {
@@ -77,11 +72,11 @@ class Tearing(Observer):
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Largest number of particles in a frame whose spacing exceeds `APART`, lowest index of
-        such a particle, and largest stretch.
+        """Largest number of particles per frame with a spacing above `APART`, lowest index of such
+        a particle, and largest stretch.
         """
         self.loose = 0
-        """Largest number of particles in a frame that were separated from their piece."""
+        """Largest number of particles per frame that were separated from their piece."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -97,7 +92,7 @@ class Tearing(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report for the detection of tears."""
-        why = "all moving materials flow, so they separate and merge as they should"
+        why = "all moving materials flow, so they may separate and merge"
         name = "search for torn material and separate pieces in each frame"
         return Effect(name, subject.elastic, why)
 
@@ -110,7 +105,7 @@ class Tearing(Observer):
         for group in self._elastic:
             self._chosen[group.particles] = True
         spacing = np.cbrt(model.volume.numpy().astype(np.float64)) / model.dx
-        # A particle that is alone in a cell at rest has no neighbours from which it could be torn.
+        # A particle that is alone in a cell at rest has no neighbours from which it could separate.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
         """Square of the stretch at which the spacing exceeds `APART`, for each particle [P]."""
@@ -125,7 +120,7 @@ class Tearing(Observer):
         self._pieces = Pieces(model.rest[self._chosen], REACH * model.dx, self._bodies())
 
     def _bodies(self) -> NDArray[np.int64] | None:
-        """Return the body of each checked particle; None if there is only one body."""
+        """Return the body index of each checked particle; None if there is only one body."""
         model = self._model
         if model.bodies == 1:
             return None
@@ -147,7 +142,7 @@ class Tearing(Observer):
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         return {
             "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
         }  # fmt: skip
@@ -192,7 +187,7 @@ class Tearing(Observer):
 
     @property
     def briefly(self) -> str:
-        """The note on tearing as a short clause."""
+        """The note about tearing as a short clause."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
@@ -205,11 +200,11 @@ class Tearing(Observer):
 
 
 class Pieces:
-    """Connected pieces of particles at rest.
+    """Pieces: groups of connected particles at rest.
 
-    Space is divided into cubes. Particles in the same cube, or in cubes that touch, are connected;
-    an empty layer of cubes separates two pieces. Particles of different objects never belong to the
-    same piece.
+    Space is divided into cubes. Particles in one cube, or in cubes that touch, are connected; an
+    empty layer of cubes separates two pieces. Particles of different objects never belong to one
+    piece.
     """
 
     def __init__(self, rest: NDArray, side: float, object_id: NDArray | None = None) -> None:
@@ -226,8 +221,8 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles that have left the largest remaining part of their piece
-        at rest.
+        """Return the number of particles outside the largest remaining part of their original
+        piece.
 
         Args:
             x: Current positions [P,3], m.
@@ -250,8 +245,7 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the index of the piece to which each particle belongs [P]; None if particles are too
-    scattered.
+    """Return the piece index of each particle [P]; None if particles are too scattered.
 
     Args:
         x: Positions [P,3], m.
@@ -273,10 +267,10 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 
 
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the index along one axis, counted from 0, of the cube that contains each particle.
+    """Return the index, along one axis, of the cube that contains each particle.
 
-    If particles are widely scattered, gaps between occupied cubes are narrowed to two cubes, so
-    pieces remain separate.
+    If particles are widely scattered, gaps between occupied cubes are narrowed to two cubes; pieces
+    remain separate.
     """
     cubes = (column - column.min()) / side
     if cubes.max() < FAR:

@@ -1,11 +1,10 @@
-"""Watchdog: checks after each frame that the state is sound and that the balances add up.
+"""Watchdog: checks after each frame that the state is valid and that momentum and energy balance.
 
-A state is sound if every number is finite and no more than a few particles are inverted (det F <
-0). The change of momentum must equal the impulse of forces and walls. Energy must not grow by more
-than the work of forces and walls: explicit MPM only loses energy, so a gain means that the run is
-unstable. The responsible particle and the remedies are determined only after a violation. The
-watchdog only reads the state; broken deformations are repaired by the solver
-(phy124/mpm/repair.py).
+A state is valid if all values are finite and at most a few particles are inverted (det F < 0). The
+change of momentum must equal the impulse of forces and walls. Energy must not grow by more than the
+work of forces and walls: explicit MPM only loses energy, so a gain means that the run is unstable.
+The responsible particle and the remedies are determined only after an error. The watchdog only
+reads the state; the solver repairs invalid deformations (phy124/mpm/repair.py).
 """
 
 from __future__ import annotations
@@ -36,56 +35,55 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 INSIDE_OUT = 0.01
-"""Largest fraction of inverted particles at which the result is still accepted."""
+"""Largest accepted fraction of inverted particles."""
 FEW = 2
-"""Number of inverted particles that is always accepted. These particles are counted, and reset
+"""Number of inverted particles that is always accepted. Such particles are counted, and reset
 before the next frame.
 """
 ENERGY_GAIN = 0.25
-"""Tolerated spurious energy, as a fraction of the largest energy supplied.
+"""Tolerated spurious energy, relative to the largest supplied energy.
 
-Of 6,500 random scenes, one in a hundred reached 0.7 %. The worst scene reached 13 %; it has two
-particles whose velocity is set in every substep. An unstable run exceeds any limit within a few
-frames.
+Of 6,500 random scenes, 1 % reached 0.7 %. The worst scene, with two particles whose velocity is set
+in every substep, reached 13 %. An unstable run exceeds any limit within a few frames.
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
-"""Tolerated spurious momentum, as a fraction of all momentum transferred."""
+"""Tolerated spurious momentum, relative to all transferred momentum."""
 PROJECTED = 0.5
-"""Tolerated spurious momentum in a projected liquid, as a fraction of all momentum transferred.
-Layers thinner than a cell press on walls with up to a quarter less than their weight. When objects
-of two cells hit the floor, up to 35 % of the momentum has no counterpart in the floor's impulse.
+"""Tolerated spurious momentum in a projected liquid, relative to all transferred momentum. Layers
+thinner than a cell exert up to a quarter less than their weight on walls. When objects of two cells
+hit the floor, up to 35 % of the momentum is missing in the floor's impulse.
 """
 CROWDED = 0.1
-"""Mean excess of density in a projected liquid above which the space between the walls is too small
-for the liquid.
+"""If the mean excess of a projected liquid's density is larger, the space between the walls is too
+small.
 """
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
-"""Largest energy that rounding may lose, as a fraction of the sum of absolute work."""
+"""Largest energy loss due to rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
 """Energies below this fraction of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Impact speed, relative to the speed of sound, above which materials whose laws allow collapse
-come close to J = 0.
+"""Above this impact speed, relative to the speed of sound, materials that can collapse come close
+to J = 0.
 """
 UNSEEN = 3e-4
-"""Largest strain that is too small to be seen in a frame: a tenth of a pixel in 300 pixels."""
+"""Largest invisible strain: 0.1 pixels in 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
-"""Strain that rounding errors of F may cause in a substep.
+"""Largest strain per substep due to rounding errors of F.
 
-F grows by dt C F. In a stiff body that rotates slowly, this growth is less than the last digit of
-F, and the part lost by rounding strains the body. At any distance from the origin, the measured
-strain per substep in float32 is 3e-10, or 7e-10 with half the `accuracy.cfl`. The energy is
-quadratic in the strain, and a quarter of the energy is tolerated.
+F grows by dt C F. In a stiff body that rotates slowly, this is less than the last digit of F, so
+rounding strains the body. The measured strain per substep in float32 is 3e-10, at any distance from
+the origin, or 7e-10 with half the `accuracy.cfl`. The energy is quadratic in the strain, and a
+quarter of the energy is tolerated.
 """
 FAST = ("damping", "solver", "push", "cells")
 ROUNDED = ("precision",)
-"""Names of the causes of two violations (`phy124.budget.remedies`): particles too fast for the
-window, and rounding errors.
+"""Names of two causes of errors (`phy124.budget.remedies`): particles too fast for the window, and
+rounding.
 """
 SWOLLEN = 2.0
-"""Volume ratio above which a real solid would have fractured."""
+"""A real solid would have fractured at a larger volume ratio."""
 SQUEEZED = 0.5
-"""Volume ratio below which the constitutive law or a push may be the cause of an instability."""
+"""At smaller volume ratios, the constitutive law or a push may have caused an instability."""
 
 
 @dataclass
@@ -93,30 +91,29 @@ class Balance:
     """The balance of energy and momentum of a run, updated frame by frame."""
 
     turnover: float = 0.0
-    """Largest value of `energy_supplied` [J] so far: the energy that the object had at the start or
-    received later, and can therefore lose.
+    """Largest value of `energy_supplied` [J] so far: energy that the object had at the start or
+    gained later, and can therefore lose.
     """
     moved: float = 0.0
-    """Sum of all momentum transferred so far [kg m/s]."""
+    """Sum of all transferred momentum so far [kg m/s]."""
     energy_gain: float = 0.0
-    """Spurious energy, as a fraction of the turnover."""
+    """Spurious energy, relative to `turnover`."""
     momentum_gain: float = 0.0
-    """Spurious momentum, as a fraction of the momentum transferred."""
+    """Spurious momentum, relative to the transferred momentum."""
     trembles: float = 0.0
-    """Energy created by rounding errors, as a fraction of the total energy; set only if it exceeds
-    the usual tolerance.
+    """Energy due to rounding errors, relative to the total energy; set only if above the usual
+    tolerance.
     """
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
-    """Return the energy [J] that an object had at the start or has received since then, that is,
-    the energy that it can lose.
+    """Return the energy [J] that an object had at the start or gained later, and can therefore
+    lose.
 
     Args:
         start: Kinetic and elastic energy at the start [J].
         work: Work of all forces and walls since the start [J].
-        walls: The part of this work that walls do [J]; if it is negative, it is the loss to
-            friction.
+        walls: The walls' part of this work [J]; if negative, the loss to friction.
     """
     return start + max(work - min(walls, 0.0), 0.0)
 
@@ -134,7 +131,7 @@ class Watchdog(Observer):
         yield from (make_totals(law, real) for law in subject.laws)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose state is the initial state of the run."""
+        """Bind to the solver; its state is the initial state of the run."""
         self._solver = solver
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)
@@ -149,15 +146,16 @@ class Watchdog(Observer):
         return Totals(solver.model, solver.state)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Start to sum external work; in the first frame, also start the balance.
+        """Start to sum external work; before the first frame, also start the balance.
 
         Args:
-            closely: Whether each substep is checked for particles that are not finite, before these
-                affect their neighbours.
+            closely: Whether each substep is checked for non-finite particles, before they affect
+                their neighbours.
         """
         self._closely = closely
         if not self._begun:
-            # This is not done in `bind`, because the run may have been resumed after `bind`.
+            # The balance does not start in `bind`, because the run may have been resumed after
+            # `bind`.
             self.first = self.last = self._totals.read(self.clock)
             turnover = max(self.first.energy, self._strain_energy(math.sqrt(QUIET)))
             self.balance = Balance(turnover, math.sqrt(2 * self.model.total_mass * turnover))
@@ -172,9 +170,7 @@ class Watchdog(Observer):
             self.external.begin(self.last.momentum)
 
     def restart(self) -> None:
-        """Start the balance again with the next frame; call this method after changing the
-        state.
-        """
+        """Start the balance again with the next frame; call after changing the state."""
         self._begun = False
 
     def after_substep(self) -> None:
@@ -188,7 +184,7 @@ class Watchdog(Observer):
             raise Unstable(f"{count} particles are NaN or infinite")
 
     def after_attempt(self) -> Violation | None:
-        """Check a frame; return the violation, or None."""
+        """Check a frame; return the error, or None."""
         now = self._totals.read(self.clock)
         balanced = self.external is not None
         problem = self._check_room() or self._check_deformation(now)
@@ -199,9 +195,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return a violation that describes the problem that stopped the solver and names a
-        particle.
-        """
+        """Return an error with the problem that stopped the solver and a responsible particle."""
         broken = broken_particles(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
@@ -209,7 +203,7 @@ class Watchdog(Observer):
         return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, as plain data."""
+        """Return a snapshot of the state, as plain data."""
         return {
             "begun": self._begun,
             "fastest": self._fastest,
@@ -278,7 +272,7 @@ class Watchdog(Observer):
         return notes
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
-        """Return the report sections of the balance and, if requested, of the lost energy."""
+        """Return the report sections about the balance and, if requested, the lost energy."""
         del frames
         balanced = self.external is not None
         balance = {
@@ -293,7 +287,7 @@ class Watchdog(Observer):
         return {"balance": balance, **self._energy()}
 
     def _energy(self) -> dict[str, Any]:
-        """Return the energy [J] lost to each cause, and the largest energy supplied [J]."""
+        """Return the lost energy [J] by cause, and the largest supplied energy [J]."""
         if self._dissipation is None or self.external is None:
             return {}
         turnover = self.balance.turnover
@@ -304,9 +298,9 @@ class Watchdog(Observer):
         return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict(), **details}}
 
     def _check_room(self) -> Violation | None:
-        """Return the violation if a liquid with other bodies in it has too little room, or None.
+        """Return an error if a liquid with other bodies in it has too little space, otherwise None.
 
-        Without other bodies, a liquid in a small space becomes denser, and nothing else happens.
+        Without other bodies, a liquid in a small space only becomes denser.
         """
         solver: Any = self._solver
         mixed = hasattr(solver, "liquid") or solver.free.all
@@ -327,7 +321,7 @@ class Watchdog(Observer):
         return Violation(f"{what}, first {self._who(index)}", self._unstable()) if what else None
 
     def _check_balance(self, now: Diagnostics) -> Violation | None:
-        """Compare energy and momentum with their initial values plus external work and impulse."""
+        """Compare energy and momentum with the initial values plus external work and impulse."""
         assert self.external is not None
         outside = self.external.total(self.clock, now.middle - self.first.middle, now.momentum)
         outside = outside.plus(self._solver.free.impulses() - self._pushed)
@@ -353,8 +347,8 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return the violation for spurious energy, or None; rounding errors that are not visible
-        are ignored.
+        """Return an error if there is spurious energy, except from invisible rounding errors;
+        otherwise None.
         """
         if energy <= ENERGY_GAIN * turnover:
             return None
@@ -369,7 +363,7 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if rounded else self._unstable())
 
     def _check_momentum(self, fraction: float) -> Violation | None:
-        """Return the violation for spurious momentum, or None."""
+        """Return an error if there is spurious momentum, otherwise None."""
         if fraction <= (
             PROJECTED if self._solver.projects else MOMENTUM_GAIN[self.model.precision]
         ):
@@ -382,8 +376,8 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of an unstable run: the substep and, if the motion is violent,
-        further causes.
+        """Return possible causes of an unstable run: the substep, and others for violent
+        motions.
         """
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
@@ -399,5 +393,5 @@ class Watchdog(Observer):
         return math.sqrt(2 * self.model.total_mass * now.kinetic)
 
     def _who(self, index: int) -> str:
-        """Return a description of a particle."""
+        """Return a description of a particle for messages."""
         return describe_particle(self.model, self.state, index)

@@ -1,8 +1,8 @@
-"""Wrenches: measures the force and torque that an object exerts on each wall and on other objects.
+"""Wrenches: measures force and torque of an object on each wall and on other objects.
 
-The impulse of a wall on the nodes, and the moment of this impulse, are summed in every substep. The
-object exerts the opposite impulse on the wall. Torques are about the centre of mass of all
-particles at the time of the frame.
+The impulse and the moment of a wall on the nodes are summed in every substep; the object exerts the
+opposite on the wall. Torques are about the centre of mass of all particles at the time of the
+frame.
 """
 
 from __future__ import annotations
@@ -35,16 +35,12 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key of the sums that the solver of a projected liquid keeps; the other keys are indices of
-workers.
-"""
+"""Key of the sums of a projected liquid; the other keys are indices of workers."""
 Vector3 = NDArray[np.float64]
 
 
 class Wrenches(Observer):
-    """Measures the wrenches in each frame: on walls if the scene requests them, and between
-    objects.
-    """
+    """Measures the wrenches in each frame: between objects and, if requested, on walls."""
 
     absent: ClassVar[dict[str, Any]] = {"walls": None}
     in_substeps = True
@@ -59,11 +55,11 @@ class Wrenches(Observer):
         """
         self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
         self._sums: dict[str, dict[int, wp.array]] = {}
-        """Sums of each wall, separately for each worker."""
+        """Sums of each wall, per worker."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests wrenches, or has objects that may touch."""
+        """Return whether the scene requests wrenches or has objects that may touch."""
         return subject.scene.keeps_wrenches or bool(subject.scene.objects)
 
     @classmethod
@@ -92,13 +88,13 @@ class Wrenches(Observer):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all wrenches in a frame, in the order in which the frame stores them."""
+        """Names of all wrenches in a frame, in the order of the frame's data."""
         return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Sequence[Attachable]:
-        """Return the boundaries with stages that measure before and after each wall acts."""
+        """Return the boundaries with measuring stages before and after each wall."""
         inner = walls if inner is None else inner
         if not self._of_walls:
             return inner
@@ -106,9 +102,9 @@ class Wrenches(Observer):
         return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the impulses between objects.
+        """Bind to the solver, and let the solver sum the impulses between objects.
 
-        The solver of liquids also sums the impulses of walls.
+        The liquid solver also sums the impulses of walls.
         """
         self._solver = solver
         self._read_impulses()
@@ -118,11 +114,11 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Read the liquid solver's sums of the impulses on walls."""
+        """Use the liquid solver's sums of the impulses on walls."""
         solver: Any = self._solver
         if self._of_walls and solver.projects:
             impulses = solver.impulses
-            # Besides the liquid's sums, there are sums for other materials, one for each worker.
+            # In addition to the liquid's sums, each worker has sums for other materials.
             self._sums = {name: s for name, s in self._sums.items() if LIQUID not in s}
             for name in impulses.names:
                 self._sums.setdefault(name, {})[LIQUID] = impulses.wrench(name)
@@ -139,7 +135,7 @@ class Wrenches(Observer):
         return replace(frame, wrenches=self.contacts(self._solver, self._fps))
 
     def contacts(self, solver: AnySolver, fps: float) -> dict[str, Wrench]:
-        """Return the mean wrench on each wall and in each pair since the frame began.
+        """Return the mean wrench on each wall and in each pair since the start of the frame.
 
         Args:
             solver: The particles, and the sums of impulses between objects.
@@ -162,7 +158,7 @@ class Wrenches(Observer):
         return report
 
     def snapshot(self) -> dict[str, Any]:
-        """Return copies of the sums of impulses."""
+        """Return a snapshot of the sums of impulses."""
         return {name: wp.clone(sums) for name, sums in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -190,7 +186,7 @@ class Wrenches(Observer):
         return Stage(STAGE, before), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """Return a worker's array of sums for one wall; only one thread adds to an array."""
+        """Return a worker's array of sums for one wall; no other thread adds to this array."""
         sums = self._sums[name]
         if grid.worker not in sums:
             sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
@@ -204,7 +200,7 @@ class Wrenches(Observer):
         }
 
     def of_wall(self, wall: str, centre: Vector3, fps: float) -> Wrench:
-        """Return the mean wrench on a wall since the frame began, about a centre [3], m."""
+        """Return the mean wrench on a wall, about a centre [3], m, since the start of the frame."""
         total = np.zeros(kernels.SUMS)
         for sums in self._sums[wall].values():
             total += sums.numpy()
@@ -219,7 +215,7 @@ class _Separated:
         self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages with measuring stages around them, or around each wall."""
+        """Return the boundary's stages, with measuring stages around all or around each wall."""
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
@@ -250,7 +246,7 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each boundary: its kind, with a number unless it is the first one."""
+    """Return a name for each boundary: its kind, with a number unless it is the first."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:
@@ -261,7 +257,7 @@ def wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return, for each name, the largest force, the time of this force, and the last wrench.
+    """Return for each name the largest force, the time of this force, and the last wrench.
 
     Args:
         frames: All frames of a run; frames before the first substep have no forces.

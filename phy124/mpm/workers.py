@@ -164,7 +164,7 @@ class Slabs:
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs have grown so much that dividing the particles again would save time."""
+        """Whether slabs are so large that dividing the particles again would save time."""
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share

@@ -1,9 +1,9 @@
 """Computes moving Gaussians, frame by frame, from static Gaussians and a scene.
 
 `Simulation(prepare(gaussians, Scene.named("press")))` yields the frames of the preset `press`.
-Frame 0 is the object at rest. A frame in which the solver or an observer detects a violation is
-repeated with half the substep. If the second attempt also fails, `Stopped` gives the reason; the
-frames computed so far remain valid. `prepare` refuses runs that would take hours, or need more
+Frame 0 is the object at rest. If the solver or an observer detects an error in a frame, the frame
+is repeated with half the substep. If the second attempt also fails, `Stopped` gives the reason; the
+frames computed so far remain valid. `prepare` refuses runs that would take hours or need more
 memory than is free.
 """
 

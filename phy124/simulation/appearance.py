@@ -1,4 +1,4 @@
-"""Computes the visible Gaussians of each material; they do not affect the motion."""
+"""Creates the visible Gaussians of each material, which do not affect the motion."""
 
 from __future__ import annotations
 
@@ -19,26 +19,25 @@ from phy124.particles.grains import add_grains, tint, vary_brightness
 from phy124.scene import Scene
 
 BLOCK = 1 << 15
-"""Number of Gaussians that are measured at once, so that their data stay in the cache."""
+"""Number of Gaussians that are measured at a time, so that their data stay in the cache."""
 
 
 class Appearance(NamedTuple):
-    """The visible Gaussians: N on the surface, and G grains inside materials that fall apart."""
+    """The visible Gaussians: N on the surface, and G grains inside materials that separate."""
 
     gaussians: Gaussians
     """All N + G Gaussians at rest, in metres; the grains come last."""
     particles: Particles
-    """Particles of the solver; each moving Gaussian may be represented by a particle."""
+    """Particles of the solver; each moving Gaussian may have a particle of its own."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Limit on the ratio of each moving Gaussian's longest axis to its longest axis at rest; may be
-    infinite.
+    """Limit on each moving Gaussian's longest axis, relative to this axis at rest; may be infinite.
     """
     rounds: NDArray[np.bool_]
-    """Mask of the moving Gaussians that become balls when their material is stretched."""
+    """Mask of the moving Gaussians that become balls when the material is stretched."""
     flows: NDArray[np.bool_]
-    """Mask of the moving Gaussians in materials that fall apart, whose F grows without bound."""
+    """Mask of the moving Gaussians in materials whose F grows without bound."""
     holds: NDArray[np.float64]
     """Largest stretch of each moving Gaussian's material before it tears; may be infinite."""
     kinds: NDArray[np.int64]
@@ -54,15 +53,13 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return the spans of the Gaussians of each glossy law; a span is the first index and the
-        index after the last.
-        """
+        """Return the spans (first and end index) of the Gaussians of each glossy law."""
         laws = sorted({section.law for section in materials if section.shines})
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return, for each liquid, its visibility [m] or None, the spans of its Gaussians, and the
-        volume of a Gaussian in each span [m^3].
+        """Return each liquid's visibility [m] or None, the spans of its Gaussians, and the volume
+        per Gaussian of each span [m^3].
 
         Materials that differ only in their colours are one liquid: they mix, and no surface
         separates them.
@@ -80,8 +77,8 @@ class Appearance(NamedTuple):
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
         """Return the spans of a liquid material's Gaussians, and the volume of each in a span.
 
-        A grain has the volume of a particle. The Gaussians on the surface share the volume of the
-        particles that have no grain.
+        A grain has the volume of a particle. The volume of the particles without a grain is divided
+        among the Gaussians on the surface.
         """
         particles = self.particles.volume[self.particles.material == kind]
         surface = self._spans(self.rounds & (self.kinds == kind))
@@ -101,8 +98,8 @@ class Appearance(NamedTuple):
     ) -> Callable[[Mapping[str, Array]], NDArray[np.float64]]:
         """Return a function that measures how elongated the Gaussians of a frame are.
 
-        For each law in alphabetical order, the function returns the largest ratio of a Gaussian's
-        longest axis to its middle axis and to its shortest axis [L,2].
+        For each law, in alphabetical order, the function returns the largest ratios of a Gaussian's
+        longest axis to the middle and to the shortest axis [L,2].
         """
         every = [self._of_law(law, materials) for law in _laws(materials)]
 
@@ -123,8 +120,8 @@ class Appearance(NamedTuple):
             materials: The materials.
 
         Returns:
-            For each law, the largest ratio of the longest axis to the middle axis, `needle`, and to
-            the shortest axis, `axis_ratio`, and the largest `opacity`.
+            For each law, `needle` (largest ratio of the longest to the middle axis), `axis_ratio`
+            (largest ratio of the longest to the shortest axis), and the largest `opacity`.
         """
         rows, largest = {}, np.maximum.reduce([np.asarray(frame) for frame in ratios])
         for law, (needle, flat) in zip(_laws(materials), largest.tolist(), strict=True):
@@ -135,16 +132,16 @@ class Appearance(NamedTuple):
         return rows
 
     def _of_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.int64]:
-        """Return the indices of the moving Gaussians whose material has a given law."""
+        """Return the indices of the moving Gaussians in material with a given law."""
         return np.flatnonzero(self.moves)[self._has_law(law, materials)]
 
     def _has_law(self, law: str, materials: Sequence[AnyMaterial]) -> NDArray[np.bool_]:
-        """Return the mask of the moving Gaussians whose material has a given law."""
+        """Return the mask of the moving Gaussians in material with a given law."""
         return np.array([section.law == law for section in materials])[self.kinds]
 
 
 def _count(spans: list[list[int]]) -> int:
-    """Return the number of Gaussians in spans."""
+    """Return the total number of Gaussians in spans."""
     return sum(last - first for first, last in spans)
 
 
@@ -157,7 +154,7 @@ def _elongation(scales: Array, chosen: NDArray[np.int64]) -> tuple[float, float]
     """Return the largest ratios of the longest axis to the middle and to the shortest axis."""
     needle = flat = 1.0
     for start in range(0, len(chosen), BLOCK):
-        # This takes a sixth of the time of sorting the three lengths of each Gaussian.
+        # Sorting the three lengths of each Gaussian would take six times as long.
         some = scales[chosen[start : start + BLOCK]]
         a, b, c = np.maximum(some, np.finfo(np.float32).tiny).T
         low, high = np.minimum(a, b), np.maximum(a, b)
@@ -182,7 +179,7 @@ def make_appearance(
         particles: The particles that move.
         moves: Mask of the Gaussians that move [N].
         materials: The materials of the particles.
-        scene: The scene, which defines whether grains are shown.
+        scene: The scene, which determines whether grains are shown.
         spacing: Distance between neighbouring particles [m].
     """
     surface = len(gaussians)
@@ -213,10 +210,10 @@ def make_appearance(
 
 
 def _max_stretch(section: AnyMaterial, scene: Scene) -> float:
-    """Return the largest stretch at which a material does not tear.
+    """Return the largest stretch without tearing of a material.
 
-    Elastic material tears if its particles are too far apart to share nodes. The deformation
-    gradient F of material that flows plastically has no bound.
+    Elastic material tears if its particles are too far apart to have common nodes. The deformation
+    gradient F of plastic material has no bound.
     """
     if section.device_law.project is None:
         return APART * scene.particles_per_axis

@@ -1,8 +1,7 @@
-"""Creates the particles and the visible Gaussians of each object in a scene, and joins all objects
-for one solver.
+"""Creates the particles and visible Gaussians of the objects in a scene, and joins all objects.
 
-Each object is created separately, as if it were alone in the scene, on the grid of the whole scene.
-Props, which follow a path or move freely as rigid solids, have no particles.
+Each object is created as if it were alone in the scene, but with the grid spacing of the whole
+scene. Props, which follow a path or move freely as rigid solids, have no particles.
 """
 
 from __future__ import annotations
@@ -48,57 +47,56 @@ from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import belongs, number_among_all, place, renumber_parts, stack
 
 FEWEST = 8
-"""Number of cells along an object below which a note warns the user of a coarse grid."""
+"""If an object is shorter than this number of cells, a note warns the user of a coarse grid."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
-"""Names of the fields of an appearance that have one entry per moving Gaussian."""
+"""Names of the fields of an appearance with one entry per moving Gaussian."""
 
 
 class Placed(NamedTuple):
     """One object in its final position in the scene."""
 
     scene: Scene
-    """The scene without its other objects."""
+    """The scene without the other objects."""
     cleaned: Cleaning
     belonging: NDArray[np.bool_]
     """Mask of the Gaussians that belong to the object, not to its surroundings [N]."""
     gaussians: Gaussians
     crop: Crop
     interior: Solid | None = None
-    """Interior of the object; None if it is not known yet."""
+    """Interior of the object; None if not yet known."""
 
     def within(self, scene: Scene) -> Placed:
-        """Return the object for another scene with another grid; the object keeps its parts."""
+        """Return a copy of the object for another scene and grid; the copy keeps the parts."""
         return self._replace(scene=scene.model_copy(update={"parts": self.scene.parts}))
 
 
 class Body(NamedTuple):
-    """One object, or all objects of a scene joined into one, ready for the solver."""
+    """One object, or all objects of a scene combined, ready for the solver."""
 
     scene: Scene
-    """The scene; its parts refer to the Gaussians that are left after cleaning."""
+    """The scene; its parts refer to the Gaussians after cleaning."""
     cleaning: list[str]
-    """Messages about Gaussians that were changed or dropped by cleaning."""
+    """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
     """The N Gaussians at rest, at their positions in the scene [m]."""
     appearance: Appearance
     """Visible Gaussians of the object, and its particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
-    """Factor on E of each particle, relative to the E of its material [P]; None if all factors are
-    1.
-    """
+    """Factor on the material's E for each particle [P]; None if all factors are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
     """Interior, without surroundings, and longest side [m] of each moving object."""
     placed: Placed | None = None
-    """The object in its position; None for several objects."""
+    """The object in its position; None if there are several objects."""
 
 
 def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | None = None) -> Body:
     """Create all objects of a scene.
 
     Args:
-        gaussians: The objects at any size, standing upright, facing +x; without `object_id` they
-            are the first object. Missing objects are shapes or copies of the first object.
+        gaussians: The objects, of any size, upright and facing +x; without `object_id`, all
+            Gaussians belong to the first object. Objects without Gaussians are shapes or copies of
+            the first object.
         scene: The scene.
         crop: Position of the first object in the picture on which the masks of its parts were
             painted.
@@ -131,7 +129,7 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
 
 
 def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
-    """Return the proportions of the objects in a scene; None if all objects are scenery.
+    """Return the objects' proportions; None if all objects are scenery.
 
     Args:
         gaussians: The objects, as for `make_body`.
@@ -153,8 +151,7 @@ def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
 
 @contextmanager
 def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
-    """Within this context, errors about an object begin with the object's name, except for the
-    first object.
+    """Within this context, errors begin with the object's name, except for the first object.
 
     Raises:
         InputError: The original error, with the object's name added.
@@ -169,17 +166,18 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 
 
 def notes(scene: Scene) -> list[str]:
-    """Return a note for each object, except the first, that the grid hardly resolves."""
+    """Return a note for each object, except the first, with too few cells."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
-        f"follows from the size of {scene.object.name}; a larger accuracy.cells resolves it."
+        f"follows from the size of {scene.object.name}; a larger accuracy.cells gives it more "
+        f"cells."
         for body in scene.objects
         if body.size < FEWEST * scene.dx
     ]
 
 
 def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
-    """Check that all Gaussians belong to objects of the scene.
+    """Check that the scene has all objects to which Gaussians belong.
 
     Raises:
         InputError: Some Gaussians belong to an object that the scene does not have.
@@ -192,12 +190,12 @@ def refuse_ids(gaussians: Gaussians, scene: Scene) -> None:
 
 
 def free_indices(scene: Scene) -> tuple[int, ...]:
-    """Return the indices of the objects that move freely as rigid solids."""
+    """Return the indices of the freely moving rigid objects."""
     return tuple(index for index, body in enumerate(scene.objects, 1) if body.free)
 
 
 def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
-    """Yield the rigid solids of a scene, at the positions of their Gaussians."""
+    """Yield the freely moving rigid solids of a scene, at the positions of their Gaussians."""
     for index in free_indices(scene):
         body, inside = scene.objects[index - 1], gaussians.object_id == index
         contact = find_pair(scene.pairs, body.name, ANY)
@@ -218,10 +216,10 @@ def make_free(scene: Scene, gaussians: Gaussians) -> Iterator[FreeBody]:
 
 
 def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Scenery:
-    """Return the scenery: all Gaussians that the solver does not move, in each frame.
+    """Return the scenery: all Gaussians that the solver does not move.
 
     Args:
-        scene: The scene, whose objects with a path move along it.
+        scene: The scene; objects with a path move along the path.
         shown: All Gaussians at rest.
         moves: Mask of the Gaussians that move in the solver [N].
     """
@@ -231,9 +229,7 @@ def make_scenery(scene: Scene, shown: Gaussians, moves: NDArray[np.bool_]) -> Sc
 
 
 def planes_for_free(scene: Scene) -> list[Plane]:
-    """Return the flat walls that freely moving solids touch: all walls that are not limited to one
-    object.
-    """
+    """Return the flat walls for freely moving solids: walls that are not limited to one object."""
     if not free_indices(scene):
         return []
     planes: list[Plane] = []
@@ -252,17 +248,17 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if len(present) or not isinstance(body, SceneObject):
         return present
     if body.shape is not None:
-        # In a liquid, a pattern would flow with the liquid like a dye.
+        # A pattern would flow with the liquid like a dye.
         patterned = not isinstance(body.material, Fluid)
         return make_shape(body.shape, body.sides, body.colour, patterned=patterned)
     if not body.waits:
-        remedy = "Make the Gaussians by `phy124.pipeline.make_gaussians`, which reads them."
+        remedy = "Make the Gaussians with `phy124.pipeline.make_gaussians`, which reads the file."
         raise InputError("gaussians", "missing", "the object's file has not been read.", remedy)
     return gaussians.of_object(0)
 
 
 def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
-    """Clean and place the Gaussians of one object, ignoring the other objects."""
+    """Clean and place the Gaussians of one object."""
     gaussians, cleaned = clean(gaussians)
     renumbered = renumber_parts(scene, cleaned.survivors)
     belonging = belongs(renumbered, len(gaussians))
@@ -322,7 +318,7 @@ def _without_particles(placed: Placed) -> Body:
 
 
 def _join(bodies: list[Body], scene: Scene) -> Body:
-    """Join all objects; the surfaces of all objects come first, then the grains of all objects."""
+    """Combine all objects: first the surfaces of all objects, then the grains of all objects."""
     refuse_objects([body.appearance.particles for body in bodies], scene)
     pairs = zip(scene.objects, bodies[1:], strict=True)
     objects = [item.model_copy(update={"parts": body.scene.parts}) for item, body in pairs]
@@ -350,7 +346,7 @@ def _join(bodies: list[Body], scene: Scene) -> Body:
 
 
 def _join_appearances(bodies: list[Body]) -> Appearance:
-    """Join the appearances of all objects: first the surfaces, then the grains."""
+    """Combine the appearances of all objects: first the surfaces, then the grains."""
     looks, surfaces = [body.appearance for body in bodies], [len(body.gaussians) for body in bodies]
     counts = [len(look.moves) for look in looks]
     starts = np.cumsum([0, *counts])
@@ -388,7 +384,7 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
 def _join_particles(
     objects: list[Particles], numbers: list[NDArray[np.int64]], first_kinds: NDArray
 ) -> Particles:
-    """Join the particles of all objects, object by object.
+    """Combine the particles of all objects, object by object.
 
     Args:
         objects: Particles of each object.

@@ -1,9 +1,8 @@
-"""Assigns materials to particles according to the parts of a scene, a file of properties, or a
-stiffness field.
+"""Assigns materials to particles, by parts of the scene, a properties file, or a stiffness field.
 
-A part is selected by a box in space, by a segmentation mask of the picture, by the Gaussians it
-contains, or by several of these at once. Later parts override earlier parts. Particles that are in
-no part have the scene's material. Static parts have no particles.
+A part is selected by a box in space, by a segmentation mask of the picture, by Gaussians, or by a
+combination. Later parts override earlier parts. Particles outside all parts have the scene's
+material. Static parts have no particles.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return the index of each particle's material [P]: 0 for the scene's material, i for the
-    material of part i (from 1).
+    """Return the material index of each particle [P]: 0 for the scene's material, i for part i
+    (from 1).
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.
-        gaussian: Index of each particle's Gaussian [P]; for -1, the nearest Gaussian decides.
+        gaussian: Index of each particle's Gaussian [P]; -1: the nearest Gaussian is used.
         parts: The scene's parts.
         crop: Position of the object in the picture on which the masks were painted.
         means: Centres of the Gaussians [N,3], m, if no particle represents a single Gaussian.
@@ -53,14 +52,14 @@ def assign(
             if part.region.units == "file":
                 limit = "the object was not read from a .ply file by `phy124 simulate`."
                 field = f"parts.{number - 1}.region.units"
-                raise InputError(field, "file", limit, "Give the region in metres.")
+                raise InputError(field, "file", limit, "Define the region in metres.")
             inside &= part.region.contains(x)
         if part.gaussians is not None:
             inside &= _belong_to(x, gaussian, part.gaussians, means)
         if part.mask is not None:
             inside &= sample_brightness(x, part.mask, crop, field=f"parts.{number - 1}.mask") > 0.5
         if not inside.any() and not part.surroundings:
-            remedy = "Give it a larger region, another mask or other Gaussians."
+            remedy = "Choose a larger region, another mask or other Gaussians."
             raise InputError(f"parts.{number - 1}", part.data(), "it holds no particle.", remedy)
         chosen[inside] = number
     return chosen
@@ -69,18 +68,18 @@ def assign(
 def assign_materials(
     particles: Particles, means: NDArray, scene: Scene, crop: Crop = WHOLE
 ) -> tuple[Particles, NDArray[np.bool_]]:
-    """Return particles with the materials of their parts, and the mask of the moving Gaussians [N].
+    """Return the particles with their parts' materials, and the mask of the moving Gaussians [N].
 
     Args:
-        particles: Particles of all Gaussians, static ones included, so that a solid stays filled if
-            a part of it is cut off.
+        particles: Particles of all Gaussians, including static Gaussians, so that a solid stays
+            filled if a part of it is static.
         means: The Gaussians at rest [N,3], m.
         scene: The scene, with its parts.
         crop: Position of the object in the picture on which the masks were painted.
 
     Returns:
-        The particles that move, sorted by law, with their Gaussians numbered among the moving
-        Gaussians; and the mask of moving Gaussians.
+        The moving particles, sorted by law, with indices into the moving Gaussians; and the mask of
+        the moving Gaussians.
 
     Raises:
         InputError: A part contains no particle, or all Gaussians are static.
@@ -94,15 +93,15 @@ def assign_materials(
     if static.any():
         seen = assign(means, np.arange(len(means)), scene.parts, crop)
         bound = particles.gaussian >= 0
-        # A Gaussian and its particle must have the same material, although filler particles may
-        # extend a mask.
+        # A Gaussian and its particle must have one material, although filler particles may extend a
+        # mask.
         part[bound] = seen[particles.gaussian[bound]]
         moves = ~static[seen]
     kept = np.flatnonzero(~static[part])
     if not moves.any() or not len(kept):
         limit = "every Gaussian is static, so nothing moves."
         raise InputError(
-            "parts", "static = true", limit, "Set static = false for at least one part."
+            "parts", "static = true", limit, "Set static = false in at least one part."
         )
     laws = [section.device_law.name for section in scene.materials]
     # Index of each part's material among the materials of all moving parts.
@@ -125,7 +124,7 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return the mask of the particles whose Gaussian, or nearest Gaussian, is in a span."""
+    """Return the mask of the particles whose own or nearest Gaussian is in a span."""
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
     if means is not None and not bound.any():
@@ -145,15 +144,15 @@ def vary_materials(
     belonging: NDArray[np.bool_],
     crop: Crop,
 ) -> tuple[Particles, Sequence[AnyMaterial], NDArray[np.float64] | None]:
-    """Return particles and materials with the properties of the scene, and each particle's fraction
-    of E [P].
+    """Return particles and materials with the scene's properties, and each particle's fraction of E
+    [P].
 
     Args:
-        particles: The moving particles, whose materials are indices into the scene's materials.
-        scene: The scene, with its file of properties and its stiffness.
+        particles: The moving particles, with indices into the scene's materials.
+        scene: The scene, with its properties file and its stiffness.
         means: All Gaussians at rest [N,3], m.
-        survivors: Mask of the Gaussians that survived cleaning; None: all survived.
-        belonging: Mask of the Gaussians of the object, without its surroundings [N].
+        survivors: Mask of the Gaussians that cleaning kept; None: all were kept.
+        belonging: Mask of the object's Gaussians, without its surroundings [N].
         crop: Position of the object in its picture.
 
     Raises:
@@ -176,13 +175,11 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law, and also these materials and
-    the order.
+    """Return particles with the materials of a file, sorted by law; the materials; and the order.
 
     Args:
-        particles: The moving particles, whose materials are indices into `materials`.
-        columns: E, nu, density, damping [P] and names of laws [P], as far as the file contains
-            them.
+        particles: The moving particles, with indices into `materials`.
+        columns: E, nu, density, damping [P] and names of laws [P]; some may be missing.
         materials: The scene's materials; a column replaces the field of the same name.
 
     Raises:
@@ -200,7 +197,10 @@ def with_properties(
         name = listed[int(np.argmin(used))]
         limit = f"the law {bases[base[0]].law} has no {name}."
         raise InputError(
-            "properties.file", name, limit, "Use another law, or remove this property."
+            "properties.file",
+            name,
+            limit,
+            "Use another law, or remove this property from the file.",
         )
     values = (np.where(has[base, i], columns[name], 0.0) for i, name in enumerate(listed))
     rows = np.column_stack([base, *values])
@@ -220,7 +220,7 @@ def with_properties(
 
 
 def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
-    """Return the index of a material of a law; if there is none, add one with default values."""
+    """Return the index of a material with a given law; add a material if there is none."""
     for number, section in enumerate(bases):
         if section.law == name:
             return number
@@ -233,9 +233,7 @@ def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
 
 
 def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    """Return a material with the given values; values for which the material has no field are
-    ignored.
-    """
+    """Return a material with some given values; ignore values without a field."""
     fields = {name: value for name, value in values.items() if name in type(base).model_fields}
     same = all(getattr(base, name) == value for name, value in fields.items())
     return base if same else base.model_copy(update=fields)
@@ -253,7 +251,7 @@ def _check_extremes(kinds: NDArray, names: list[str], bases: list[AnyMaterial]) 
                     type(section).model_validate({**section.model_dump(), name: value})
                 except ValidationError as error:
                     wrong = explain(error, "material", type(section))
-                    remedy = "Correct the file, or clip its values."
+                    remedy = "Correct the file, or limit its values to the bounds."
                     raise InputError(
                         "properties.file", f"{name} = {value:g}", wrong.limit, remedy
                     ) from None
@@ -266,15 +264,15 @@ def stiffness_fractions(
     crop: Crop = WHOLE,
     listed: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64] | None:
-    """Return the ratio of each particle's E to the E of its material [P]; None if all ratios are 1.
+    """Return each particle's fraction of the material's E [P]; None if all fractions are 1.
 
     Args:
         particles: The particles that move.
         means: The object's Gaussians [N,3], m.
         scene: The scene, with its stiffness and materials.
         crop: Position of the object in its picture.
-        listed: Fractions [P] from a file of properties, which are multiplied by the fractions of
-            the stiffness.
+        listed: Fractions [P] from a properties file; the fractions of the stiffness are multiplied
+            by them.
 
     Raises:
         InputError: No material has an E that may vary, or a fraction of E is below a law's bounds.
@@ -302,6 +300,6 @@ def _refuse_too_soft(section: AnyMaterial, fraction: float) -> None:
         type(section).model_validate(softened)
     except ValidationError as error:
         wrong = explain(error, "material", type(section))
-        limit = f"{section.law} cannot be that soft; of {wrong.field}, {wrong.limit}"
+        limit = f"{section.law} cannot be so soft; {wrong.field}: {wrong.limit}"
         remedy = "Raise the smallest fraction, or the material's E."
         raise InputError("stiffness", f"{fraction:g} of E", limit, remedy) from None

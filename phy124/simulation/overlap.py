@@ -17,27 +17,27 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 DEEPEST = 1.0
-"""Largest allowed overlap at the start [cells]; the position of a surface is known only to within
-one cell.
+"""Largest allowed overlap at the start [cells]; positions of surfaces are known only to within one
+cell.
 """
 MOST = 0.1
-"""Largest allowed fraction of the material that starts deeper than `DEEPEST` inside a wall; a
-smaller fraction is reported in a note.
+"""Largest allowed fraction of the material that starts deeper than `DEEPEST` inside a wall; for a
+smaller fraction, there is a note.
 """
 
 
 class Buried(NamedTuple):
-    """A wall with material behind its surface at the start."""
+    """A wall with material behind the wall's surface at the start."""
 
     kind: str
     fraction: float
-    """Fraction of the affected material that is more than `DEEPEST` cells behind the surface."""
+    """Fraction of the material that starts more than `DEEPEST` cells behind the surface."""
     depth: float
     """Depth of the deepest particle [m]."""
 
     @property
     def what(self) -> str:
-        """The fraction and the depth, as a clause of a message."""
+        """The fraction and the depth as a clause for messages."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )
@@ -57,16 +57,16 @@ def refuse_buried(boundaries: Sequence[Boundary], model: Model) -> None:
 
 
 def notes(boundaries: Sequence[Boundary], model: Model) -> list[str]:
-    """Return a note for each wall that has a little of the material inside it at the start."""
+    """Return a note for each wall that contains a little of the material at the start."""
     return [
         f"The {wall.kind}: {wall.what}, and stays there." for wall in find_buried(boundaries, model)
     ]
 
 
 def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried]:
-    """Yield the walls that have material behind their surface at the start.
+    """Yield the walls with material behind their surface at the start.
 
-    A bounded solid with sticky contact may overlap the material, because it is a clamp.
+    A bounded solid with sticky contact is a clamp and may overlap the material.
     """
     moves = model.moves
     for boundary in boundaries:
@@ -85,13 +85,12 @@ def find_buried(boundaries: Sequence[Boundary], model: Model) -> Iterator[Buried
 
 
 def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
-    """Refuse material that is inside a rigid solid at the start, because the material would stay
-    there.
+    """Check that no material is inside a rigid solid at the start; the material would stay there.
 
     Args:
         solids: The rigid solids.
         x: Positions of all particles [P,3], m.
-        scene: The scene, which defines the size of a cell.
+        scene: The scene, which determines the size of a cell.
 
     Raises:
         InputError: Some material is inside a solid; the message gives the depth.
@@ -105,10 +104,10 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 
 def refuse_objects(objects: Sequence[Particles], scene: Scene) -> None:
-    """Refuse objects that overlap at the start.
+    """Check that no objects overlap at the start.
 
     Raises:
-        InputError: Two objects overlap; the message names them and gives the overlap.
+        InputError: Two objects overlap; the message gives their names and the overlap.
     """
     cells = [
         np.unique(np.floor(particles.x / scene.spacing).astype(np.int64), axis=0)

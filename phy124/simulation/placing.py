@@ -16,7 +16,7 @@ from phy124.scene import Scene
 
 
 def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
-    """Return a mask of the Gaussians that belong to the object, not to its surroundings [count]."""
+    """Return a mask [count] of the Gaussians of the object, without its surroundings."""
     belonging = np.ones(count, bool)
     for part in scene.parts:
         if part.surroundings and part.gaussians is not None:
@@ -25,7 +25,7 @@ def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
 
 
 def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> Gaussians:
-    """Return scaled and rotated Gaussians; the surroundings are not shifted with the object."""
+    """Return scaled and rotated Gaussians; only the object is shifted, not its surroundings."""
     body = scene.object
     standing = gaussians.transform(*placing(gaussians, scene, belonging))
     if any(body.turn):
@@ -38,7 +38,7 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Shift the chosen Gaussians by an offset [m]; a zero offset keeps coordinates bit for bit."""
+    """Shift some Gaussians by an offset [m]; a zero offset does not change a bit."""
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()
@@ -50,9 +50,7 @@ def shift(
 def placing(
     gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale and the offset [3], m, that give the object its size and place it on z =
-    0.
-    """
+    """Return the scale and the offset [3], m, that give the object its size and put it on z = 0."""
     object_ = gaussians if belonging.all() else gaussians.select(belonging)
     return size_transform(object_, scene.object.size)
 
@@ -62,7 +60,7 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
     Args:
         placed: Each object in its position above the floor.
-        scene: The scene, which defines the object under each object, and the lift.
+        scene: The scene, which defines the lift and on which object each object stands.
 
     Raises:
         InputError: An object is not above the object on which it stands.
@@ -71,14 +69,14 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
     objects, names = scene.every_object, scene.names
     waiting = [index for index, body in enumerate(objects) if body.on in names]
     while waiting:
-        # Lower objects are moved first; a valid scene has no cycles.
+        # Lower objects are moved first; a valid scene contains no cycles.
         index = next(i for i in waiting if names.index(objects[i].on) not in waiting)
         waiting.remove(index)
         below = raised[names.index(objects[index].on)]
         rise = _gap(below, raised[index], scene.spacing)
         if rise is None:
-            limit = "it is not above the object on which it is to stand."
-            remedy = f"Give {names[index]} the place of that object."
+            limit = "it is not above the object on which it should stand."
+            remedy = f"Set the `place` of {names[index]} to the `place` of the lower object."
             raise InputError(f"{names[index]}.on", objects[index].on, limit, remedy)
         every = np.ones(len(raised[index]), bool)
         up = -rise + objects[index].lift
@@ -96,8 +94,8 @@ def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height over each square of a grid or, if the sign is -1, minus the
-    smallest height.
+    """Return the largest height in each square of a grid or, for sign -1, minus the smallest
+    height.
     """
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
@@ -109,7 +107,7 @@ def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, 
 
 
 def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Particles:
-    """Return the particles of the object, with their Gaussians numbered among all Gaussians."""
+    """Return the particles of the object, with indices into all Gaussians."""
     if belonging.all():
         return particles
     gaussian = particles.gaussian
@@ -118,9 +116,7 @@ def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Part
 
 
 def renumber_parts(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """Return the scene, with the Gaussians of its parts renumbered after some Gaussians have been
-    dropped.
-    """
+    """Return the scene with new indices of the parts' Gaussians, after Gaussians are dropped."""
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

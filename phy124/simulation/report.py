@@ -15,7 +15,7 @@ from phy124.simulation import bodies, overlap
 from phy124.simulation.setup import Setup
 
 Run = Any
-"""A `Simulation`, whose class cannot be imported here, because its module imports this module."""
+"""A `Simulation`; its class cannot be imported here, because its module imports this module."""
 
 
 def report_run(run: Run) -> dict[str, Any]:
@@ -78,9 +78,7 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
 
 
 def _sections(run: Run) -> Iterator[dict[str, Any]]:
-    """Yield the report section of each observer, and default sections for observers that were not
-    used.
-    """
+    """Yield the report section of each observer, and the default sections of unused observers."""
     frames = run.frames if run.setup.keep else ()
     yield from (observer.report(frames) for observer in run.observers)
     present = {type(observer) for observer in run.observers}
@@ -136,23 +134,23 @@ def _notes(run: Run) -> list[str]:
 
 
 def _unregistered_notes(classes: dict[str, str]) -> Iterator[str]:
-    """Yield notes on a run's files if the scene uses classes that have no registered name."""
+    """Yield notes about a run's files if the scene uses classes without a registered name."""
     for name, group in classes.items():
         yield (
-            f"{name} is defined by your program only: the clip can be filmed again, but the run "
+            f"{name} is defined only in your program: the clip can be rendered again, but the run "
             f"cannot be resumed or repeated from its files. An entry point phy124.{group} gives "
-            "it a name for scene files."
+            "the class a name for scene files."
         )
 
 
 def _cfl_note(run: Run) -> list[str]:
-    """Return a note if a cfl close to 1 shortens the substeps of a viscous material."""
+    """Return a note if `accuracy.cfl` is so close to 1 that viscosity shortens the substeps."""
     clock = run.solver.clock
     cfl, taken = run.scene.resolution.fraction, sum(clock.limiters.values())
     if cfl <= CFL or 2 * clock.limiters.get("viscous", 0) <= taken:
         return []
     gain = beside_elastic(CFL) / max(beside_elastic(cfl), 1e-9)
     return [
-        "Viscosity limits the substeps, more strongly the closer accuracy.cfl is to 1: with "
+        "Viscosity limits the substeps, in particular if accuracy.cfl is close to 1. With "
         f"accuracy.cfl = {CFL:g} instead of {cfl:g} they would be {gain:.2g} times as long."
     ]

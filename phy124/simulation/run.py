@@ -1,4 +1,4 @@
-"""Advances the particles of a setup from frame to frame: a run."""
+"""A run: advances the particles of a setup from frame to frame."""
 
 from __future__ import annotations
 
@@ -44,14 +44,12 @@ class Stopped(RuntimeError):
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
-        """Changes to the scene, each of which is sufficient as a remedy."""
+        """Changes to the scene; each of them is a sufficient remedy."""
         super().__init__(f"{why} {advise(remedies)}".strip())
 
 
 class Interrupted(Cancelled):
-    """Raised if a run is cancelled; the frames computed so far are valid, and `resume` can save the
-    state of the run.
-    """
+    """Raised if a run is cancelled; its frames are valid, and `resume` can save the state."""
 
     def __init__(self, run: Simulation) -> None:
         self.run = run
@@ -59,7 +57,7 @@ class Interrupted(Cancelled):
 
 
 class Simulation:
-    """One run; iterating yields its frames. Leaving the loop early pauses the run.
+    """One run; iterating yields the frames. Leaving the loop early pauses the run.
 
     Iterating again continues with the next frame. `phy124.pipeline.resume` saves a paused run and
     continues it later, bit for bit.
@@ -89,19 +87,17 @@ class Simulation:
         measured = scene.velocities or scene.keeps_contacts
         size = cost.BYTES_PER_GAUSSIAN * count * scene.time.frames
         self.light = setup.keep and setup.shapes and not measured and size > cost.HELD
-        """Whether `frames` contain no Gaussians, because these are computed from the motion of
-        particles."""
+        """Whether `frames` contain no Gaussians; these are computed later from the motion."""
         self._moved: Recorded | None = None
         self.rotations: list[NDArray] = []
-        """Rotations of the Gaussians in each frame [N,4] wxyz, if their colours depend on them."""
+        """Rotations of the Gaussians in each frame [N,4] wxyz, if colours depend on rotations."""
         self.poses: list[NDArray] = []
         """Centre [m] and orientation (wxyz) of each freely moving solid in every frame [F,7]."""
         self.retried: list[int] = []
         """Indices of the frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """The reason for a stop, and its remedies; None and an empty list unless the run has
-        stopped.
+        """The reason for a stop, and remedies; None and an empty list unless the run has stopped.
         """
         self.remarks: list[str] = []
         """Further notes for the report."""
@@ -109,7 +105,7 @@ class Simulation:
         """Largest number of substeps of a frame; live runs limit it."""
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames in order, beginning with the frame after the last computed frame.
+        """Yield the frames in order, starting after the last computed frame.
 
         Raises:
             Stopped: A frame is wrong, or the run has used twice its time budget.
@@ -131,7 +127,7 @@ class Simulation:
         return replace(frame, gaussians=self._frames_so_far().gaussians(frame.index))
 
     def _take_frame(self) -> Frame:
-        """Compute the next frame and keep it; in a light run the frame contains no Gaussians."""
+        """Compute and keep the next frame; in a light run, the frame contains no Gaussians."""
         index, timing, context = self.count, self.scene.time, self.setup.context
         time = index / timing.fps
         skipped = next(filter(None, (o.skip_to(index) for o in self.observers)), None)
@@ -179,17 +175,16 @@ class Simulation:
         record: Callable[[Simulation], object] = lambda run: None,
         shapes: bool = True,
     ) -> Clip:
-        """Return all frames as a clip; after an early stop, the clip contains only the valid
-        frames, and the reason.
+        """Return all frames as a clip; after an early stop, the valid frames and the reason.
 
         Args:
-            each: Function called with every frame as soon as it is computed.
+            each: Function called with every frame as soon as the frame is computed.
             record: Function called with this simulation after every frame, before `each`. Without
                 `each`, light runs compute the Gaussians only when the clip's frames are read.
-            shapes: The same argument as for `clip`.
+            shapes: As for `clip`.
 
         Raises:
-            Interrupted: The run was cancelled; its state is the state after the last frame.
+            Interrupted: The run was cancelled; the state is the state after the last frame.
         """
         try:
             while self.count < self.scene.time.frames:
@@ -211,8 +206,8 @@ class Simulation:
         """Return the frames computed so far as a clip.
 
         Args:
-            shapes: Whether the report of a light run describes the shapes of the Gaussians, for
-                which all frames must be computed; `shapes_of` adds the description later.
+            shapes: Whether the report of a light run describes the shapes of the Gaussians, which
+                requires all frames; `shapes_of` can add this description later.
 
         Raises:
             ValueError: The frames were not kept.
@@ -241,12 +236,11 @@ class Simulation:
         return clip.with_report(report | (self.shapes_of(clip) if shapes or not self.light else {}))
 
     def shapes_of(self, clip: Clip, *, every: bool = True) -> dict[str, Any]:
-        """Return the entry of the report that describes the shapes of the Gaussians in the run's
-        clip.
+        """Return the report's entry about the shapes of the Gaussians in the run's clip.
 
         Args:
             clip: The clip.
-            every: Whether frames of a light run that have not been read are computed.
+            every: Whether to compute frames of a light run that have not been read.
         """
         look, materials = self.setup.appearance, self.setup.materials
         if self._moved is None:
@@ -261,7 +255,7 @@ class Simulation:
         return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the state from which the run can continue, without frames, as arrays and plain
+        """Return a snapshot from which the run can continue, without frames, as arrays and plain
         data.
         """
         return {
@@ -276,7 +270,7 @@ class Simulation:
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Return to the state in which a snapshot was taken."""
+        """Restore the state of a snapshot."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
         self.spent.before = snapshot["spent"]
         self.solver.rejection.rejected = snapshot["rejected"]
@@ -288,9 +282,7 @@ class Simulation:
 
     @lock_gpu
     def _make_frame(self, index: int, time: float) -> Frame:
-        """Return a frame: the deformed Gaussians with the results of observers and the scenery
-        added.
-        """
+        """Return a frame: the deformed Gaussians, the results of observers, and the scenery."""
         state, scenery, stage = (
             self.solver.state,
             self.setup.scenery,
@@ -323,7 +315,7 @@ class Simulation:
     def deformer(self) -> Deformer:
         """Computes the Gaussians of each frame.
 
-        The deformer is created at its first use, so a run without shapes binds no Gaussians to
+        The deformer is created at first use, so a run without shapes does not bind Gaussians to
         particles.
         """
         return Deformer(
@@ -340,7 +332,7 @@ class Simulation:
         return self.deformer.carriers
 
     def _frames_so_far(self) -> Recorded:
-        """Return the frames of a light run; their Gaussians are computed when they are read."""
+        """Return the frames of a light run; the Gaussians are computed when a frame is read."""
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._moved is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
@@ -377,15 +369,15 @@ class Simulation:
         )
 
     def _repeat_frame(self, index: int, time: float) -> Frame:
-        """Return the last frame with another index and time, because nothing has moved since."""
+        """Return the last frame with a new index and time, because nothing has moved."""
         if self.rotations:
             self.rotations.append(self.rotations[-1])
         return replace(self.frames[-1], index=index, time=time)
 
     @lock_gpu
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to the time of a frame; after a failure, repeat the frame once with half
-        the substep.
+        """Take substeps up to the time of a frame; after a failure, repeat once with half the
+        substep.
         """
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
@@ -401,7 +393,7 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """Within this context, halve the substeps and measure their limits often."""
+        """Within this context, halve the substeps and measure the limits often."""
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
@@ -414,7 +406,7 @@ class Simulation:
     def _try(self, index: int, until: float, *, closely: bool = False) -> Violation | None:
         """Attempt to compute a frame.
 
-        Return None if the frame is valid; otherwise reset the state and return the violation.
+        Return None if the frame is valid; otherwise reset the state and return the error.
         """
         solver = self.solver
         run_timed(solver.timings, REPAIR, lambda: solver.repair.begin(solver.clock))
@@ -455,17 +447,15 @@ class Simulation:
             observer.after_substep()
 
     def after_attempt(self) -> Violation | None:
-        """Return the first violation that an observer reports when a frame ends."""
+        """Return the first error that an observer reports at the end of a frame."""
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return the state to which `roll_back` returns."""
+        """Return a checkpoint for `roll_back`."""
         return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
 
     def roll_back(self, checkpoint: dict[str, Any]) -> None:
-        """Return to a checkpoint: restore the solver, and the sums that observers collect over
-        substeps.
-        """
+        """Return to a checkpoint: restore the solver and the observers' sums over substeps."""
         self.solver.restore(checkpoint["solver"])
         restore_all(self._summing, checkpoint["observers"])
 
@@ -474,8 +464,8 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return the function to call after each substep, which runs observers and checks time
-        budget and progress.
+        """Return the function to call after each substep: it runs observers, and checks budget and
+        progress.
         """
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver

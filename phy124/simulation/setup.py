@@ -38,29 +38,28 @@ from phy124.simulation.overlap import refuse_solids
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """All data that determine a run; a setup may be run many times."""
+    """All data that determine a run; a setup can be used for many runs."""
 
     source: Gaussians
     """The Gaussians from which the setup was made."""
     crop: Crop
-    """Position of the object in the picture; the masks of parts were painted on this picture."""
+    """Position of the object in the picture on which the masks of parts were painted."""
     scene: Scene
     """The scene, with the solver that the device uses for elastic objects."""
     no_lattice: str
-    """Reason why no object is simulated on a lattice; empty if the elastic objects are."""
+    """Reason why no object is simulated on a lattice; empty if elastic objects are."""
     solid_scene: Scene
-    """The scene, in which objects on a path are walls, too."""
+    """The scene, in which objects on a path are also walls."""
     cleaned_scene: Scene
-    """The scene; its parts refer to the Gaussians that are left after cleaning."""
+    """The scene; its parts refer to the Gaussians after cleaning."""
     cleaning: list[str]
-    """Messages about Gaussians that were changed or dropped by cleaning."""
+    """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
     """The cleaned Gaussians at rest, at their positions in the scene [m]."""
     interiors: Sequence[tuple[Solid, float]]
     """Interior, without surroundings, and longest side [m] of each moving object."""
     placed: Placed | None
-    """The object in its final position, from which further setups start; None for several
-    objects."""
+    """The object in its final position, for further setups; None if there are several objects."""
     appearance: Appearance
     """Appearance of the Gaussians, including grains."""
     particles: Particles
@@ -68,30 +67,27 @@ class Setup:
     materials: Sequence[AnyMaterial]
     """Materials of the particles."""
     stiffness: NDArray[np.float64] | None
-    """Factor on E of each particle, relative to the E of its material [P]; None if all factors are
-    1.
-    """
+    """Factor on the material's E for each particle [P]; None if all factors are 1."""
     free: tuple[FreeBody, ...]
-    """Props (objects without deformation) that move freely as rigid solids."""
+    """Props (objects without deformation) that are freely moving rigid solids."""
     scenery: Scenery
-    """All Gaussians at rest, and the props and parts that the solver does not move."""
+    """All Gaussians at rest, with the props and parts that the solver does not move."""
     estimate: Estimate
     """Rough estimate of the time and memory that the run needs."""
     context: RunContext
-    """Device, threads, progress and stopwatch; the particles are ordered for this number of
-    threads."""
+    """Device, number of threads, progress and timer; particles are sorted for these threads."""
     threads: int
     """Number of CPU threads that the run uses."""
     along: int
-    """Axis along which the particles are ordered."""
+    """Axis along which the particles are sorted."""
     keep: bool
     """Whether all frames are kept."""
     shapes: bool
-    """Whether the Gaussians of frames are deformed; otherwise frames show the Gaussians at rest."""
+    """Whether frames contain deformed Gaussians instead of the Gaussians at rest."""
     changes: bool
     """Whether forces, boundaries and stiffness may change during the run."""
     observers: tuple[type[Observer], ...]
-    """Classes of observers; the scene determines the observers that the run has."""
+    """Classes of observers, from which the scene selects the observers of the run."""
 
     @property
     def shown(self) -> Gaussians:
@@ -108,7 +104,7 @@ class Setup:
 
     @property
     def subject(self) -> Subject:
-        """The properties of the run that determine which observers it has."""
+        """The properties of the run that determine its observers."""
         return Subject(self.solid_scene, self.materials, self.changes)
 
 
@@ -128,12 +124,12 @@ def prepare(
     """Place the objects of a scene, create their particles, and estimate the cost of the run.
 
     Args:
-        gaussians: The object at any size, standing upright, facing +x; or several objects,
-            distinguished by `object_id`. Missing objects are shapes or copies of the first object.
+        gaussians: The object, of any size, upright and facing +x; or several objects, distinguished
+            by `object_id`. Objects without Gaussians are shapes or copies of the first object.
         scene: Materials, forces, boundaries and accuracy.
-        context: Device, threads, progress and stopwatch.
+        context: Device, number of threads, progress and timer.
         crop: Position of the object in the picture on which the masks of parts were painted.
-        along: Axis along which particles are ordered; None: chosen by the number of threads.
+        along: Axis along which particles are sorted; None: chosen by the number of threads.
         keep: Whether to keep all frames for a clip; if not, the frames may exceed the memory.
         shapes: Whether to deform the Gaussians of each frame.
         changes: Whether to allow `Simulation.change`.
@@ -158,7 +154,7 @@ def prepare(
         solid_scene = scene.with_solids()
         threads = usable_workers(len(look.particles), context.device, context.threads)
         if scene.on_lattice:
-            along = 0  # The cells stay in the order of the lattice.
+            along = 0  # The cells stay in lattice order.
         along = slab_axis(look.particles, threads) if along is None else along
         particles, stiffness = sort_for_slabs(
             look.particles, body.materials, body.stiffness, scene.dx, along
@@ -198,9 +194,7 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which particles are sorted: x or, if there are several threads, the
-    longest axis.
-    """
+    """Return the axis along which particles are sorted: x, or the longest for several threads."""
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 
@@ -216,7 +210,7 @@ def sort_for_slabs(
     Args:
         particles: Particles sorted by law, and along x within each law; the order of laws is kept.
         materials: Materials of the particles.
-        stiffness: Values for each particle [P], or None.
+        stiffness: One value per particle [P], or None.
         dx: Thickness of a layer [m].
         axis: The axis perpendicular to the layers; for axis 0, the order is not changed.
     """
@@ -235,7 +229,7 @@ def sort_for_slabs(
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
     """Return the scene for the cost estimate.
 
-    A file of properties is replaced by the material in this file that has the highest wave speed.
+    A properties file is replaced by the material in the file with the highest wave speed.
     """
     if scene.properties is None:
         return scene

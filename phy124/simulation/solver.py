@@ -1,4 +1,4 @@
-"""Creates the solver of a setup at time 0, and lists the kernels of a scene."""
+"""Creates the solver for a setup at time 0, and lists the kernels of a scene."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 FLOOR_NODE = 0.75
-"""Distance from the floor down to the next layer of nodes below it [cells]."""
+"""Distance of the first layer of nodes below the floor from the floor [cells]."""
 
 
 def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
@@ -117,10 +117,9 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return the arguments of the solver's `bind`: forces and boundaries, as wrapped by the
-    observers.
+    """Return the arguments of the solver's `bind`: forces and boundaries, wrapped by the observers.
 
-    The solver of a projected liquid sums the impulses of its walls itself.
+    The solver of a projected liquid sums the impulses of walls itself.
     """
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries
@@ -141,10 +140,10 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
 
 
 def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
-    """Yield the kernels that one thread launches in a run of a scene.
+    """Yield the kernels of one thread in a run of a scene.
 
-    Kernels of grabs and wrenches on a part of the object are omitted; such a kernel is compiled in
-    0.3 s when it is needed.
+    Kernels of grabs and wrenches on a part of the object are omitted; they are compiled when
+    needed, in 0.3 s each.
     """
     scene = choose_solver(scene, device)
     precision = scene.precision
@@ -194,7 +193,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
 
 
 def find_wet(fluid: NDArray, material: NDArray | None, body: NDArray | None) -> list[int]:
-    """Return the bodies that are liquid.
+    """Return the indices of the liquid bodies.
 
     Args:
         fluid: Whether each material is a liquid [M].
@@ -214,23 +213,19 @@ def scheme_of(scene: Scene) -> Scheme:
 
 
 def number_bodies(body: NDArray | None) -> NDArray | None:
-    """Return body indices without gaps [P], since scenery has an index in the scene but no
-    particles.
-    """
+    """Return body indices without gaps [P]; scenery has an index in the scene but no particles."""
     return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
 
 
 def _pairs(names: Sequence[str], scene: Scene) -> Iterator[Pair]:
-    """Yield the contact between the two bodies of each pair that the scene names."""
+    """Yield the contact parameters of each pair of bodies that the scene lists."""
     for first, second in combinations(range(len(names)), 2):
         contact = find_pair(scene.pairs, names[first], names[second])
         yield Pair(first, second, contact.friction, contact.contact == "sticky")
 
 
 def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDArray, NDArray]:
-    """Return the velocities [P,3], m/s, and velocity gradients [P,3,3], 1/s, of the initial rigid
-    motions.
-    """
+    """Return velocities [P,3], m/s, and their gradients [P,3,3], 1/s, of initial rigid motions."""
     if particles.body is None:
         return _rigid_motion(x, particles.mass, scene.object)
     v, C = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
@@ -242,7 +237,7 @@ def _initial_motion(x: NDArray, particles: Particles, scene: Scene) -> tuple[NDA
 
 
 def _rigid_motion(x: NDArray, mass: NDArray, body: Object) -> tuple[NDArray, NDArray]:
-    """Return the velocities of the rigid motion of an object, and the velocity gradients."""
+    """Return the velocities and velocity gradients of the rigid motion of an object."""
     wx, wy, wz = body.spin
     gradient = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
     centre = (mass[:, None] * x).sum(axis=0) / mass.sum()

@@ -1,6 +1,6 @@
-"""Measures the CPU time that a simulation has spent, which `time.budget` limits.
+"""Measures the CPU time of a simulation, which `time.budget` limits.
 
-The time of other programs is not counted, so a run does not stop because of them.
+The time of other programs is not counted, so other programs cannot stop a run.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from phy124.mpm.threads import Team
 
 
 class Spent:
-    """CPU time of the busiest thread of the simulation [s]; the time of other programs does not
-    count.
+    """CPU time of the busiest thread of the simulation [s].
 
     On a GPU, wall-clock time is used, since GPU time is not measured per program.
     """
@@ -33,7 +32,7 @@ class Spent:
 
     @contextmanager
     def counting(self) -> Iterator[None]:
-        """Count time within this context; the same thread must enter and leave it."""
+        """Count time within this context; one thread must both enter and leave the context."""
         self._start = self._now()
         try:
             yield
@@ -42,12 +41,12 @@ class Spent:
             self._start = self._now()
 
     def total(self) -> float:
-        """Return the time counted so far [s]; call it from the thread that counts."""
+        """Return the time counted so far [s]; call from the counting thread."""
         pairs = zip(self._now(), self._start, strict=True)
         return self.before + max(now - start for now, start in pairs)
 
     def _now(self) -> list[float]:
-        """Return a clock reading per thread [s]; the difference of two readings is CPU time."""
+        """Return a clock reading per thread [s]; differences of readings are CPU times."""
         if not self._on_cpu:
             return [time.perf_counter()]
         return [time.thread_time(), *self._team.seconds[1:]]
