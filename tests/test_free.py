@@ -430,6 +430,23 @@ def test_one_that_starts_inside_material_is_refused():
         Simulation(prepare(ball(400), scene(objects=[inside]), RunContext(threads=1)))
 
 
+def test_plate_starts_above_bodies_and_free_solids():
+    declared = scene(boundaries=[{"kind": "ground"}, {"kind": "press"}])
+    setup = prepare(ball(400), declared, RunContext(threads=1))
+    solver = Simulation(setup).solver
+    plate = declared.boundaries[1]
+    box = setup.appearance.gaussians.of_object(1)
+    assert plate.geometry(solver.model)[0][2] == pytest.approx(box.means[:, 2].max(), abs=0.02)
+    lower = plate.model_copy(update={"object": "object"}).geometry(solver.model)[0][2]
+    assert lower == solver.surface.x[:, 2].max() > setup.particles.x[:, 2].max()
+
+
+def test_one_that_starts_behind_a_wall_is_refused():
+    wall = {"kind": "half_space", "point": [0, 0, 1.3], "normal": [0, 0, -1]}
+    with pytest.raises(InputError, match=r"objects = box: it starts 0\.\d+ m deep in a wall"):
+        Simulation(prepare(ball(400), scene(boundaries=[wall]), RunContext(threads=1)))
+
+
 @pytest.mark.parametrize("shape", ["sphere", "box", "capsule"])
 def test_depth_is_that_below_its_surface(shape):
     half = (0.1, 0.1, 0.3) if shape == "capsule" else (0.2, 0.2, 0.2)

@@ -61,6 +61,12 @@ class Rest(Protocol):
         """
         ...
 
+    def top_of(self, name: str | None) -> float:
+        """Return the height of the top of the named object [m], or of all objects if the name is
+        None.
+        """
+        ...
+
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
@@ -72,6 +78,10 @@ class AtRest:
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
         """Return all positions; the name is ignored."""
         return self.rest
+
+    def top_of(self, name: str | None) -> float:
+        """Return the largest height [m]; the name is ignored."""
+        return float(self.rest[:, 2].max())
 
 
 class Boundary(Section):

@@ -116,8 +116,8 @@ class Press(Plane):
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Return a point [m] and the unit normal of the plate's lower side, initially."""
-        height = model.rest_of(self.object)[:, 2].max() if self.top is None else self.top
-        return (0.0, 0.0, float(height)), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
+        height = model.top_of(self.object) if self.top is None else self.top
+        return (0.0, 0.0, height), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 
     def track(self, model: Rest) -> Track:
         """Return the displacement [m]: a smooth descent, a rest, and a smooth ascent."""

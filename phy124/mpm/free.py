@@ -109,6 +109,12 @@ class FreeBody(NamedTuple):
         local = (np.asarray(x, np.float64) - self.place) @ self.axes
         return measure_depth(self.shape, self.geometry(), local)
 
+    def reach(self, direction: Vector3) -> float:
+        """Return how far the solid extends from its centre along a unit vector [m]."""
+        half, along = np.array(self.half), np.abs(direction @ self.axes)
+        radius = 0.0 if self.shape == "box" else min(self.half)
+        return float(radius + along @ (half - radius))
+
     def geometry(self) -> Vector3:
         """Return the three vectors that the shape's distance function reads [3,3], m."""
         half, least = np.array(self.half), min(self.half)

@@ -6,8 +6,8 @@ The model holds the particles at rest, their materials and the grid's spacing.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, cast
 
@@ -84,6 +84,10 @@ class Model:
     """Indices of the liquid bodies, which another solver moves."""
     names: tuple[str, ...] = ()
     """Names of the bodies; empty if the bodies have no names."""
+    tops: Mapping[str, float] = field(default_factory=dict)
+    """Height of the surface of each body on a lattice and of each free solid, by name [m]. The
+    integration points of a lattice lie below its surface, and free solids have no particles.
+    """
     whole: Model | None = None
     """The model of all bodies, if this model contains only some bodies. The shapes of boundaries
     depend on all bodies.
@@ -109,6 +113,7 @@ class Model:
         held: Collection[int] = (),
         wet: Collection[int] = (),
         names: Sequence[str] = (),
+        tops: Mapping[str, float] | None = None,
         origin: Sequence[float] = (0.0, 0.0, 0.0),
         cfl: float = CFL,
         precision: str = "float32",
@@ -131,6 +136,8 @@ class Model:
             held: Bodies that never move; for other bodies, they act like walls.
             wet: Bodies of liquid, which another solver moves.
             names: Names of the bodies, in the order of the indices.
+            tops: Height of the surface of each body on a lattice and of each free solid, by name
+                [m]; None: there are no such bodies.
             origin: Position of node (0, 0, 0) [m].
             cfl: Fraction of the elastic limit of the substep, in (0, 1).
             precision: "float32" or "float64".
@@ -174,6 +181,7 @@ class Model:
             held=frozenset(held),
             wet=frozenset(wet),
             names=tuple(names),
+            tops=tops or {},
             least_stiffness=1.0 if stiffness is None else float(np.min(stiffness)),
         )
 
@@ -201,6 +209,14 @@ class Model:
         """
         model = self if self.whole is None else self.whole
         return model.rest[model.named(name)]
+
+    def top_of(self, name: str | None) -> float:
+        """Return the height of the top of a body [m], or of all bodies and free solids if the name
+        is None.
+        """
+        model = self if self.whole is None else self.whole
+        heights = [height for key, height in model.tops.items() if name in (None, key)]
+        return max([float(model.rest_of(name)[:, 2].max()), *heights])
 
     @property
     def moves(self) -> NDArray[np.bool_]:

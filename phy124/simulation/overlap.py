@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +100,28 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
         if deepest > DEEPEST * scene.dx:
             limit = f"it overlaps the object or wall that it would touch by {deepest:.2g} m."
             remedy = 'Change place or lift, or let the object stand on that object: on = "...".'
+            raise InputError("objects", solid.name, limit, remedy)
+
+
+def refuse_sunken(solids: Sequence[FreeBody], planes: Sequence[Plane], model: Model) -> None:
+    """Refuse rigid solids that start behind a flat wall, which would push them out at once.
+
+    Args:
+        solids: The rigid solids.
+        planes: The flat walls that the solids touch.
+        model: The bodies of particles, on which the position of a wall may depend.
+
+    Raises:
+        InputError: A solid starts more than `DEEPEST` cells behind a wall.
+    """
+    for solid, wall in product(solids, planes):
+        point, normal, _ = (np.array(vector) for vector in wall.geometry(model))
+        track = wall.track(model)
+        shift = np.zeros(3) if track is None else track.values(np.zeros(1))[0]
+        depth = solid.reach(normal) - float((solid.place - point - shift) @ normal)
+        if depth > DEEPEST * model.dx:
+            limit = f"it starts {depth:.2g} m deep in a wall ({type(wall).__name__.lower()})."
+            remedy = "Move the wall or the object (place, lift)."
             raise InputError("objects", solid.name, limit, remedy)
 
 

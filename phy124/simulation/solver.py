@@ -18,6 +18,7 @@ from phy124.monitor.wrenches import wall_names
 from phy124.motion import deform
 from phy124.mpm import (
     Attachable,
+    FreeBody,
     Model,
     Pair,
     Scheme,
@@ -36,7 +37,7 @@ from phy124.scene import Object, Scene
 from phy124.scene.lattices import choose_solver
 from phy124.scene.objects import find_pair
 from phy124.simulation.bodies import planes_for_free
-from phy124.simulation.overlap import refuse_buried
+from phy124.simulation.overlap import refuse_buried, refuse_sunken
 from phy124.simulation.setup import Setup
 
 if TYPE_CHECKING:
@@ -64,6 +65,10 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     wet = find_wet(fluid, particles.material, number) if scene.mixes else []
     if scene.couples:
         wet = [place for place, index in enumerate(bodies) if scene.on_lattices[index]]
+    names, surface = [scene.names[index] for index in bodies], particles.surface
+    if surface is not None:
+        surface = surface.copy()
+        surface[:, 6] = np.searchsorted(bodies, surface[:, 6])
     still = [place for place, index in enumerate(bodies) if index in held]
     model = Model.of(
         x,
@@ -74,7 +79,8 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         stiffness=setup.stiffness,
         body=number,
         wet=wet,
-        names=[scene.names[index] for index in bodies],
+        names=names,
+        tops=find_tops(names, surface, setup.free),
         held=still,
         origin=(0.0, 0.0, (floors[0] if floors else 0.0) - FLOOR_NODE * scene.dx),
         cfl=scene.resolution.fraction,
@@ -83,6 +89,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         gradient=scene.resolution.gradient,
     )
     refuse_buried(scene.boundaries, model)
+    refuse_sunken(setup.free, planes_for_free(scene), model)
     state = State.of(model, v, C)
     options: dict[str, Any] = {
         **wrap(scene, observers),
@@ -96,9 +103,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     options["pairs"] = list(_pairs(model.names, scene))
     steps = {"measure_every": scene.checks.measure, "scheme": scheme_of(scene)}
     if scene.on_lattice and not scene.mixes:
-        assert particles.surface is not None
-        surface = particles.surface.copy()
-        surface[:, 6] = np.searchsorted(bodies, surface[:, 6])
+        assert surface is not None
         options["copies"] = particles.copies
         if scene.couples:
             from phy124.lattice.coupled import CoupledSolver
@@ -114,6 +119,26 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
 
         return MixedSolver(model, state, **options)
     return Solver(model, state, **options)
+
+
+def find_tops(
+    names: Sequence[str], surface: NDArray | None, free: Sequence[FreeBody]
+) -> dict[str, float]:
+    """Return the height of the surface of each body on a lattice and of each free solid [m].
+
+    Args:
+        names: Names of the bodies.
+        surface: Surface points and indices of bodies [S,7]; None: no body is on a lattice.
+        free: The rigid solids that move freely.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    tops = {solid.name: solid.place[2] + solid.reach(up) for solid in free}
+    points = np.zeros((0, 7)) if surface is None else surface
+    for number, name in enumerate(names):
+        heights = points[points[:, 6] == number, 2]
+        if len(heights):
+            tops[name] = float(heights.max())
+    return tops
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
