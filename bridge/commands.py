@@ -100,7 +100,7 @@ class Record:
         say(f"{sink.frames} frames in {sink.path}")
 
     def _sink(self, **about: Any) -> McapSink:
-        """Create the sink of a recording, which stores metadata, too."""
+        """Create the sink of a recording with metadata."""
         return McapSink(
             self.output or self.source.with_name(f"{self.source.stem}-bag"),
             self.messages,

@@ -210,7 +210,7 @@ class Pacer:
 
 
 class _DropAnnouncer:
-    """Logs how many frames were dropped, at intervals instead of once per frame."""
+    """Logs the number of dropped frames at intervals instead of after every frame."""
 
     def __init__(self, player: Player, clock: Clock) -> None:
         self._player, self._clock = player, clock

@@ -1,4 +1,4 @@
-"""Reports of a publisher about its own state: ~/status, /diagnostics and /clock."""
+"""Reports about the state of a publisher: ~/status, /diagnostics and /clock."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class Making(Section):
     )
 
     def seconds(self) -> float:
-        """Predict how long the generator's network takes under the current machine load [s]."""
+        """Predict the time of the generator's network under the current machine load [s]."""
         if self.generator == "relief":
             return 0.0
         effort = effort_of(make_generator(self.generator))

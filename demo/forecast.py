@@ -1,6 +1,6 @@
 """Predict the time and the error bound of a run before the run starts.
 
-phy124/budget/cost.py computes the work of a run. demo/rates.py measures how long this machine takes
+phy124/budget/cost.py computes the work of a run. demo/rates.py measures the time of this machine
 per particle and substep, per rendered pixel and so on.
 """
 

@@ -79,7 +79,7 @@ def others() -> gr.HTML:
     """Create the panel for pictures of further objects; it is empty if no object needs a picture.
 
     Events: "choose" names a picture uploaded for an object, "view" reports the end of its cut-out.
-    Handlers set an answer as the value; the scene holds the pictures.
+    Handlers set an answer as the value; the pictures are stored in the scene.
     """
     return _panel("others", OTHERS, events="'choose' 'view'")
 

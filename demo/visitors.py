@@ -42,8 +42,10 @@ if TYPE_CHECKING:
     from .line import Job
 
 AWAY = 150.0
-"""Time without requests after which a page counts as closed [s]. An open page sends a request every
-minute."""
+"""Time without requests after which a page is assumed to be closed [s].
+
+An open page sends a request every minute.
+"""
 UNUSED = 16
 """Largest number of idle visitors per address; further ones are removed, the longest idle first."""
 UNFINISHED = 3

@@ -23,7 +23,7 @@ from sensor_msgs.msg import PointCloud2
 from test_recording import POINTS, save_clip
 
 TIMEOUT = 20.0
-"""Time after which an answer or a message counts as missing [s]."""
+"""Time after which an answer or a message is assumed to be missing [s]."""
 
 
 @pytest.mark.launch_test

@@ -120,7 +120,7 @@ class FitOptions(Section):
     seconds: float = Field(
         default=180.0, ge=5, le=36_000, description="Longest duration of the search [s]."
     )
-    side: Side = Field(default="front", description="The side that the video was filmed from.")
+    side: Side = Field(default="front", description="Side of the object that the video shows.")
     speed: float = Field(
         default=1.0,
         ge=0.01,

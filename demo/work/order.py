@@ -88,7 +88,7 @@ class Order:
 
 
 def folders(order: Order) -> tuple[Path, Path]:
-    """Return the folders of an order's clip and films."""
+    """Return the folders of the clip and the videos of an order."""
     physics = {name: value for name, value in order.scene.data().items() if name != "view"}
     clips = order.folder / "clips" / key(made_gaussians(order).name, physics)
     view = order.scene.view.model_dump(mode="json")

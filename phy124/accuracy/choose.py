@@ -103,7 +103,7 @@ def run_for_goal(
         see: Callback that receives the simulation after each frame of each run.
 
     Raises:
-        InputError: No grid meets the goal. The message gives the error or time of the best grid.
+        InputError: No grid meets the goal. The message states the error or time of the best grid.
     """
     context = context or RunContext()
     forecaster = forecaster or Forecaster(context)
@@ -464,5 +464,5 @@ def _choose_next(
 GROWTH = 2.5
 """Exponent: the times of preparation and simulation are assumed to be proportional to cells^GROWTH.
 
-The exponent lies between that of a thin surface (2) and that of a solid (3).
+The exponent is 2 for thin surfaces and 3 for solids; this value is between the two.
 """

@@ -34,7 +34,7 @@ Roache 1998.
 """
 NEAR = 0.1
 AGREE = 1e-5
-"""Levels are equal up to rounding if their distance is at most this, in the unit of the results."""
+"""Largest distance between levels that are equal up to rounding, in the unit of the results."""
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ frame.
 SHORT_STEP = 1e-3
 """Largest length of a substep [s]."""
 NODE_STAGES = ("clear", "grid")
-"""Stages, besides those of boundaries, whose time is proportional to the number of nodes."""
+"""Stages, besides boundaries, whose time is proportional to the number of nodes."""
 
 
 @dataclass(frozen=True)

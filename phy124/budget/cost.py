@@ -128,7 +128,7 @@ class Work:
     frames: int
     videos: int
     pixels: float
-    """Number of pixels in all frames of all videos, including those of additional outputs."""
+    """Number of pixels in all frames of all videos and additional outputs."""
 
     @classmethod
     def of(cls, scene: Scene, gaussians: int = GAUSSIANS) -> Work:

@@ -1,4 +1,4 @@
-"""`phy124 compare`: measure how much two clips differ, and film them side by side."""
+"""`phy124 compare`: measure the difference of two clips, and render both side by side."""
 
 from __future__ import annotations
 
@@ -26,10 +26,13 @@ from phy124.scene import Scene, View
 
 @dataclass(frozen=True)
 class Compare:
-    """Measure how much two clips of one object differ, and film them side by side."""
+    """Measure the difference of two clips of one object, and render both side by side."""
 
     a: tyro.conf.Positional[Path]
-    """First clip.safetensors, or its folder. It is shown left, and its cameras film both clips."""
+    """First clip.safetensors, or its folder.
+
+    It is shown left; its cameras are used for both clips.
+    """
     b: tyro.conf.Positional[Path]
     """The second clip.safetensors, or its folder."""
     view: Annotated[CameraOptions, tyro.conf.arg(name="")] = field(default_factory=CameraOptions)

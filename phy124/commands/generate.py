@@ -41,7 +41,7 @@ from phy124.weights.store import search_first
 
 @dataclass(frozen=True)
 class Generate:
-    """Turn one picture into a 3D object that moves by simulated physics, and film it."""
+    """Turn one picture into a 3D object that moves by simulated physics, and make videos."""
 
     image: tyro.conf.Positional[Path]
     """Picture of one object (PNG, JPEG, WebP, AVIF, HEIC), or mesh (GLB, glTF, OBJ, STL, PLY)."""
@@ -52,14 +52,13 @@ class Generate:
         default_factory=PictureOptions
     )
     compose: bool = False
-    """Also film the object inside its original picture (composed.mp4)."""
+    """Also make a video of the object inside its original picture (composed.mp4)."""
     out: Path | None = None
     """Folder for the results; default out/PICTURE-SCENE."""
     plan: Annotated[PlanOptions, tyro.conf.arg(name="")] = field(default_factory=PlanOptions)
 
     def run(self) -> int:
-        """Generate a clip and its films; print the names of the files and the durations of the
-        stages.
+        """Generate a clip and videos; print the names of the files and the durations of the stages.
 
         Raises:
             InputError: An option or the picture is invalid.
@@ -194,7 +193,7 @@ class Generate:
 
 @dataclass(frozen=True)
 class Simulate:
-    """Simulate existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and film them."""
+    """Simulate existing 3D Gaussians (.ply, .spz, .splat, .sog, .glb) and make videos."""
 
     file: tyro.conf.Positional[Path]
     """File of Gaussians: PLY (plain or SuperSplat's), SPZ, .splat, SOG or GLB; or a mesh."""

@@ -53,14 +53,14 @@ Listed = tuple[str, ...] | None
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """Options of the cameras that film a clip."""
+    """Options of the cameras for a clip."""
 
     views: Annotated[Listed, help_of(View, "views")] = None
     azimuth: Annotated[Listed, help_of(View, "azimuths")] = None
     elevation: Annotated[float | None, help_of(View, "elevation")] = None
     cameras: Path | None = None
-    """TOML file with [[view.cameras]] as in a scene. Unless --views is set, only these cameras film
-    the clip.
+    """TOML file with [[view.cameras]] as in a scene. Unless --views is set, only these cameras are
+    used.
     """
     size: Annotated[str | None, help_of(View, "size", example="512 or 1920x1080")] = None
     follow: tyro.conf.FlagCreatePairsOff[Annotated[bool, help_of(View, "follow")]] = False
@@ -84,7 +84,7 @@ class CameraOptions:
 
 @dataclass(frozen=True)
 class ViewOptions(CameraOptions):
-    """Options for filming a clip."""
+    """Options for rendering a clip."""
 
     format: Annotated[Listed, help_of(View, "formats")] = None
     outputs: Annotated[Listed, help_of(View, "outputs")] = None
@@ -131,7 +131,7 @@ class SceneOptions:
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
     seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     fps: float | None = None
-    """Frames per second of motion. The duration changes only if --frames or --seconds is set, too.
+    """Frames per second of motion. The duration changes only if --frames or --seconds is also set.
     """
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     seed: Annotated[int | None, help_of(Scene, "seed")] = None

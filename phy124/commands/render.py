@@ -1,4 +1,4 @@
-"""`phy124 render`: film a saved clip again, without simulating."""
+"""`phy124 render`: make videos of a saved clip, without simulating."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Render:
-    """Film a clip from other directions, in another size or in other formats."""
+    """Make videos of a clip from other directions, in another size or in other formats."""
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
@@ -41,11 +41,11 @@ class Render:
     scene is also accepted: view.elevation=30.
     """
     compose: Path | None = None
-    """The photograph from which the clip was made. The object is then also filmed inside the
-    photograph (composed.mp4).
+    """The photograph from which the clip was made, for a video of the object inside the photograph
+    (composed.mp4).
     """
     out: Path | None = None
-    """Folder for the films; by default, the folder of the clip."""
+    """Folder for the videos; by default, the folder of the clip."""
     device: Device = "auto"
     threads: int | None = None
     """Number of CPU threads that render; by default, one per free core."""

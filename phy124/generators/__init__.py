@@ -43,7 +43,7 @@ class Generator(Protocol):
     ) -> Gaussians:
         """Make Gaussians of the opaque part of the image.
 
-        The same seed always gives the same Gaussians.
+        Calls with the same seed return the same Gaussians.
         """
         ...
 

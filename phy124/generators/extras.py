@@ -99,7 +99,7 @@ def fit_to_picture(depth: NDArray, width: int, height: int) -> NDArray[np.float3
     """Resize a depth map to the size of the image [H,W].
 
     Raises:
-        InputError: If the aspect ratio of the map differs from that of the image.
+        InputError: If the aspect ratios of map and image differ.
     """
     rows, columns = depth.shape
     if abs(columns * height / (rows * width) - 1) > ASPECT:

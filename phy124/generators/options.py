@@ -109,7 +109,7 @@ def effort_of(generator: Any) -> Effort | None:
 
 
 def speed_of(device: str, dtype: Any) -> Work:
-    """Measure how many floating-point operations of each kind torch performs per second at present.
+    """Measure the number of floating-point operations of each kind that torch performs per second.
 
     The measurement takes about a second, and uses arrays of the same size as those in the networks.
     """

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_OPACITY = 0.005
-"""Smallest opacity of Gaussians that are kept; LGM also drops Gaussians below this opacity when it
-saves a file."""
+"""Smallest opacity of Gaussians that are kept; LGM uses the same value when it saves a file."""
 TAIL = 0.005
 """Fraction of the total opacity outside the object's core, at each end of each axis."""
 MARGIN = 0.5

@@ -38,7 +38,7 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 DETAIL = 256
 """Longest side of the grid on which depth and normals are combined [pixels]."""
 TRUST = 0.02
-"""Weight of the network's depth, relative to that of slopes computed from the network's normals.
+"""Weight of the network's depth, relative to slopes computed from the network's normals.
 
 Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features follow the normals.
 """

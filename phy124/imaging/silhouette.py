@@ -19,11 +19,11 @@ NEAR = 0.035
 The masks of GrabCut are at least 0.03 away from the edges.
 """
 REACH = 0.02
-"""An image edge counts as touched if at least this fraction of the edge is near the object."""
+"""An object touches an image edge if it is near at least this fraction of the edge."""
 SIDE = 320
 """Longest side at which the outline is examined [pixels]."""
 FAINT = 2.0
-"""Smallest colour gradient that counts as an edge, in CIE Lab units per pixel."""
+"""Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 WIDE, FITTED = 2.0, 640
 """Half the width of a soft edge [pixels] in an image whose longest side is `FITTED`. In larger
 images, the width increases in proportion."""

@@ -59,7 +59,7 @@ class Content(NamedTuple):
     gaussians: Gaussians
     """The Gaussians. A reader returns them in the axes of the file."""
     dropped: int = 0
-    """Number of Gaussians that were dropped because a value was NaN or infinite."""
+    """Number of Gaussians that were removed because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
     """Up and front directions of the file; if the front is None, `axes.FRONTS` states the front."""
     antialiased: bool = False

@@ -70,7 +70,7 @@ ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
 """Thickness of a Gaussian without scale_2, relative to its shorter side."""
 MOST_NAMED = 12
-"""Largest number of unknown columns that a note lists; numbered columns of a name count once."""
+"""Largest number of unknown columns in a note; numbered columns count as one."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
 """Numbers of spherical-harmonic coefficients of degree 0 to 4."""
 STANDARD = "Export the file in the standard 3DGS layout."

@@ -149,8 +149,7 @@ def simulate(
         goal: Largest error or longest time; the accuracy is chosen to meet it
             (`phy124.accuracy.choose`).
         forecaster: Predicts the time of the run; the report states both times.
-        keep: Whether a run that `progress` cancels saves and films its frames, so that `go_on` can
-            continue it.
+        keep: Whether a cancelled run saves and renders its frames, so that `go_on` can continue it.
         films: Whether videos are made.
         rescues: Whether the frames so far are saved if the run fails or its folder has no space;
             `Incomplete` then names their place.
@@ -218,7 +217,7 @@ def go_on(
     error: bool = True,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Continue an interrupted run in its folder; the result equals that of an uninterrupted run.
+    """Continue an interrupted run in its folder; an uninterrupted run has the same result.
 
     The continued and the uninterrupted run are equal bit for bit if the number of threads is the
     same.
@@ -226,8 +225,8 @@ def go_on(
     Args:
         out: The folder of the interrupted run.
         scene: The scene that the run is expected to have; None: any.
-        context: Device, threads, progress and stopwatch. If it sets no number of threads, the run
-            continues with its own; with another number the result is equal only within rounding.
+        context: Device, threads, progress and stopwatch. If it sets no number of threads, the
+            previous number is used; with another number, the result differs by rounding errors.
         any_accuracy: Whether the run's accuracy may differ from the scene's, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
         error: Whether the run's own error is estimated, if that is cheap.
@@ -288,7 +287,7 @@ def _refuse_other(scene: dict[str, Any], paused: dict[str, Any], out: PathLike) 
 
 
 def _flat(data: Any, name: str = "") -> dict[str, Any]:
-    """Return nested data as a single level of keys: "time.frames" -> 14."""
+    """Return nested data as a single level of keys, such as "time.frames"."""
     parts = data.items() if isinstance(data, dict) else enumerate(data)
     flat: dict[str, Any] = {}
     for key, value in parts:

@@ -216,7 +216,7 @@ def with_others(
         scene: The scene.
         more: Pictures or files for the objects that name no source themselves, in order.
         context: Device of the generator, progress and stopwatch.
-        generator: Generator for pictures, unless an object names its own.
+        generator: Generator for pictures, unless an object names another generator.
         count: Largest number of Gaussians of each object.
         on_cutout: Called with each cut-out, before the slow steps begin.
 

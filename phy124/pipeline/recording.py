@@ -140,7 +140,7 @@ class Recording:
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run, but not those of the earlier run that it continues."""
+        """Remove the files of this run, but not the files of the run that it continues."""
         if self.resumed or not self.saved:
             self.leave()
         else:

@@ -73,7 +73,7 @@ def film(
     (`MOST_PIXELS`), because every encoder stores several pictures.
 
     Args:
-        clip: The clip to film.
+        clip: The clip.
         view: Sides, size, background, formats and outputs.
         folder: The folder to write. The folder is created if it does not exist.
         context: Device, number of threads, stopwatch, and a progress function, which is called as

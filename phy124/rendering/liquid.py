@@ -1,13 +1,13 @@
 """Shapes the Gaussians of a liquid into discs on the surface, and drops where the liquid tears.
 
-Each Gaussian represents a volume of liquid. These volumes, smoothed over `BLUR` cells, give the
-fraction of space phi that the liquid fills. The liquid's surface is where phi = `LEVEL`. Gaussians
-near the surface move onto it and become discs. Gaussians deeper inside are not drawn, and Gaussians
-in thin spray become balls. Near flat walls, phi is the filled fraction of the space in front of the
-walls. Gaussians that are closer to a wall than to the free surface move onto the wall. The opacity
-of a disc follows from the thickness of the liquid behind the disc (Beer-Lambert). Each of the two
-faces of a layer has half of the layer's optical depth, which is divided by the number of
-overlapping discs. A thin film on a wall has only one face.
+Each Gaussian represents a volume of liquid. The fraction phi of space that the liquid fills is
+computed from these volumes, smoothed over `BLUR` cells. The liquid's surface is where phi =
+`LEVEL`. Gaussians near the surface move onto it and become discs. Gaussians deeper inside are not
+drawn, and Gaussians in thin spray become balls. Near flat walls, phi is the filled fraction of the
+space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto
+the wall. The opacity of a disc follows from the thickness of the liquid behind the disc
+(Beer-Lambert). Each of the two faces of a layer has half of the layer's optical depth, which is
+divided by the number of overlapping discs. A thin film on a wall has only one face.
 """
 
 from __future__ import annotations

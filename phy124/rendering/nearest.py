@@ -37,7 +37,7 @@ clips the sample is reduced, but to no fewer Gaussians than the second number.""
 BLOCK = 64
 """Number of frames that are processed at a time."""
 VISIBLE = 0.1
-"""Smallest opacity of a Gaussian that counts as part of the object."""
+"""Smallest opacity of a Gaussian of the object; fainter Gaussians are ignored."""
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 1.5e-4
@@ -55,9 +55,7 @@ ZOOM = 40.0
 ROOM = 1.08
 """Width (or height) of the picture, divided by the width (or height) of the whole motion."""
 MOST = 0.8
-"""Fraction of frames that define a motion's usual extent. All other frames count as rare
-moments.
-"""
+"""Fraction of frames that define a motion's usual extent. All other frames are rare moments."""
 RARE = 1.5
 """The camera follows the object if rare moments enlarge a motion's extent by this factor."""
 
@@ -123,7 +121,7 @@ class Sample:
         return (low.min(axis=0) + high.max(axis=0)) / 2
 
     def with_fixed(self, points: NDArray) -> Sample:
-        """Add fixed points [K,3] m to the sample; they count as part of the object."""
+        """Add fixed points [K,3] m to the sample of the object."""
         # The points are repeated, because a few points of a sample may lie outside the picture.
         times, still = len(self.means), np.repeat(points, 1 + len(self.means[0]) // 256, axis=0)
         means = np.broadcast_to(still.astype(np.float32), (times, *still.shape))
@@ -162,7 +160,7 @@ _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return how far discs on a liquid's surface extend beyond the liquid's Gaussians [N], m.
+    """Return the lengths [N], m, by which discs on a liquid's surface extend beyond its Gaussians.
 
     The value is 0 for Gaussians that are not part of a liquid.
     """

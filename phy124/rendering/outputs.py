@@ -69,7 +69,7 @@ QUANTITIES: dict[Output, Quantity] = {
         "Mean distance of the Gaussians' centres along the optical axis, weighted by their "
         "contributions to the pixel (the expected depth, not the median).",
     ),
-    "alpha": Quantity("1", ("A",), False, "Coverage: the alpha of the film without background."),
+    "alpha": Quantity("1", ("A",), False, "Coverage: the alpha of the video without background."),
     "normals": Quantity(
         "1",
         ("X", "Y", "Z"),

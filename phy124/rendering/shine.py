@@ -49,7 +49,7 @@ class Gloss(NamedTuple):
     sharpness: float
     """Exponent of the highlight."""
     floor: float
-    """Brightness of the reflected floor, relative to that of the reflected sky."""
+    """Brightness of the reflected floor, relative to the reflected sky."""
     glow: float
     """Strength of the light of the lamp that the material refracts."""
 

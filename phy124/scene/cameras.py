@@ -2,7 +2,7 @@
 
 Angles are defined as in the view: azimuth 0 is the front, 90 the right. If the elevation is
 positive, the camera looks down. Distances and targets are in units of the object's size, so that a
-camera suits any object. Values that a camera does not set are those of the view.
+camera suits any object. Values that a camera does not set are taken from the view.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class TurntableCamera(_Circling):
         return self.distance is not None or self.fov is not None or any(self.target)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the camera's poses at the given times.
+        """Return the poses of the camera at some times.
 
         Args:
             times: Times since the first frame [T], s.
@@ -147,7 +147,7 @@ class DollyCamera(_Circling):
         return True
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the camera's poses at the given times.
+        """Return the poses of the camera at some times.
 
         Args:
             times: Times since the first frame [T], s. The path ends at the last of these times.
@@ -220,7 +220,7 @@ class PathCamera(Section):
         return any((key.distance, key.fov, key.target) != (None,) * 3 for key in self.keys)
 
     def poses(self, times: Values, length: float, usual: Poses) -> Poses:
-        """Return the camera's poses at the given times.
+        """Return the poses of the camera at some times.
 
         Args:
             times: Times since the first frame [T], s.

@@ -37,7 +37,7 @@ def find_elastic(scene: Any) -> list[bool]:
 
 
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
-    """Return why a scene does not use lattices on a device; an empty text if the scene uses them.
+    """Return the reason why a scene does not use lattices on a device, or an empty text.
 
     If `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
     were better in measurements (docs/lab/solvers.md). In scenes that contain objects of other
@@ -77,12 +77,12 @@ def choose_solver(scene: Any, device: str) -> Any:
 
 
 def reason_for_others(scene: Any) -> str:
-    """Return why a scene does not run on lattices alone; an empty text if it does."""
+    """Return the reason why a scene does not use lattices only, or an empty text."""
     return reason_for_mpm(scene) or ("some objects yield or flow" if scene.couples else "")
 
 
 def _needs_lattice(scene: Any) -> bool:
-    """Return whether a scene requests the causes of its energy loss, and MPM cannot tell them."""
+    """Return whether a scene requests causes of energy loss that MPM cannot determine."""
     moves = any(wall.moves for wall in scene.boundaries)
     harder = bool(scene.objects) or moves or scene.stiffness_profile is not None
     return bool(scene.checks.energy and harder)

@@ -16,7 +16,7 @@ REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressi
 
 
 def reason_for_compressible(scene: Any) -> str:
-    """Return why a scene's liquid is computed as compressible.
+    """Return the reason why a scene's liquid is computed as compressible.
 
     The text is empty if the liquid is computed by projection.
     """

@@ -47,7 +47,7 @@ class SceneObject(Object):
         default=None,
         max_length=1000,
         examples=["relief"],
-        description="Generator for the object's picture; default: that of the first object.",
+        description="Generator for the object's picture; default: the first object's generator.",
     )
     mesh: FileName | None = Field(
         default=None,

@@ -110,7 +110,7 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: set[str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the path and the table of a section, then those of inner sections that are new."""
+    """Yield the path and the table of a section, then of inner sections that are new."""
     description = (node.get("description") or "").replace("\n", " ")
     table = "\n".join(_format_table(declared, node))
     yield path, f"## {title}\n\n{description}\n\n{table}\n"

@@ -127,7 +127,7 @@ class Scene(Section):
         description="Show the inside of sand, snow, foam and torn material as grains; if off, only "
         "the Gaussians on the surface are shown.",
     )
-    view: View = Field(default=View(), description="How the clip is filmed.")
+    view: View = Field(default=View(), description="Cameras, size, formats and stage of videos.")
 
     @model_validator(mode="before")
     @classmethod

@@ -1,4 +1,4 @@
-"""Base class of all declared options: those of scenes, of the page and of the bridge."""
+"""Base class of all declared options: of scenes, of the page and of the bridge."""
 
 from __future__ import annotations
 

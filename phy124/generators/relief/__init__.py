@@ -49,8 +49,8 @@ def relief(
 
     The object faces +x. A camera at the distance `VIEW_DISTANCE` in front of the shell sees the
     silhouette of the image. In the plane x = 0, the longest side of the silhouette is 1 m. If the
-    object is longer in the side image, its longest side there is 1 m instead. The same seed always
-    gives the same Gaussians.
+    object is longer in the side image, its longest side there is 1 m instead. Calls with the same
+    seed return the same Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].

@@ -27,8 +27,7 @@ last number is the smallest overlap (IoU).
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
 MISFIT = 7.0
-"""Largest root mean square distance between the corners of the box and those of the hexagon
-[pixels]."""
+"""Largest root mean square distance between the corners of box and hexagon [pixels]."""
 LONGEST = 12.0
 """Largest ratio of the box's longest side to its shortest side."""
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
@@ -100,7 +99,7 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box with a given silhouette [H,W], or None if there is no such box."""
+    """Return the box whose silhouette is a mask [H,W], or None if there is no such box."""
     corners = _hexagon(object_mask)
     if corners is None:
         return None

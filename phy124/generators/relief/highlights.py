@@ -31,7 +31,7 @@ the largest of the three amounts."""
 COLOURED = 0.15
 """Smallest saturation of the surroundings of a highlight."""
 FULL = 0.985
-"""Channel value at or above which the channel counts as clipped."""
+"""Smallest value of a clipped channel."""
 RIM = 2
 """Width of the faint rim of a highlight [pixels]."""
 

@@ -34,8 +34,7 @@ CLOSER, AROUND = 1.4, 0.15
 The second number is the width of the surroundings, relative to the object's longest side.
 """
 AGREED = 0.85
-"""The mask of the repeated segmentation is used if its overlap (IoU) with the first mask is at
-least this."""
+"""Smallest overlap (IoU) with the first mask of a repeated segmentation that is used."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 Style = Literal["rembg", "original"]

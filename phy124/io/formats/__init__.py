@@ -229,7 +229,7 @@ HEAD = 4096
 
 
 def formats() -> dict[str, Format]:
-    """Return all formats by name: first those of phy124, then those that other packages registered.
+    """Return all formats by name: first the formats of phy124, then formats of other packages.
 
     A registered format is ignored if it fails to load or if phy124 has a format of the same name.
     """
@@ -347,7 +347,7 @@ def write_gaussians(
 def find_written_format(
     path: Path, name: str | None = None, *, others: Sequence[str] = ()
 ) -> Format:
-    """Return the format with a given name, or the format for the extension of a path.
+    """Return the format with a name, or the format for the extension of a path.
 
     Args:
         path: The file that will be written.

@@ -44,7 +44,7 @@ class Capture:
     """The Gaussians of a capture, ready to be simulated, and their scene."""
 
     gaussians: Gaussians
-    """Gaussians of the object, followed by those of the floor."""
+    """Gaussians of the object, followed by the Gaussians of the floor."""
     scene: Scene
     """The scene. The floor is a static part of the scene, and all regions are in metres."""
     cleaning: list[str]

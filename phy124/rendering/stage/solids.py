@@ -16,7 +16,7 @@ from phy124.mpm.tracks import Track
 from phy124.rendering.stage.frame import Solid
 
 LEVEL = 0.999
-"""Cosine of the largest slope at which a plane counts as a floor."""
+"""Cosine of the largest slope of a floor."""
 THICK = 0.04
 """Rendered thickness of a wall or plate, in units of the object's size. The boundary itself has no
 thickness."""

@@ -1,4 +1,4 @@
-"""Forecasts how long a fit will take before its first run, and measures the time used so far."""
+"""Forecasts the time of a fit before the first run, and measures the time used so far."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Outlook:
 def make_outlook(
     gaussians: Gaussians, scenes: Sequence[Scene], values: int, workers: int, crop: Crop = WHOLE
 ) -> Outlook:
-    """Forecast how long a fit will take.
+    """Forecast the time of a fit.
 
     Args:
         gaussians: The object.

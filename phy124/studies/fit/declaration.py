@@ -113,7 +113,7 @@ class Fit(Section):
         min_length=1,
         max_length=4,
         description="Number of cells across the object on each grid. The first grid is used for "
-        "the search, and the others refine its result.",
+        "the search, and further grids refine the result.",
     )
     seconds: float = Field(
         default=300.0, ge=1, le=1e7, description="Maximum duration of the fit [s]."

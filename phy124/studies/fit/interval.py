@@ -88,7 +88,7 @@ def extrapolate(
     Args:
         grids: Numbers of cells across the object, from coarse to fine.
         places: The fitted point on each grid [P].
-        cells: Number of cells across the object on the other grid; infinity means a grid without
+        cells: Number of cells across the object on the new grid; infinity means a grid without
             error.
 
     Returns:

@@ -109,7 +109,7 @@ SAMPLED = 256
 ORIGIN = 1e-3
 """Weight, per clip, of an additional data point in the fit: no work takes no time."""
 FEWEST = 3
-"""The remaining time is estimated once at least this number of clips is finished."""
+"""Number of finished clips after which the remaining time is estimated."""
 
 
 class Remaining:

@@ -95,7 +95,7 @@ def pack(storage: Storage, per_file: int) -> int:
 
 
 def _pack(storage: Storage, rows: list[dict[str, Any]]) -> bytes:
-    """Return the bytes of a tar file; equal clips give equal bytes."""
+    """Return the bytes of a tar file, which are equal for equal clips."""
     written = io.BytesIO()
     with tarfile.open(fileobj=written, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for row in rows:

@@ -214,7 +214,7 @@ errors."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]
-"""A tuple of strings; a single string is accepted, too."""
+"""A tuple of strings; a single string is also accepted."""
 
 
 class Sweep(Section):

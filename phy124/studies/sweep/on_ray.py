@@ -95,8 +95,8 @@ class _Tasks:
     def _reserve(self, order: Order) -> dict[str, float]:
         """Return the resources that Ray reserves for a task.
 
-        The memory is at most that of the largest node, because the task would otherwise wait
-        forever.
+        The memory does not exceed the memory of the largest node, because the task would otherwise
+        wait forever.
         """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):

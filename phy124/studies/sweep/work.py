@@ -172,7 +172,7 @@ def make_static(
 
     Args:
         address: Address of the picture or file.
-        generator: Name of the generator, used if the address is that of a picture.
+        generator: Name of the generator, used for pictures.
         scene: The scene.
         context: Device of the generator, progress and stopwatch.
         **options: Options of `make_object`.

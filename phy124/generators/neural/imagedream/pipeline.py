@@ -198,8 +198,8 @@ class ImageDream:
         """Return views [5,3,256,256] in 0..1 of the object in `image [3,H,W]` over white.
 
         The azimuths of the first four views are 0, 90, 180 and 270 degrees; the fifth view is the
-        image. Equal seeds give equal views on every device, up to rounding. `progress` is called
-        before each step; it may raise an exception to cancel the call.
+        image. With equal seeds, the views are equal on every device, up to rounding. `progress` is
+        called before each step; it may raise an exception to cancel the call.
         """
         progress("imagedream", 0, self.steps)
         if self.parts is None:

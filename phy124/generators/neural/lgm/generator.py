@@ -233,7 +233,7 @@ def network_input(views: Tensor) -> Tensor:
 
 
 def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
-    """Convert LGM's rows [N,14] to Gaussians; drop those with opacity below `opacity_min`."""
+    """Convert LGM's rows [N,14] to Gaussians; remove Gaussians with low opacity."""
     rows = rows[rows[:, 3] >= opacity_min]
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])

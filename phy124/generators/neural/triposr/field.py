@@ -1,8 +1,8 @@
 """Computes TripoSR's density and colour at points in space from the network's triplane.
 
-Each of the three planes (xy, xz and yz) holds features on a square grid. A point is projected onto
-each plane, where the features are interpolated bilinearly. A small network maps the features to
-density and colour.
+Each of the three planes (xy, xz and yz) contains features on a square grid. A point is projected
+onto each plane, where the features are interpolated bilinearly. A small network maps the features
+to density and colour.
 """
 
 from __future__ import annotations

@@ -122,9 +122,9 @@ def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
 def load_onnx(encoder: Path, decoder: Path) -> Any:
     """Load the ONNX files of the encoder and of the decoder.
 
-    There are two public decoders. The input of one are features; the input of the other are the
-    triplane and points. Both return density and colour. The encoder takes most of the memory, so it
-    is loaded for each image and then released.
+    There are two public decoders: one maps features to density and colour, and one maps the
+    triplane and points to density and colour. The encoder takes most of the memory, so it is loaded
+    for each image and then released.
 
     Raises:
         InputError: If onnxruntime is not installed, or if a file is unreadable or contains another
@@ -188,8 +188,7 @@ def load_torch(path: Path) -> Any:
 def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Centre a segmented image [H,W,4] in a grey square [S,S,3], as the original program does.
 
-    Like the original program, this function drops the last row and column of the object's bounding
-    box.
+    As in the original program, the last row and column of the object's bounding box are omitted.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
