@@ -25,7 +25,7 @@ LEFT_OUT = {
     "phy124.schema.arguments",
     "phy124.studies.validation.stress",
 }
-"""The command line, and modules that only the program itself uses."""
+"""Modules without a page: the command line, and modules that only phy124 itself uses."""
 PROGRAMS = ("demo", "bridge")
 """Further packages, which have a page each."""
 WIDTH = 90
@@ -35,7 +35,7 @@ SPECIAL = re.compile(r"([*_<>\[\]])")
 
 
 class _Warnings(Handler):
-    """What griffe finds wrong with docstrings are warnings of Sphinx."""
+    """Passes griffe's complaints about docstrings to Sphinx as warnings."""
 
     def emit(self, record: LogRecord) -> None:
         logging.getLogger(__name__).warning(record.getMessage())
@@ -55,7 +55,7 @@ def write_pages(app: Sphinx | None = None) -> None:
 
 
 def _read(package: str) -> griffe.Module:
-    """A package as griffe sees it."""
+    """Return a package as loaded by griffe."""
     return griffe.load(
         package, search_paths=[HERE.parent], docstring_parser="google", allow_inspection=False
     )
@@ -129,12 +129,12 @@ def _signature(member: griffe.Object) -> str:
 
 
 def _summary(documented: griffe.Object | griffe.Alias) -> str:
-    """The first paragraph in one line, for a cell of a table."""
+    """Return the first paragraph in one line, for a cell of a table."""
     return _text(documented).split("\n\n")[0].replace("\n", " ").replace("|", r"\|")
 
 
 def _text(documented: griffe.Object) -> str:
-    """A docstring as Markdown."""
+    """Return a docstring as Markdown."""
     if documented.docstring is None:
         return ""
     return "\n\n".join(_section(section) for section in documented.docstring.parsed)

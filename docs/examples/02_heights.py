@@ -1,4 +1,4 @@
-"""Heights: run a simulation frame by frame, measure it, and film what was made in Python."""
+"""Heights: run a simulation frame by frame, measure the heights, and film the clip."""
 
 import phy124
 from phy124.pipeline import make_gaussians

@@ -7,7 +7,7 @@ from phy124.pipeline import make_gaussians
 
 folder = Path("out/file")
 folder.mkdir(parents=True, exist_ok=True)
-# Any file of Gaussians will do; this one is made so that the program is complete.
+# This program makes its own file. You can use any other file of Gaussians.
 phy124.write_gaussians(folder / "teddy.spz", make_gaussians("demo/examples/teddy.png").gaussians)
 
 teddy = phy124.read_gaussians(folder / "teddy.spz").gaussians

@@ -1,4 +1,4 @@
-"""A material of your own: rubber, whose stiffness follows from its Shore hardness."""
+"""A material of your own: rubber, whose stiffness is computed from its Shore hardness."""
 
 from typing import Literal
 
@@ -18,7 +18,7 @@ class Rubber(NeoHookean):
 
     @property
     def lame(self):
-        """The Lame parameters mu and lambda [Pa]."""
+        """Return the Lame parameters mu and lambda [Pa]."""
         E = 0.0981e6 * (56 + 7.62336 * self.shore) / (0.137505 * (254 - 2.54 * self.shore))
         return NeoHookean(E=E, nu=self.nu).lame
 

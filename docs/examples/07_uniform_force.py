@@ -16,7 +16,7 @@ class Quake(Force):
     strength: float = 20.0
 
     def attach(self, model, state, tracks):
-        """Add the acceleration to the run; it needs no kernel of its own."""
+        """Add the acceleration to the run, without a separate kernel."""
         times = [k / 100 for k in range(151)]
         keys = tuple((t, (0.0, self.strength * math.sin(12 * t * t), 0.0)) for t in times)
         tracks.accelerate(Track(keys, mean=True))

@@ -1,4 +1,4 @@
-"""What accuracy costs: predicted time and promised error of the three named accuracies.
+"""What accuracy costs: predicted time and error bound of the three named accuracies.
 
 Install with `.venv/bin/pip install --editable '.[plots]'`.
 """

@@ -1,4 +1,4 @@
-"""The error of a run: a ball is pressed on three grids, which are compared with their limit.
+"""The error of a run: a ball is pressed on three grids, and the results are extrapolated.
 
 Install with `.venv/bin/pip install --editable '.[plots]'`.
 """

@@ -1,4 +1,4 @@
-"""Effects left out: the mechanisms that a scene does not need cost nothing.
+"""Effects left out: mechanisms that a scene does not need take no time.
 
 Install with `.venv/bin/pip install --editable '.[plots]'`.
 """

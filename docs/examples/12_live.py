@@ -8,7 +8,7 @@ from phy124.pipeline import make_gaussians
 
 duck = make_gaussians("demo/examples/duck.png").gaussians
 chosen = held_rate(duck, phy124.Scene.named("drop"), rate=1.0)
-print(chosen.sentence)  # the finest grid on which the run keeps up with the clock
+print(chosen.sentence)  # names the finest grid that runs in real time
 
 live = phy124.Live(duck, chosen.scene)
 live.step()
@@ -22,5 +22,5 @@ for frame in live.frames(24):
 
 view = phy124.Scene().replaced({"view.views": ["front"], "view.stage": "studio"}).view
 phy124.film(live.clip(), view, "out/live")
-# A scene file that repeats all inputs, for example on a finer grid.
+# This scene file contains all inputs, so the session can be repeated on a finer grid.
 Path("out/live/session.toml").write_text(live.session().to_toml())

@@ -1,4 +1,4 @@
-"""A sweep: clips of three objects with three stiffnesses, made on all cores.
+"""A sweep: clips of two objects with three stiffnesses, made on all cores.
 
 Install with `.venv/bin/pip install --editable '.[sweep]'`.
 """

@@ -8,7 +8,7 @@ from phy124.generators import GENERATORS
 
 
 def ball(image_rgba, *, seed, progress):
-    """A ball of 4,000 Gaussians, which ignores its picture."""
+    """Return a ball of 4,000 Gaussians; the picture is ignored."""
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(4000, 3))
     means *= 0.48 / np.linalg.norm(means, axis=1, keepdims=True)

@@ -1,10 +1,11 @@
-"""Push an object along a square: a controller in a process of its own, over DDS, without ROS 2.
+"""Push an object along a square: a controller in a separate process, over DDS, without ROS 2.
 
     python -m bridge live demo/examples/duck.png --set forces=[] boundaries=[]
     python docs/guide/push_square.py --plot square.png
 
-It reads where the object's centre of mass is from /tf and answers each time with a force on
-/phy124/live/push: proportional to the error and to its rate. It needs cyclonedds and NumPy.
+The controller reads the position of the object's centre of mass from /tf. For each message it sends
+a force on /phy124/live/push that is proportional to the error and to the rate of the error. It
+needs cyclonedds and NumPy.
 """
 
 import argparse
@@ -118,7 +119,7 @@ class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped
 
 
 def corner(seconds: float, side: float, each: float) -> np.ndarray:
-    """Where on the square the centre should be [m, m]; a side takes `each` seconds."""
+    """Return the target of the centre on the square [m, m]; a side takes `each` seconds."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)], float) * side
     lap = seconds / each % 4
     index = int(lap)
@@ -126,7 +127,7 @@ def corner(seconds: float, side: float, each: float) -> np.ndarray:
 
 
 class Controller:
-    """Turns places of the centre of mass into forces."""
+    """Computes forces from positions of the centre of mass."""
 
     def __init__(self, mass: float, hertz: float, side: float, each: float) -> None:
         self.stiffness = mass * (2 * np.pi * hertz) ** 2
@@ -136,7 +137,7 @@ class Controller:
         self.rows: list[tuple[float, ...]] = []
 
     def force(self, now: float, place: np.ndarray) -> np.ndarray:
-        """The force [N] for a place at a time [m, s]."""
+        """Return the force [N] for a position [m] at a time [s]."""
         if self.start is None or self.last is None or now <= self.last[0]:
             self.start, self.last = (now, place), (now, np.zeros(3))
         begun, origin = self.start
@@ -150,7 +151,7 @@ class Controller:
 
 
 def plot(rows: list[tuple[float, ...]], path: str) -> None:
-    """Draw the way and the error over time."""
+    """Draw the path and the error over time."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -169,7 +170,7 @@ def plot(rows: list[tuple[float, ...]], path: str) -> None:
 
 
 def main() -> None:
-    """Control it for some laps."""
+    """Push the object along the square for some laps."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--mass", type=float, default=200.0, help="of the object [kg]")
     parser.add_argument("--hertz", type=float, default=1.0, help="how stiff the control is [Hz]")
