@@ -1,16 +1,14 @@
-"""Turns Gaussians into material particles: cleans the Gaussians, and determines the object's size,
-interior, volume and mass.
+"""Turns Gaussians into material particles: cleans the Gaussians; finds size, interior and mass.
 
 There are two bindings of Gaussians to particles:
 
 - `lattice`: a regular lattice of particles fills the solid, and the motion of the Gaussians is
-  interpolated from the motion of the lattice (`phy124.motion.deform`). The number of Gaussians
-  therefore hardly affects the simulation. Thin parts have additional particles at the positions of
-  their Gaussians, at half the spacing. Particles of sand are moved to random positions in their
-  lattice cells (`phy124.particles.scatter`).
+  interpolated from the particles (`phy124.motion.deform`). The number of Gaussians therefore hardly
+  affects the simulation. Thin parts have additional particles at the positions of Gaussians, at
+  half the spacing. Particles of sand are moved to random positions in their lattice cells
+  (`phy124.particles.scatter`).
 - `particles`, the method of the paper (Phy124, arXiv 2409.07179): every Gaussian is an MPM
-  particle, and the closed interior is filled with further particles, as in PhysGaussian (arXiv
-  2311.12198).
+  particle, and further particles fill the closed interior, as in PhysGaussian (arXiv 2311.12198).
 """
 
 from phy124.gaussians import Particles, by_object

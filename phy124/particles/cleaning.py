@@ -1,19 +1,19 @@
 """Drops or repairs Gaussians that the simulation cannot use.
 
-Every threshold is relative to the object's size, so objects of a micrometre and of a kilometre are
-treated in the same way. The rules apply in this order:
+All thresholds are relative to the object's size, which may be a micrometre or a kilometre. The
+rules apply in this order:
 
 - Gaussians with NaN or infinity in any field are dropped.
-- Other invalid values are repaired: a negative scale becomes positive (the covariance is the same),
-  a zero scale becomes `THINNEST` times the Gaussian's longest axis, a zero quaternion becomes the
-  identity, any other quaternion is normalised, and an opacity above 1 becomes 1.
+- Other invalid values are repaired: a negative scale becomes positive (the covariance does not
+  change), a zero scale becomes `THINNEST` times the Gaussian's longest axis, a zero quaternion
+  becomes the identity, any other quaternion is normalised, and an opacity above 1 becomes 1.
 - Invisible Gaussians (opacity below one step of an 8-bit image, or no extent) are dropped.
 - Gigantic Gaussians (longest axis above `GIGANTIC` times the object's longest side *and* above 20
   times the median longest axis) are dropped.
-- Stray groups are dropped. A group of Gaussians is stray under two conditions. It is separated from
-  the rest by more than about `GAP` times the longest side (or by more than the usual distance
-  between neighbours, if this is larger), and it contains less than the fraction `STRAY` of all
-  Gaussians or of their `visible_area`.
+- Stray groups are dropped. A group of Gaussians is stray if it is both separate and small.
+  Separate: its distance from the rest is more than about `GAP` times the longest side, and more
+  than the usual distance between neighbours. Small: it contains less than the fraction `STRAY` of
+  all Gaussians or of their `visible_area`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
 WIDE = 16.0
-"""Upper bound on the visible area of a Gaussian, in units of the median area."""
+"""Upper bound of the visible area of a Gaussian, relative to the median area."""
 VISIBLE = 0.1
 """Smallest opacity of a Gaussian that belongs to the surface."""
 
@@ -65,12 +65,12 @@ class Cleaning:
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences for the report: one for each rule that dropped or changed Gaussians."""
+        """Sentences for the report, one per rule that dropped or changed Gaussians."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
             "gigantic": "were larger than half the object and were dropped",
-            "stray": "floated away from the object and were dropped",
+            "stray": "were too far from the object and were dropped",
             "repaired_scales": "had negative or zero scales, which were repaired",
             "repaired_quats": "had a quaternion of length zero, replaced by no rotation",
             "repaired_opacities": "had an opacity above 1, replaced by 1",
@@ -117,7 +117,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
 
 
 def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
-    """Return the visible area of each Gaussian [N], m^2: opacity times area, up to an upper bound.
+    """Return the visible area of each Gaussian [N], m^2: opacity times area, with an upper bound.
 
     Without the bound, a background of large Gaussians, such as a sky, would outweigh the object.
     """
@@ -128,7 +128,7 @@ def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
 def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lower and upper corner [3], m, of all centres +- one standard deviation.
 
-    The outermost 0.1 % of the opacity is excluded at each end of each axis, so a few faint
+    At each end of each axis, the outermost 0.1 % of the opacity is excluded, so that a few faint
     Gaussians do not affect the size. If there are more than 200,000 Gaussians, an evenly spaced
     subset is used.
     """
@@ -141,19 +141,19 @@ def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> Gaussians:
-    """Scale the object with `size_transform`, so that its longest side is `size` metres."""
+    """Scale and shift the object (`size_transform`), so that its longest side is `size` metres."""
     return gaussians.transform(*size_transform(gaussians, size, ground=ground))
 
 
 def size_transform(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale and the offset [3] with which the longest side is `size` m and the centre is
-    at x = y = 0.
+    """Return the scale and the offset [3] that make the longest side `size` m and centre the
+    object.
 
-    If `ground` is set, the lowest visible point is placed at z = 0. This is the lowest point within
-    one standard deviation of the centres of Gaussians with an opacity of at least 0.1. If `ground`
-    is not set, the object is also centred in z.
+    The object is centred at x = y = 0. If `ground` is set, the lowest visible point is placed at z
+    = 0; this is the lowest point within one standard deviation of Gaussians with an opacity of at
+    least 0.1. Otherwise the object is also centred in z.
 
     Raises:
         InputError: If the size is not positive.
@@ -162,8 +162,8 @@ def size_transform(
         raise InputError(
             "size",
             size,
-            "the longest side must be a positive length.",
-            "Give the length in metres, such as 1.0.",
+            "the length of the longest side must be positive.",
+            "Enter a length in metres, such as 1.0.",
         )
     low, high = compute_bounds(gaussians)
     scale = float(size / (high - low).max())
@@ -180,9 +180,7 @@ def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
-    """Return repaired Gaussians and the counts of repairs; arrays that need no repair are not
-    copied.
-    """
+    """Return repaired Gaussians and counts of repairs; arrays without repairs are not copied."""
     arrays = {name: getattr(gaussians, name) for name in ("quats", "scales", "opacities")}
     repaired, counts = dict(arrays), dict.fromkeys(arrays, 0)
     for start in range(0, len(gaussians), BLOCK):
@@ -236,10 +234,10 @@ def _are_stray(gaussians: Gaussians) -> NDArray[np.bool_]:
     side = (high - low).max()
     if side == 0:
         return np.zeros(len(gaussians), bool)
-    # N points on a surface are about side / sqrt(N) apart; gaps between random points reach a few
-    # times this distance.
+    # N points on a surface are about side / sqrt(N) apart; gaps between random points are up to a
+    # few times as wide.
     cell = max(GAP / 2, 4 / np.sqrt(len(means)))
-    # Gaussians farther out than half the object are assigned to the outermost cells.
+    # Gaussians that are farther away than half the object are assigned to the outermost cells.
     flat, shape = np.zeros(len(means), np.int64), []
     for along, first, last in zip(means.T, low, high, strict=True):
         cells = np.clip((along - first) / side, -0.5, (last - first) / side + 0.5) / cell
@@ -265,7 +263,7 @@ def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDA
 def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
     """Return the smallest value at which the cumulative weight exceeds `below`."""
     values = np.ascontiguousarray(values, np.float64)
-    # At first, sort only the lowest values; their weight is usually sufficient.
+    # First sort only the lowest values, whose weight is usually sufficient.
     count = min(len(values), 8 + int(4 * fraction * len(values)))
     for lowest in (np.argpartition(values, count - 1)[:count], np.arange(len(values))):
         order = lowest[np.argsort(values[lowest])]
@@ -276,14 +274,11 @@ def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction
 
 
 def _lowest_height(gaussians: Gaussians) -> float:
-    """Return the height of the lowest point of all visible Gaussians, taken at one standard
-    deviation.
-    """
+    """Return the height of the lowest point within one standard deviation of visible Gaussians."""
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)
-    # Only Gaussians whose longest axis reaches down to the lowest centre can contain the lowest
-    # point.
+    # Only Gaussians whose longest axis reaches the lowest centre can contain the lowest point.
     near = z - some.longest <= z.min()
     axes = rotation_matrices(some.quats[near])[:, 2] * some.scales[near]
     return float((z[near] - np.linalg.norm(axes, axis=1)).min())

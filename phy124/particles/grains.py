@@ -1,8 +1,8 @@
-"""Adds grains: small round Gaussians inside materials that fall apart.
+"""Adds grains: small round Gaussians inside materials that separate, such as sand.
 
-The Gaussians of a generator lie on the surface. When sand, snow or foam falls apart, the background
-would therefore be visible between the Gaussians. To hide the background, inner particles get round
-Gaussians in the colours of the surface above them. Grains do not change the motion.
+The Gaussians of a generator lie on the surface. When sand, snow or foam separates, the background
+would be visible between the Gaussians. Inner particles therefore get round Gaussians in the colours
+of the surface above them. Grains do not affect the motion.
 """
 
 from __future__ import annotations
@@ -19,9 +19,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings, at which a regular lattice of grains is
-opaque.
-"""
+"""Standard deviation of a grain, in particle spacings; makes a regular lattice of grains opaque."""
 CLEARANCE = 2.5
 """Smallest depth of a grain below the surface at rest, in standard deviations of the grain."""
 NEAREST = 0.5
@@ -39,14 +37,14 @@ def add_grains(
     materials: Sequence[AnyMaterial],
     spacing: float,
 ) -> tuple[Gaussians, Particles]:
-    """Append a Gaussian for each inner particle of materials that fall apart.
+    """Append a Gaussian for each inner particle of materials that separate.
 
     Args:
         gaussians: The object at rest, N Gaussians, m.
-        particles: The simulated particles; particles that have no Gaussian may get one.
-        moves: Mask of the moving Gaussians [N]; `particles.gaussian` counts only these.
-        materials: Materials of the particles; grains are added to those with `grains` set.
-        spacing: Distance of neighbouring particles, m.
+        particles: The simulated particles; particles without a Gaussian may get one.
+        moves: Mask of the moving Gaussians [N]; `particles.gaussian` contains indices into these.
+        materials: Materials of the particles; grains are added to materials with `grains` set.
+        spacing: Distance between neighbouring particles, m.
 
     Returns:
         N + G Gaussians, and the particles with the indices of the G new Gaussians.
@@ -65,15 +63,15 @@ def add_grains(
 
 
 def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
-    """Return a mask [P] of the points that are far enough from all Gaussians to hold a grain.
+    """Return a mask [P] of the points with enough distance from all Gaussians for a grain.
 
     Args:
         gaussians: The object at rest.
         x: Positions of inner particles [P,3], m.
-        spacing: Distance of neighbouring particles, m.
+        spacing: Distance between neighbouring particles, m.
     """
-    # A search within a small distance is fast. Finding the nearest Gaussian of a point near the
-    # centre of a ball is slow, because all Gaussians are about equally far away.
+    # A search within a small distance is fast. A search for the nearest Gaussian would be slow near
+    # the centre of a ball, where all Gaussians are about equally far away.
     tree = scipy.spatial.KDTree(gaussians.means)
     nearest, _ = tree.query(x, distance_upper_bound=NEAREST * spacing, workers=-1)
     return np.isinf(nearest)
@@ -87,18 +85,19 @@ def make_grains(
     Args:
         gaussians: The object at rest.
         x: Positions of inner particles [P,3], m, with room for a grain (`leave_room`).
-        spacing: Distance of neighbouring particles, m.
+        spacing: Distance between neighbouring particles, m.
     """
     depth, above = map(np.asarray, scipy.spatial.KDTree(gaussians.means).query(x, workers=-1))
     return _round_gaussians(gaussians, x, above, depth, spacing), above
 
 
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
-    """Make each Gaussian brighter or darker at random.
+    """Change the brightness of each Gaussian at random.
 
     Args:
         gaussians: N Gaussians.
-        amounts: Standard deviation of each Gaussian's brightness, relative to the brightness [N].
+        amounts: Standard deviation of each Gaussian's brightness change, relative to the brightness
+            [N].
         seed: Seed of the random numbers.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
@@ -111,8 +110,7 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 def tint(
     gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float
 ) -> Gaussians:
-    """Give Gaussians the colour of their material, and keep some of the light and shade in the
-    picture.
+    """Tint Gaussians in the colour of the material, and keep some of the picture's light and shade.
 
     Args:
         gaussians: N Gaussians.

@@ -1,11 +1,11 @@
-"""Computes the integration points and surface points of a body on its lattice at rest.
+"""Computes the integration points and surface points of a body on a lattice at rest.
 
 The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
-has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3, where c is the centre of the part
-of the body in the cell, and s^2 and e are the eigenvalues and eigenvectors of its second moments
-per volume. Together, the eight points have the volume, the centre and the second moments of this
-part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss points. Without exact
-second moments, plates thinner than a cell are up to 12 % too stiff.
+has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3. Here c is the centre of the part
+of the body in the cell; s^2 and e are the eigenvalues and eigenvectors of this part's second
+moments per volume. Together, the eight points have the volume, the centre and the second moments of
+this part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss points. Without
+exact second moments, plates thinner than a cell are up to 12 % too stiff.
 """
 
 from __future__ import annotations
@@ -24,39 +24,38 @@ from phy124.particles.solid import Solid
 PER_CELL = 8
 """Number of integration points in a cell."""
 SMALLEST, FULLEST = 1e-3, 0.1
-"""Smallest filled fraction of a cell that gets integration points. In a body of needles, the limit
-is `FULLEST` times the filled fraction of the fullest cell, if this is less.
+"""Smallest filled fraction of a cell with integration points. If it is less, the limit is `FULLEST`
+times the filled fraction of the fullest cell, for bodies of needles.
 """
 HAZE = 0.005
-"""Filled fraction of a cell below which the cell has no surface points, because it holds only
-single Gaussians around a body."""
+"""A cell with a smaller filled fraction contains only stray Gaussians and has no surface points."""
 TRACE = 0.1
-"""Filled fraction of a voxel below which the voxel has no surface points if a neighbour is filled
-at least twice as much.
+"""A voxel with a smaller filled fraction has no surface points if the fraction of a neighbour is at
+least twice as large.
 """
 SLIVER = 0.15
-"""A cell is a sliver if it is filled less than this many times the square of the fraction of the
-fullest cell around it. It is then merged with a neighbour. In rods and plates that are thinner than
-a cell, all cells have a small filled fraction. Merging such cells would make rods bend up to 3.1
-times too far.
+"""A cell is a sliver if its filled fraction is less than this factor times the square of the
+fraction of the fullest cell around it. Slivers are merged with a neighbour. In rods and plates that
+are thinner than a cell, all cells have a small filled fraction; merging such cells would make rods
+bend up to 3.1 times too far.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
 ALIGNED = 1e-7
-"""Difference of second moments [cells^2] below which they count as equal, so that the points are
+"""Second moments count as equal if they differ by less than this [cells^2]; the points are then
 aligned with the lattice.
 """
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
-    """Return the integration points and surface points of a solid whose voxels are aligned with the
+    """Return the integration points and surface points of a solid with voxels aligned with the
     cells.
 
     Args:
-        solid: The body; its voxels are an integer fraction or an integer multiple of dx wide.
+        solid: The body; the side of its voxels is an integer fraction or an integer multiple of dx.
         density: Mass density [kg/m^3].
         dx: Side of a cell [m].
 
@@ -82,7 +81,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return one particle for each cell of eight points, so that a material is chosen for each
+    """Return one particle for each cell of eight points, in order to choose a material for each
     cell.
     """
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
@@ -96,7 +95,7 @@ def cells_of(points: Particles) -> Particles:
 
 
 def points_of(cells: Particles, points: Particles) -> Particles:
-    """Return the points of some cells, ordered like the cells and with the cells' materials.
+    """Return the points of some cells, in the order and with the materials of the cells.
 
     Args:
         cells: Some of the cells of `points`, in any order.
@@ -138,8 +137,8 @@ def _points_of_pieces(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
     """Return the points of all cells [8C,3], m, their volumes [8C], m^3, and copies of nodes.
 
-    A cell with several separate pieces occurs several times, once for each piece. The copies [C,27]
-    have the meaning of `Particles.copies`.
+    A cell with several separate pieces occurs once for each piece. The copies [C,27] are as in
+    `Particles.copies`.
     """
     index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel
@@ -156,17 +155,17 @@ def _points_of_pieces(
     second = arm[:, :, None] * arm[:, None, :] + spread * side**2
     second = _sums(piece, (fraction[:, None, None] * second).reshape(-1, 9), count)
     second = second.reshape(-1, 3, 3) / filled[:, None, None]
-    # Equal moments define no axes; the points then lie along the axes of the lattice.
+    # If moments are equal, they define no axes; the points then lie along the axes of the lattice.
     _, axes = np.linalg.eigh(second + np.diag([0.0, 1.0, 2.0]) * ALIGNED * dx**2)
     # The signs of the axes are arbitrary; they are chosen so that the points of all full cells have
-    # the same order.
+    # one order.
     largest = np.take_along_axis(axes, np.abs(axes).argmax(axis=1)[:, None], axis=1)
     axes = axes * np.sign(largest)
     squares = np.einsum("cik,cij,cjk->ck", axes, second, axes)
     reach = np.sqrt(np.maximum(squares, 0))
     x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)
     volume = filled * side**3
-    # As in RestLattice, so that both count the same nodes.
+    # As in RestLattice, so that node indices agree.
     cells = np.floor((x.astype(np.float32).astype(np.float64) / dx).mean(axis=1)).astype(np.int64)
     copies = find_copies(pieces, cells, place, part)
     kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
@@ -178,7 +177,7 @@ def _points_of_pieces(
 def _clear(solid: Solid) -> NDArray[np.bool_]:
     """Return the voxels with more than a trace of material [X,Y,Z].
 
-    Resampling leaves voxels of almost no material around the body.
+    Resampling leaves voxels with almost no material around the body.
     """
     fullest = scipy.ndimage.maximum_filter(solid.fraction, 3, mode="constant")
     clear: NDArray[np.bool_] = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
@@ -197,7 +196,9 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
     part = fraction * (solid.voxel / dx) ** 3
     _, cell = _cells(_merge_slivers(place, part))
     clear = outside & (np.bincount(cell, part) >= HAZE)[cell]
-    outside = clear if clear.any() else outside  # All cells of a needle may be that empty.
+    outside = (
+        clear if clear.any() else outside
+    )  # In a needle, all cells may have such a small fraction.
     index, fraction, normal = index[outside], fraction[outside], normal[outside]
     across = solid.voxel * np.abs(normal).sum(axis=1)
     out = normal * ((fraction - 0.5) * across)[:, None]
@@ -209,11 +210,11 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
 
 
 def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
-    """Return the cell of each voxel [V,3]; slivers become parts of a neighbouring cell.
+    """Return the cell of each voxel [V,3]; slivers are merged with a neighbouring cell.
 
-    The nodes of a sliver are light, so that squeezing it would shorten the substep. As a part of
-    the neighbouring cell, a sliver has the weights of this cell, continued beyond the cell, but
-    keeps its volume and moments.
+    The nodes of a sliver are light, so squeezing a sliver would shorten the substep. After merging,
+    a sliver keeps its volume and moments, but has the weights of the neighbouring cell, continued
+    beyond the cell.
 
     Args:
         place: Index of each voxel's cell [V,3].
@@ -237,7 +238,7 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
 
 
 def _subdivide(solid: Solid, dx: float) -> Solid:
-    """Return a solid whose voxels are not larger than a cell."""
+    """Return the solid with voxels that are not larger than a cell."""
     parts = round(solid.voxel / dx)
     if parts <= 1:
         return solid
@@ -280,7 +281,7 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
-    """From the points in each cube, return the outermost one."""
+    """Return the outermost of the points in each cube."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     _, which = np.unique(cube, axis=0, return_inverse=True)
     which = which.reshape(-1)

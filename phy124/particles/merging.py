@@ -1,8 +1,8 @@
 """Merges neighbouring Gaussians to make files smaller.
 
-Two Gaussians are replaced by one Gaussian with their common mean, covariance and colour, weighted
-by mass (opacity times volume). The opacity of the new Gaussian preserves the mass. If the opacity
-of the new Gaussian would exceed `OPAQUE`, this Gaussian is enlarged instead.
+Two Gaussians are replaced by one Gaussian with their joint mean, covariance and colour, weighted by
+mass (opacity times volume). The opacity of the new Gaussian preserves the mass; if it would exceed
+`OPAQUE`, the new Gaussian is enlarged instead.
 """
 
 from __future__ import annotations
@@ -21,16 +21,15 @@ from phy124.io.clip import Clip
 COLOUR = 0.1
 """Distance, relative to the object's size, that is equivalent to a colour difference of 1."""
 NEIGHBOURS = 6
-"""Number of nearest neighbours among which a Gaussian's partner is sought."""
+"""Number of nearest neighbours that are searched for a Gaussian's partner."""
 OPAQUE = 0.99
 """Largest opacity of a merged Gaussian."""
 SAMPLES = 5
-"""Number of frames in which the Gaussians of a clip are compared in order to group them."""
+"""Number of frames in which a clip's Gaussians are compared for grouping."""
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point to one of `count` groups [N], which are formed by merging pairs of
-    neighbours.
+    """Assign each point to one of `count` groups [N] by repeatedly merging pairs of neighbours.
 
     Args:
         places: Points [N,D] in any number D of dimensions.
@@ -155,12 +154,12 @@ def check_not_empty(count: int) -> None:
         InputError: If it is below 1.
     """
     if count < 1:
-        raise InputError("merge", count, "nothing would be left.", "Give 1 or more.")
+        raise InputError("merge", count, "no Gaussians would be left.", "Choose at least 1.")
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
-    """Return points [N,3T+3]; two points are near each other if their Gaussians are similar in
-    colour and near each other in T frames.
+    """Return points [N,3T+3] that are near each other if the Gaussians have similar colours and are
+    near each other in T frames.
     """
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

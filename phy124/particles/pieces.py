@@ -1,13 +1,13 @@
-"""Finds the pieces of a body that share a cell or a node of its lattice without being connected.
+"""Finds pieces of a body that lie in one cell, or at one node, without being connected.
 
-Two prongs, or a leaf and a stem, may lie in one cell, or in the support of one node, although
-they are connected only far from there. Each piece of a cell then gets integration points, and each
+Two prongs, or a leaf and a stem, may lie in one cell, or in the support of one node, although they
+are connected only at a distance. Each piece of a cell then gets integration points, and each
 connected piece in the support of a node gets a copy of the node, so that the pieces move
 independently (phantom nodes of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry,
 Jerabkova and Faure 2009, doi 10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-without any connection, such as specks around a body, keep common nodes and move together.
+without any connection, such as specks around a body, keep common nodes and move with the body.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from numpy.typing import NDArray
 AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
 """Steps to half of the 26 neighbours; the steps to the other half are the opposite steps."""
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-"""Steps to a cell or a node itself and to its 26 neighbours."""
+"""Steps to a cell or node itself and to its 26 neighbours."""
 LEAST = 0.08
-"""Filled fraction of a cell below which a separate sliver stays a separate piece. Merged into a
-neighbouring cell, the sliver would spread the points of that cell. With a value of 0.03, a thin
-disc that was pushed turned inside out.
+"""A separate sliver stays a separate piece if its filled fraction is smaller. If it were merged
+with a neighbouring cell, the sliver would spread the points of this cell. With a value of 0.03, a
+thin disc that was pushed turned inside out.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""Whether two of these 27 places are neighbours or identical [27,27]."""
+"""Whether two of these 27 steps lead to neighbours or to one place [27,27]."""
 
 
 class Pieces(NamedTuple):
     """Pieces of the cells of a body, sorted by cell."""
 
     of_voxel: NDArray[np.int64]
-    """Index of the piece that contains each voxel [V]."""
+    """Piece index of each voxel [V]."""
     pairs: NDArray[np.int64]
-    """Pairs of neighbouring voxels, except those with only a trace of material [M,2]."""
+    """Pairs of neighbouring voxels, except voxels with only a trace of material [M,2]."""
 
 
 def find_pieces(
@@ -49,10 +49,10 @@ def find_pieces(
         index: Indices of the voxels that are not empty [V,3].
         cell: Number of the cell of each voxel [V]; pieces are sorted by this number.
         part: Volume of each voxel, relative to a cell [V].
-        clear: Whether a voxel connects its neighbours [V]; voxels with only a trace of material do
-            not.
-        sliver: Size, as a fraction of a cell, below which one of several pieces in a cell joins a
-            piece in a neighbouring cell to which it is connected.
+        clear: Whether each voxel connects its neighbours [V]; voxels with only a trace of material
+            do not.
+        sliver: If one of several pieces in a cell is smaller than this fraction of the cell, it
+            joins a connected piece in a neighbouring cell.
     """
     pairs = _neighbours(index, clear)
     same = cell[pairs[:, 0]] == cell[pairs[:, 1]]
@@ -79,8 +79,9 @@ def find_pieces(
         fits = small[a] & (size[a] >= LEAST) & (size[b] >= sliver) & ~alone[b]
         a, b = a[fits], b[fits]
         fullest = np.lexsort((size[b], a))
-        target[a[fullest]] = b[fullest]  # The last piece, which is the fullest, remains.
-        # A piece that joined the largest piece of its cell goes where that piece goes.
+        # The last and fullest piece remains. If a piece has joined the largest piece of its cell, it
+        # is moved with this piece.
+        target[a[fullest]] = b[fullest]
         target = target[target]
     order = np.lexsort((np.arange(count), of))
     kept = order[(target == np.arange(count))[order]]
@@ -93,17 +94,17 @@ def find_pieces(
 def find_copies(
     pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return the copy of each of the 27 nodes that a piece uses [E,27]; None if no node has copies.
+    """Return the copies of the 27 nodes that each piece uses [E,27]; None if no node has copies.
 
     Args:
         pieces: The E pieces.
         cell: Indices of the cells whose nodes the pieces use [E,3].
-        place: Indices of the cells in which the voxels lie [V,3]. They differ from the cells of the
-            pieces for slivers that were merged with another cell.
+        place: Indices of the cells in which the voxels lie [V,3]. For slivers that were merged with
+            another cell, they differ from the cells of the pieces.
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
             uses the node's first copy.
     """
-    # Voxels without neighbours, such as traces of material, separate nothing.
+    # Voxels without neighbours, such as traces of material, do not separate pieces.
     used, piece = np.zeros(len(place), bool), pieces.of_voxel
     used[pieces.pairs] = True
     if not used.any():
@@ -121,7 +122,7 @@ def find_copies(
     copies = _copies_of_parts(places, piece, part[number[pieces.pairs]], size)
     if copies is None:
         return None
-    # A piece uses the node copy of the piece's largest part in the node's support.
+    # A piece uses the node copy of its largest part in the node's support.
     result = np.zeros((len(cell), 27), np.int8)
     copied = np.zeros(len(cell), bool)
     copied[piece[copies.any(axis=1)]] = True
@@ -138,10 +139,10 @@ def find_copies(
 def _copies_of_parts(
     cell: NDArray, piece: NDArray, pairs: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return the copy of each of the 27 nodes that a part would use [A,27]; None if no node has
+    """Return the copies of the 27 nodes that each part would use [A,27]; None if there are no
     copies.
 
-    A part lies in a single cell. Parts of one piece are connected, because they use the same nodes.
+    A part lies in a single cell. Parts of one piece are connected, because they use common nodes.
 
     Args:
         cell: Indices of the cells in which the parts lie [A,3].
@@ -183,10 +184,10 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return which nodes of one cell are the 27 nodes of another one [L,27]; -1: it has no such.
+    """Return for 27 nodes of a cell the numbers of these nodes in another cell [L,27]; -1: none.
 
     Args:
-        step: Steps from the first cell to the other one [L,3].
+        step: Steps from the first cell to the other cell [L,3].
     """
     ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
     table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)
@@ -242,10 +243,10 @@ def _doubtful_nodes(
 def _rank(
     group: NDArray, node: NDArray, island: NDArray, volume: NDArray, count: int
 ) -> NDArray[np.int64]:
-    """Return the copy of the node for each use of a node by a piece [K].
+    """Return the copy number for each use of a node by a piece [K].
 
     Args:
-        group: Connected group of each use [K]; all uses in a group refer to the same node.
+        group: Connected group of each use [K]; all uses in a group refer to one node.
         node: Node of each use [K].
         island: Connected part of the body of each use [K]; parts other than the largest part in a
             node's support use the first copy.
@@ -285,7 +286,7 @@ def _neighbours(index: NDArray, clear: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _distinct(pairs: NDArray, count: int) -> NDArray[np.int64]:
-    """Return the distinct pairs [L,2] of different items among `count`, the smaller item first."""
+    """Return the distinct pairs [L,2] of different items of `count`, the smaller item first."""
     low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
     low, high = low[low < high], high[low < high]
     graph = scipy.sparse.coo_matrix((np.ones(len(low), bool), (low, high)), shape=(count, count))

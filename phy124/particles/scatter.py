@@ -1,9 +1,8 @@
-"""Moves particles from their lattice to random positions, so that rows of the lattice are not
-visible.
+"""Moves particles from a lattice to random positions, so that no rows are visible.
 
-Sand that spreads in thin layers is stretched several times along its flow. In such sand, particles
-on a regular lattice would form visible rows with empty grooves in between. Each particle stays in
-its cell of the lattice, so the density hardly varies.
+Sand that spreads in thin layers is stretched several times along the flow. Particles of a regular
+lattice would then form visible rows with empty grooves in between. Each particle stays in its
+lattice cell, so the density hardly varies.
 """
 
 from __future__ import annotations
@@ -33,13 +32,14 @@ def scatter(
 ) -> Particles:
     """Shift the particles of materials that spread in thin layers by random distances.
 
-    A particle at the surface that has no room for its shift is not moved.
+    A particle that would leave the object is not moved.
 
     Args:
-        particles: Particles at rest, P of them.
+        particles: P particles at rest.
         solid: The object's interior.
-        materials: Materials of the particles; those with `scatters` set are shifted.
-        spacing: Distance of neighbouring particles [m].
+        materials: Materials of the particles; particles of materials with `scatters` set are
+            shifted.
+        spacing: Distance between neighbouring particles [m].
         seed: Seed of the random numbers.
     """
     chosen = np.array([section.scatters for section in materials], bool)[particles.material]

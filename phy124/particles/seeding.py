@@ -1,10 +1,10 @@
-"""Places the particles, and computes the volume of each particle.
+"""Places the particles and computes their volumes.
 
-The solid's volume in each lattice cell is shared evenly among the particles in the cell. The volume
-of a cell without particles is added to the nearest particle. The volumes of all particles add up to
-the volume of the solid. If a cell contains 500 surface Gaussians, each of their particles gets a
-small volume. Such small volumes do not affect the stability of the MPM, because the limit of the
-substep depends on stiffness and density, not on the volume.
+The solid's volume in each lattice cell is divided evenly among the particles in the cell. The
+volume of a cell without particles is added to the nearest particle. The volumes of all particles
+add up to the volume of the solid. If a cell contains many surface Gaussians, their particles get
+small volumes. This does not affect stability, because the limit of the substep depends on stiffness
+and density, not on volume.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from phy124.particles.solid import Solid, find_interior, find_solid
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
 THIN = 4
-"""Width up to which a part of the object counts as thin, in particle spacings."""
+"""A part of the object counts as thin up to this width, in particle spacings."""
 MOST_CELLS = 50_000_000
-"""Largest number of cells in a grid that is held in memory."""
+"""Largest number of cells of a grid in memory."""
 SMALLEST = 0.01
 """Smallest volume of a particle, relative to the mean volume."""
 
@@ -39,21 +39,21 @@ def make_particles(
     binding: str = "lattice",
     material: int = 0,
 ) -> Particles:
-    """Make particles for clean Gaussians, whose positions are in metres (see `clean`,
-    `scale_to_size`).
+    """Make particles for clean Gaussians in metres (see `clean`, `scale_to_size`).
 
     Args:
         gaussians: The object, N Gaussians.
-        interior: Interior of the object, from `find_interior`, if it is already known.
+        interior: Interior of the object from `find_interior`, if already known.
         density: Mass density, kg/m^3.
-        spacing: Distance of neighbouring particles, m: grid spacing / particles per cell and axis.
-        binding: `lattice`: a lattice, which is denser where the object is thin; `particles`: one
-            particle per Gaussian, and a lattice in the interior.
+        spacing: Distance between neighbouring particles, m: grid spacing / particles per cell and
+            axis.
+        binding: `lattice`: a lattice, denser in thin parts; `particles`: one particle per Gaussian,
+            and a lattice in the interior.
         material: Material index of all particles.
 
     Raises:
-        InputError: If a number is not positive, the binding is unknown, or the spacing is so small
-            that the object could need more than `MAX_PARTICLES` particles.
+        InputError: If a number is not positive, if the binding is unknown, or if the object could
+            need more than `MAX_PARTICLES` particles.
     """
     _check(density, spacing, binding)
     shape = (interior or find_interior(gaussians)).resample(spacing)
@@ -97,9 +97,9 @@ def _check(density: float, spacing: float, binding: str) -> None:
     for name, value, unit in (("density", density, "kg/m^3"), ("spacing", spacing, "m")):
         if not (np.isfinite(value) and value > 0):
             limit = f"it must be a positive number [{unit}]."
-            raise InputError(name, value, limit, f"Give a positive {name}.")
+            raise InputError(name, value, limit, f"Choose a positive {name}.")
     if binding not in BINDINGS:
-        limit = f"there is no such binding; there are {' and '.join(BINDINGS)}."
+        limit = f"there is no such binding; the bindings are {' and '.join(BINDINGS)}."
         raise InputError("binding", binding, limit, "Choose one of these bindings.")
 
 
@@ -127,7 +127,7 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     """Return the points that are farther than `distance` from all points of `others`."""
     if len(points) == 0:
         return points
-    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # halves the build time
+    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # This halves the build time.
     nearest, _ = tree.query(points, distance_upper_bound=distance, workers=-1)
     return points[np.isinf(nearest)]
 
@@ -135,16 +135,16 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
 def _lattice_with_gaussians(
     gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
 ) -> NDArray[np.float64]:
-    """Return lattice points, and Gaussians where parts are thin or the lattice has no points.
+    """Return lattice points, and Gaussians in parts that are thin or have no lattice points.
 
-    Thin parts are stretched most, and would tear if their particles were one grid cell apart.
+    Thin parts are stretched most and would tear if their particles were one grid cell apart.
     """
     means = gaussians.means.astype(np.float64)
     thin = shape.thin(means, THIN * spacing)
     close, others = _cell_means(means[thin], 0.5 * spacing), means[~thin]
     lattice = _keep_apart(lattice, close, 0.5 * spacing) if len(close) else lattice
     if len(lattice):
-        # A Gaussian in the cell of a lattice point is closer to the point than the spacing.
+        # A Gaussian in the cell of a lattice point is closer to this point than the spacing.
         missed = _keep_apart(_outside_cells(others, lattice, spacing), lattice, spacing)
     else:
         missed = others
@@ -152,7 +152,7 @@ def _lattice_with_gaussians(
 
 
 def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the points whose cell contains no point of a lattice with spacing `side`."""
+    """Return the points in cells without a point of a lattice with spacing `side`."""
     place = np.floor(lattice / side).astype(np.int64)
     low = place.min(axis=0)
     shape = place.max(axis=0) - low + 1
@@ -185,7 +185,7 @@ def _cell_means(points: NDArray, side: float) -> NDArray[np.float64]:
 
 
 def _order_by_cell(x: NDArray, side: float) -> NDArray[np.int64]:
-    """Return an order of particles by cell; x varies slowest."""
+    """Return the order that sorts particles by cell; x varies slowest."""
     cells = np.floor((x - x.min(axis=0)) / side).astype(np.int64)
     return np.lexsort(cells.T[::-1])
 

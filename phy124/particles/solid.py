@@ -1,24 +1,23 @@
-"""Finds the solid that Gaussians outline, and describes its interior by the filled fraction of each
-voxel.
+"""Finds the solid that Gaussians enclose, as a filled fraction of each voxel.
 
 The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets, or a mixture. The
 interior is found in four steps:
 
-- Each Gaussian is sampled within one standard deviation, finely enough for the voxels.
+- Each Gaussian is sampled within one standard deviation, at least once per voxel.
 - The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
-  repeated with the samples dilated by increasing radii r (in voxels), which seals gaps up to 2 r.
-  Larger dilations are used only where they enclose a new cavity; other narrow slots stay open.
-  Wide openings are never sealed.
+  repeated after the samples are dilated by increasing radii r (in voxels), which seals gaps of
+  width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
+  stay open. Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from it meet the shell in at least five of the six directions.
-- Only the fraction of a surface voxel that is below the local surface is part of the solid. The
-  local surface is a plane normal to the outward normal, at the upper limit of the voxel's samples.
-  Filled fractions make volumes accurate below the voxel size.
+- Only the fraction of a surface voxel below the local surface is part of the solid. The local
+  surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Filled
+  fractions make volumes accurate below the voxel size.
 
-The voxels depend on the Gaussians alone; the solid is therefore the same for every simulation grid.
-The solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing: the
-side of these voxels is the particle spacing multiplied or divided by a whole number. `MAX_VOXELS`
-and `MAX_SAMPLES` limit time and memory.
+The voxels depend only on the Gaussians, so the solid does not depend on the simulation grid. The
+solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing. The
+side of these voxels is the particle spacing multiplied or divided by an integer. `MAX_VOXELS` and
+`MAX_SAMPLES` limit time and memory.
 """
 
 from __future__ import annotations
@@ -42,24 +41,23 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Number of voxels along the longest side; there are fewer if the Gaussians are too sparse."""
+"""Number of voxels along the longest side; fewer if the Gaussians are too sparse."""
 COARSER = 1.2
 """Factor by which the voxel size grows from one attempt to the next."""
 SEAL = 0.065
-"""Half of the width of the widest gap that is sealed, as a fraction of the longest side."""
+"""Half the width of the widest gap that is sealed, relative to the longest side."""
 CONNECTED = 6
-"""Smallest mean number of occupied neighbours, of 26, at which voxels form a connected surface or
-cloud."""
+"""Smallest mean number of occupied neighbours (of 26) in a connected surface or cloud."""
 MEMORY = 2
-"""Number of solids that are stored for later runs of the same objects."""
+"""Number of solids that are kept for later runs with the same objects."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The interior of an object, as the filled fractions of voxels."""
+    """The interior of an object, as filled fractions of voxels."""
 
     first: NDArray[np.int64]
-    """Index [3] of the first voxel; its lower corner is at first * voxel."""
+    """Index [3] of the first voxel; the voxel's lower corner is at first * voxel."""
     voxel: float
     """Side of a voxel [m]."""
     fraction: NDArray[np.float32]
@@ -72,8 +70,8 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Versions of this solid, keyed by the side of their voxels [m]; a grid that is twice as
-        fine needs the same voxels.
+        """Versions of this solid, keyed by the voxel side [m]; a grid that is twice as fine can use
+        the same version.
         """
         return {}
 
@@ -88,14 +86,12 @@ class Solid:
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return the mask of the points [M,3], m, that are outside, or in parts thinner than
-        `width`.
-        """
+        """Return the mask of points [M,3], m, that are outside or in parts thinner than `width`."""
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
         core = ~_dilate(self.fraction <= 0.5, radius)
-        # Dilate by more than the erosion radius, because cubes do not reach into rounded thick
+        # The dilation is larger than the erosion, because cubes do not reach into rounded thick
         # parts.
         thick = _dilate(core, radius + max(1, radius // 2))
         at = np.floor(np.asarray(points) / self.voxel).astype(np.int64) - self.first
@@ -104,12 +100,12 @@ class Solid:
     def resample(self, spacing: float, *, per_cell: int = 1) -> Solid:
         """Resample to voxels of about the same size that are aligned with a lattice of particles.
 
-        Several lattices may have the same voxels, which are computed once.
+        Several lattices may use the same voxels, which are computed only once.
 
         Args:
-            spacing: Distance of the particles [m].
-            per_cell: Number of particle spacings in a grid cell. The side of voxels larger than one
-                spacing is chosen so that no voxel crosses the faces of a cell.
+            spacing: Distance between particles [m].
+            per_cell: Number of particle spacings in a grid cell. If voxels are larger than one
+                spacing, their side is chosen so that no voxel crosses the faces of a cell.
         """
         ratio = spacing / self.voxel
         count = round(1 / ratio) if ratio <= 1 else 1
@@ -136,20 +132,18 @@ class Solid:
 
 
 def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
-    """Find the solid outlined by clean Gaussians, for particles that are `spacing` m apart."""
+    """Find the solid enclosed by clean Gaussians, for particles that are `spacing` m apart."""
     return find_interior(gaussians).resample(spacing)
 
 
 _kept: dict[bytes, Solid] = {}
-"""Maps a digest of Gaussians to the solid that they outline; the solid that was used last is the
-last entry.
-"""
+"""Solids, keyed by a digest of the Gaussians; the solid that was used last is the last entry."""
 _lock = threading.Lock()
-"""Lock that is held while `_kept` changes, because the jobs of the web page run in threads."""
+"""Lock for changes of `_kept`, because the jobs of the web page run in threads."""
 
 
 def find_interior(gaussians: Gaussians) -> Solid:
-    """Find the solid that clean Gaussians outline; its voxels depend only on the Gaussians.
+    """Find the solid that clean Gaussians enclose; the voxels depend only on the Gaussians.
 
     The last `MEMORY` solids are kept, because an object is often simulated several times.
     """
@@ -166,7 +160,7 @@ def find_interior(gaussians: Gaussians) -> Solid:
 
 
 def _digest(gaussians: Gaussians) -> bytes:
-    """Return a digest of everything that determines the solid."""
+    """Return a digest of all data that determine the solid."""
     digest = hashlib.blake2b(digest_size=16)
     for array in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities):
         digest.update(array.tobytes())
@@ -180,7 +174,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     region, outside = _find_inside(grid.occupied, grid.across)
     fraction = region.astype(np.float32)
     _trim_surface(fraction, region, outside, grid)
-    fraction.flags.writeable = False  # all runs share it
+    fraction.flags.writeable = False  # All runs use this array.
     return Solid(grid.first, grid.voxel, fraction)
 
 
@@ -194,16 +188,12 @@ class _Voxels:
     points: NDArray[np.float32]
     """Positions of the samples [S,3], in voxels from the lower corner of the grid."""
     thickness: NDArray[np.float32]
-    """Twice the shortest standard deviation of the Gaussian to which each sample belongs [S], in
-    voxels.
-    """
+    """Twice the shortest standard deviation of each sample's Gaussian [S], in voxels."""
     occupied: Mask
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest voxel grid on which the samples are connected; if there is none, the finest
-    grid.
-    """
+    """Return the finest voxel grid with connected samples; if there is none, the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -324,7 +314,7 @@ def _find_enclosed(occupied: Mask) -> Mask:
 
 def _dilate(mask: Mask, radius: int) -> Mask:
     """Dilate a mask by a cube of 2 radius + 1 voxels."""
-    # OpenCV treats the last axis as image channels, which is many times faster than SciPy.
+    # OpenCV treats the last axis as image channels and is many times faster than SciPy.
     side, shape = 2 * radius + 1, mask.shape
     grown = cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), np.ones((side, side), np.uint8))
     grown = cv2.dilate(grown.reshape(-1, shape[2]), np.ones((1, side), np.uint8))
@@ -334,7 +324,7 @@ def _dilate(mask: Mask, radius: int) -> Mask:
 def _trim_surface(
     fraction: NDArray[np.float32], region: Mask, outside: Mask, grid: _Voxels
 ) -> None:
-    """Set the fractions of the surface voxels that contain samples, in place."""
+    """Set the fractions of surface voxels with samples, in place."""
     surface = region & _dilate(outside, 1)
     at = grid.points.astype(np.int32)
     here = surface[tuple(at.T)]
@@ -359,9 +349,7 @@ def _trim_surface(
 
 
 def _estimate_normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
-    """Return outward normals [V,3], and the mask of sheets, which face the outside on both
-    sides.
-    """
+    """Return outward normals [V,3], and the mask of sheets, which have two outer sides."""
     normal = np.zeros((len(voxels), 3))
     for size in (5, 3):
         smooth = scipy.ndimage.uniform_filter(region.astype(np.float32), size)

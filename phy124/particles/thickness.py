@@ -1,12 +1,12 @@
-"""Computes the proportions of an object that determine how well a grid resolves it.
+"""Computes proportions of an object, which determine how well a grid resolves the object.
 
 The local thickness at a point is the diameter of the largest ball that contains the point and lies
 inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185). A morphological
-opening by balls of a certain diameter removes exactly the parts thinner than this diameter.
+opening with balls of a certain diameter removes exactly the parts that are thinner than this
+diameter.
 
-The compliance is the deflection of the object as a beam that stands on the ground and is loaded
-sideways by its own weight (Euler and Bernoulli). An object with a heavy top on a thin stem has a
-large compliance.
+The compliance is the deflection of the object as an upright beam under its own weight, acting
+sideways (Euler and Bernoulli). An object with a heavy top on a thin stem has a large compliance.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from phy124.particles.solid import ACROSS, Solid
 
 FRACTION = 0.1
-"""Fraction of the volume that may be thinner than the reported thickness."""
+"""This fraction of the volume may be thinner than the reported thickness."""
 FOOT = 0.12
 """Fraction of the height that is clamped when the compliance is computed."""
 
@@ -31,21 +31,20 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness, relative to the longest side, that nine tenths of the volume exceed."""
+    """Local thickness, relative to the longest side, exceeded in nine tenths of the volume."""
     compliance: float
     """Mean deflection if the object's weight acts sideways, relative to the object's size L and to
     rho g L / E."""
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any]) -> Proportions | None:
-        """Return the proportions in the report of a run; None if the report lacks them."""
+        """Return the proportions in the report of a run; None if they are missing."""
         thickness, compliance = report.get("thickness"), report.get("compliance")
         return None if thickness is None or compliance is None else cls(thickness, compliance)
 
 
 def measure_proportions(*objects: tuple[Solid, float]) -> Proportions:
-    """Return the proportions of an object; for several objects, the smallest thickness and the
-    largest compliance.
+    """Return the smallest thickness and the largest compliance of one or more objects.
 
     Args:
         objects: Interior (`find_interior`) and longest side [m] of each upright object. The
@@ -93,13 +92,13 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
 def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
     """Return the largest thickness [m] for which at most `fraction` of the volume is thinner.
 
-    Parts thinner than a voxel count as one voxel thick.
+    Parts that are thinner than a voxel count as one voxel thick.
 
     Args:
         shape: The object.
         fraction: Fraction of the volume that may be thinner.
     """
-    # The empty voxels around the solid are removed, which halves the time to compute distances.
+    # Removing the empty voxels around the solid halves the time to compute distances.
     inside = np.pad(_inside(shape), 1)
     depth = scipy.ndimage.distance_transform_edt(inside)
     radii = np.arange(1.0, depth.max() + 0.5, 0.5)

@@ -1,6 +1,4 @@
-"""Reduces the number of Gaussians; the remaining ones are enlarged so that they cover the same
-area.
-"""
+"""Reduces the number of Gaussians; the remaining Gaussians are enlarged to cover the same area."""
 
 from __future__ import annotations
 
@@ -18,8 +16,7 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""Area, relative to the median area, above which a Gaussian counts as part of a background or as an
-error.
+"""A Gaussian counts as part of a background or as an error above this area, relative to the median.
 """
 BITS = 16
 """Bits per coordinate along the space-filling curve."""
@@ -37,7 +34,7 @@ def check_count(count: int | None) -> None:
 
 
 def with_count(make: Any, count: int | None) -> Any:
-    """Bind `count` to a generator if the generator has an option for the number of Gaussians."""
+    """Bind `count` to a generator, if it has an option for the number of Gaussians."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
@@ -45,12 +42,11 @@ def with_count(make: Any, count: int | None) -> Any:
 
 
 def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians:
-    """Keep at most `count` Gaussians, which are enlarged so that they cover the same area as
-    before.
+    """Keep at most `count` Gaussians, enlarged to cover the original area.
 
-    The kept Gaussians are evenly spaced along a space-filling curve; large and opaque Gaussians are
-    kept more often. The area used as the weight of a Gaussian is at most `GIANT`; the area of
-    larger Gaussians is not distributed to other Gaussians. The same seed keeps the same Gaussians.
+    The kept Gaussians are evenly spaced along a space-filling curve, weighted by opacity and area.
+    The weight of an area is limited to `GIANT`, and a larger area is not distributed to other
+    Gaussians. The result depends only on the seed.
     """
     if count is None or len(gaussians) <= count:
         return gaussians
@@ -69,7 +65,7 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
 
 
 def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return codes [N] along the Morton curve; neighbours in space have close codes."""
+    """Return codes [N] along the Morton curve; neighbours in space have similar codes."""
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
     cells = ((points - low) / size * (2**BITS - 1)).astype(np.int64)
     code = np.zeros(len(points), np.int64)

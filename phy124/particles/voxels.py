@@ -1,7 +1,7 @@
-"""Describes the filled part of each voxel of a body: outward normal, centre and second moments.
+"""Computes outward normal, centre and second moments of the filled part of each voxel of a body.
 
-A voxel that is filled in part is cut by a plane with the voxel's normal. In a sheet that is thinner
-than a voxel, the voxel is cut by two parallel planes; in a rod without full voxels, it is cut by a
+A partly filled voxel is cut by a plane with the voxel's normal. In a sheet that is thinner than a
+voxel, the voxel is cut by two parallel planes. In a rod without full voxels, it is cut by a
 cylinder.
 """
 
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from phy124.runtime.cores import cores
 
 SHEET = 0.25
-"""Length of the gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet
-and has no single outward normal.
+"""If the gradient of the filled fraction is shorter [1/voxel], a voxel belongs to a sheet and has
+no single outward normal.
 """
 THIN = 1.2
-"""Thickness below which a part counts as a sheet, which has two surfaces in a voxel [voxels]."""
+"""A thinner part [voxels] counts as a sheet, which has two surfaces in a voxel."""
 FULL = 0.999
-"""Filled fraction of a voxel from which on the voxel cannot belong to a sheet or a rod."""
+"""A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
 ROUND, WIDE, LONG = 3.5, 0.45, 2.5
 """`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment, perpendicular
 to the rod, of the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio
@@ -33,15 +33,13 @@ of the second moment along the rod to the second moment perpendicular to it.
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
 SAMPLES, FINER = 6, 10
-"""Number of sample points along each axis of a voxel that is partly filled: in general, and in
-rods, whose cross-section is small.
-"""
+"""Number of sample points along each axis of a partly filled voxel: in general, and in rods."""
 HALVINGS = 12
-"""Number of halvings with which the position of the surface in a voxel is found."""
+"""Number of bisection steps for the position of the surface in a voxel."""
 ROUNDING = 1e-5
 """Upper bound of the error of a mean filled fraction in single precision."""
 BLOCK = 500
-"""Number of voxels that a thread processes at once."""
+"""Number of voxels that a thread processes at a time."""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
 """Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
 steps."""
@@ -107,9 +105,7 @@ def find_voxels(filled: NDArray) -> Voxels:
 
 
 def _gather(padded: NDArray, index: NDArray, steps: NDArray) -> NDArray[np.float64]:
-    """Return the values at some steps from each voxel [V,S], in a grid that is padded by 2
-    voxels.
-    """
+    """Return the values at some steps from each voxel [V,S]; the grid is padded by 2 voxels."""
     strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
     return padded.ravel()[((index + 2) @ strides)[:, None] + steps @ strides]
 
@@ -123,18 +119,18 @@ def _find_sheets(
         padded: Filled fractions, padded by 2 voxels.
         index: Indices of the voxels [V,3].
         around: Filled fractions of the 27 voxels around each voxel [V,27].
-        no_normal: Voxels that must be part of a sheet [V].
+        no_normal: Mask of voxels that must be part of a sheet [V].
 
     Returns:
         Numbers of the K voxels [K]; normals [K,3], along which the filled parts of the surrounding
-        125 voxels extend least; and distances of the sheets from the voxels' middles [K].
+        125 voxels are thinnest; and distances of the sheets from the voxels' middles [K].
     """
     total = around.sum(axis=1)
     layers = np.where(around.max(axis=1) < FULL, total / 9, np.inf)
     # The thickness is `layers` times the largest component of the normal, at least 1 / sqrt(3).
     near = np.flatnonzero((layers < math.sqrt(3) * THIN) | no_normal)
-    # With only two layers of voxels, the normal of a sheet could not be distinguished from a
-    # direction across its rim.
+    # With only two layers of voxels, a sheet's normal could not be distinguished from a direction
+    # across the sheet's rim.
     weight = _gather(padded, index[near], FAR)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
     middle = weight @ FAR
@@ -186,12 +182,12 @@ def _part_moments(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return centres [V,3] and second moments [V,3,3] of the filled parts of voxels.
 
-    A sample point at the surface is counted by a fraction.
+    A sample point at the surface counts as a fraction.
 
     Args:
-        measure: Returns heights of points [S,3] in K voxels [K,S], and the extent of a voxel across
-            its surface [K,1], for the numbers of the voxels [K]. Each voxel is filled below one
-            height.
+        measure: Function that returns, for the numbers of K voxels, heights of points [S,3] in each
+            voxel [K,S], and the extent of each voxel across the surface [K,1]. A voxel is filled
+            below a certain height.
         fraction: Filled fractions [V].
         samples: Number of sample points along each axis.
     """
@@ -220,8 +216,8 @@ def _part_moments(
 def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[np.float64]:
     """Return the heights (levels) [V,1] below which voxels are filled.
 
-    Sums in single precision are twice as fast. Sums that are close to the fraction are repeated in
-    double precision, so that the levels are as exact as in double precision.
+    Sums in single precision are twice as fast. Sums close to the fraction are repeated in double
+    precision, so that the levels are as accurate as in double precision.
 
     Args:
         height: Heights of the sample points [V,S].
@@ -243,5 +239,5 @@ def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[n
 
 
 def _share_below(level: NDArray, height: NDArray, width: NDArray) -> NDArray[np.float64]:
-    """Return the fraction of each sample that is below a level [V,S]."""
+    """Return the fraction of each sample below a level [V,S]."""
     return np.clip((level - height) / width + 0.5, 0, 1)
