@@ -79,8 +79,8 @@ def find_pieces(
         fits = small[a] & (size[a] >= LEAST) & (size[b] >= sliver) & ~alone[b]
         a, b = a[fits], b[fits]
         fullest = np.lexsort((size[b], a))
-        # The last and fullest piece remains. If a piece has joined the largest piece of its cell, it
-        # is moved with this piece.
+        # The last and fullest piece remains. If a piece has joined the largest piece of its cell,
+        # it is moved with this piece.
         target[a[fullest]] = b[fullest]
         target = target[target]
     order = np.lexsort((np.arange(count), of))
