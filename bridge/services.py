@@ -102,7 +102,7 @@ def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | Non
     Args:
         node: The node.
         controls: The services.
-        ask: Function that carries out a command and returns the reason of a refusal, or None.
+        ask: Function that executes a command and returns the reason of a refusal, or None.
     """
     if not controls.services:
         return

@@ -37,7 +37,7 @@ def summarise(report: dict[str, Any], promise: Promise) -> list[dict[str, Any]]:
 
 
 def _describe_squeeze(volume: float) -> str:
-    """Describe by how much the most compressed material shrank, relative to its volume at rest."""
+    """Describe the smallest volume of the material, relative to the volume at rest."""
     if volume > 0.97:
         return "No part of the object was noticeably compressed."
     size = "half its volume" if 0.45 < volume < 0.55 else f"{volume:.0%} of its volume"

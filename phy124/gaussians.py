@@ -235,7 +235,7 @@ class Frame:
     """Force and torque of the object on each wall, by the wall's name; None if not requested."""
     carried: tuple[Array, Array] | None = None
     """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
-    Gaussians. None unless the run keeps its frames."""
+    Gaussians. None if the frames are not kept in memory."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -232,7 +232,7 @@
         const off = Math.hypot(focal * r / a - px, focal * u / a - py);
         const wide = focal / a * Math.sqrt(grown * (shapes[6 * i] + shapes[6 * i + 3] + shapes[6 * i + 5]) / 3);
         if (off < wide && a < first) { first = a; hit = [x, y, z]; }
-        // Both the distance from the eye and the distance from the pointer count.
+        // The distances from the eye and from the pointer are both considered.
         const cost = a / lattice.size + (off / reach) ** 2;
         if (off < reach && cost < least) { least = cost; best = [x, y, z]; }
       }

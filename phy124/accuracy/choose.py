@@ -417,14 +417,12 @@ def _find_finest(goal: Goal, runs: _Runs, forecaster: Forecaster, elapsed: float
 
 
 def _sum_compilation(runs: _Runs) -> float:
-    """Return the time that compiling kernels has taken so far [s]."""
+    """Return the time spent so far on compiling kernels [s]."""
     return runs.context.watch.seconds.get("compile", 0.0)
 
 
 def _sum_preparation(runs: _Runs) -> float:
-    """Return the time that creating the particles and solvers of all levels has taken so far
-    [s].
-    """
+    """Return the time spent so far on creating particles and solvers for all levels [s]."""
     seconds = runs.context.watch.seconds
     return sum(seconds.get(stage, 0.0) for stage in ("particles", "compile"))
 

@@ -84,7 +84,8 @@ RATIO = 0.5
 """Number of cells across the object in the companion run, divided by the number in the original
 run.
 
-A ratio of 5/8 would make the estimate less sharp and twice as expensive (docs/lab/own-error.md).
+With a ratio of 5/8, the estimate would be less precise and take twice as long
+(docs/lab/own-error.md).
 """
 FACTORS = {
     "free": Factors(0.27, 0.85),
@@ -150,8 +151,8 @@ def with_own_error(
     Args:
         run: The run.
         clip: The clip of the run.
-        omit: Reason to omit the companion run. If it is empty, the companion run is made if it
-            takes little time.
+        omit: Reason to omit the companion run. If empty, the companion run is made if it takes
+            little time.
         goal: The entry `goal` of the report, if `--max-error` already measured the error.
     """
     omit = omit or why_broken(clip.report).rstrip(".")

@@ -26,8 +26,8 @@ UNMEASURED = "error not measured"
 STUDY = "phy124 accuracy SCENE --image PICTURE"
 """The command that measures the error of a scene."""
 SPREAD = 3.0
-"""Bound on the ratio of an error to its estimate from several grids. Only 5 % of the measured pairs
-of objects and scenes exceed this ratio (docs/lab/accuracy.md#goals).
+"""Bound on the ratio of an error to its estimate from several grids. The bound was exceeded for 5 %
+of the measured objects and scenes (docs/lab/accuracy.md#goals).
 """
 SMALLEST = 1e-4
 """Smallest error that messages state, as a fraction of the object's size."""
@@ -221,9 +221,7 @@ def format_apart(first: float, second: float) -> tuple[str, str]:
 
 
 def torn(grids: Sequence[str]) -> str:
-    """Return a message which states that the material may tear on some grids of a study (D/16,
-    ...).
-    """
+    """Return a message that the material may tear on some grids of a study (D/16, ...)."""
     return f"on {_join_names(grids)} the grid may tear the material"
 
 

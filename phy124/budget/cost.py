@@ -1,10 +1,10 @@
 """Estimates time and memory in closed form, from the scene and a few counts.
 
 The number of substeps follows from the stability limit (phy124.mpm.timestep). The number of
-particles follows from the number of Gaussians and from the volume to fill. `Rates` are the costs
-per unit of `Work` on a machine. `USUAL` holds typical rates; the page measures the rates of its
-machine on finished runs. Estimates are correct within a factor of two, which is enough to refuse a
-run before it starts.
+particles depends on the number of Gaussians and on the volume to fill. `Rates` are the costs per
+unit of `Work` on a machine. `USUAL` holds typical rates; the page measures the rates of its machine
+on finished runs. Estimates are correct within a factor of two, which is enough to refuse a run
+before it starts.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""EXIF orientation -> transposition that turns the image upright."""
+"""Transposition that turns an image upright, by EXIF orientation."""
 TEXT = 64 << 20
 """Largest size of a decompressed text or profile in a PNG file [bytes]."""
 COPY = "Copy or export the file again."

@@ -49,8 +49,7 @@ Y_UP = ("y", "z")
 """Up and front directions in glTF and SPZ files, where y is up."""
 AGAIN = "Copy or download the file again."
 _kept: ContextVar[float] = ContextVar("kept", default=0)
-"""Largest number of Gaussians of a file that a run keeps; 0 if the file is only read and not
-run."""
+"""Largest number of Gaussians of a file that a run keeps; 0 if there is no run."""
 
 
 class Content(NamedTuple):

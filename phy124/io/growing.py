@@ -61,7 +61,7 @@ class Tensor(NamedTuple):
 
 
 class Unlike(ValueError):
-    """Raised if the arrays of a frame or clip differ in type or shape from those of the file."""
+    """Raised if arrays of a frame or clip have another type or shape than in the file."""
 
 
 class Growing:
@@ -134,7 +134,7 @@ class Growing:
         """Write a frame; return the frame and its rotations as memory-mapped views of the file.
 
         Raises:
-            Unlike: If the arrays of the frame differ from those of the first frame.
+            Unlike: If the arrays of the frame differ from the arrays of the first frame.
             OSError: If the file cannot be written.
         """
         index, arrays = frame.index, _arrays_of(frame, rotation)

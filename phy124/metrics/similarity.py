@@ -3,7 +3,7 @@
 The paper states neither the CLIP model nor the formula that it uses. The paper's values (about
 0.99, higher is better) are assumed to be the mean cosine of consecutive frames, as in Gen-1 (Esser
 et al. 2023). 4DGen (Yin et al. 2023, section 4.3) uses half the squared angle instead (about 0.01,
-lower is better). Both formulas of CLIP-T measure only how little consecutive frames differ. A
+lower is better). Both formulas of CLIP-T measure only the similarity of consecutive frames. A
 frozen video therefore has the best value.
 """
 

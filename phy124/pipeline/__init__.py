@@ -151,8 +151,8 @@ def simulate(
         forecaster: Predicts the time of the run; the report states both times.
         keep: Whether a cancelled run saves and renders its frames, so that `go_on` can continue it.
         films: Whether videos are made.
-        rescues: Whether the frames so far are saved if the run fails or its folder has no space;
-            `Incomplete` then names their place.
+        rescues: Whether finished frames are saved if the run fails or its folder has no space;
+            `Incomplete` then names the saved files.
         error: Whether the run's own error is estimated, if that is cheap
             (`phy124.accuracy.companion`).
         each: Called with the simulation and every frame as soon as the frame is computed, except
@@ -224,10 +224,10 @@ def go_on(
 
     Args:
         out: The folder of the interrupted run.
-        scene: The scene that the run is expected to have; None: any.
+        scene: The expected scene of the run; None if any scene is accepted.
         context: Device, threads, progress and stopwatch. If it sets no number of threads, the
             previous number is used; with another number, the result differs by rounding errors.
-        any_accuracy: Whether the run's accuracy may differ from the scene's, as with a goal.
+        any_accuracy: Whether the accuracies of the run and of `scene` may differ, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
         error: Whether the run's own error is estimated, if that is cheap.
         **fields: `device`, `threads` and `progress`, if there is no context.

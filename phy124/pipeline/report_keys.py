@@ -251,7 +251,7 @@ class Report(TypedDict):
     """All keys at the top level of the report."""
 
     complete: bool
-    """Whether the simulation reached its end. If it did not, the valid frames were saved."""
+    """Whether the simulation reached its end; otherwise, the valid frames were saved."""
     stopped: str | None
     """Reason why the simulation stopped early."""
     interrupted: bool

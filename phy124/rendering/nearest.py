@@ -55,7 +55,10 @@ ZOOM = 40.0
 ROOM = 1.08
 """Width (or height) of the picture, divided by the width (or height) of the whole motion."""
 MOST = 0.8
-"""Fraction of frames that define a motion's usual extent. All other frames are rare moments."""
+"""Fraction of the frames from which the usual extent of a motion is determined.
+
+All other frames are rare moments.
+"""
 RARE = 1.5
 """The camera follows the object if rare moments enlarge a motion's extent by this factor."""
 
@@ -130,7 +133,7 @@ class Sample:
         return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
 
     def follow(self) -> Sample:
-        """Return the sample relative to its path, as seen by a camera that follows this path."""
+        """Return the sample relative to the object's path, as seen by a camera that follows it."""
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:

@@ -396,7 +396,7 @@ def _description(
         "walls": "force [N] of the object on each wall, and torque about the object's "
         "centre of mass [N m], in the world's axes; the sum of the forces is the opposite of the "
         "output force",
-        "uncovered": "0 in all channels; for forces all pixels count as covered",
+        "uncovered": "0 in all channels; for forces, all pixels are covered",
         "outputs": outputs,
         "frames": rows,
     }

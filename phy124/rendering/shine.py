@@ -1,11 +1,11 @@
 """Adds highlights and reflections to fluids and metal, computed from their surface normals.
 
-The colours of Gaussians contain no gloss. For each frame and camera, the Gaussians of glossy laws
-get new colours with the highlight of a lamp above (Blinn 1977), and with reflections of a bright
-sky and a dark floor. Water reflects little light, but more at grazing angles (Schlick 1994). Water
-is bright where it refracts the lamp's light towards the camera. Metal reflects almost all light,
-tinted with the colour of the metal. Only the surface of a liquid is drawn
-(`phy124.rendering.liquid`). The normals of metal are the shortest axes of its Gaussians.
+The colours of Gaussians contain no gloss. For each frame and camera, the highlight of a lamp above
+(Blinn 1977) and reflections of a bright sky and a dark floor are added to the colours of glossy
+materials. Water reflects little light, but more at grazing angles (Schlick 1994). Water is bright
+where it refracts the lamp's light towards the camera. Metal reflects almost all light, tinted with
+the colour of the metal. Only the surface of a liquid is drawn (`phy124.rendering.liquid`). The
+normals of metal are the shortest axes of its Gaussians.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 HUES, GREY = 7, 0.06
-"""Number of groups into which pixels are divided by hue, and saturation below which a pixel counts
-as grey."""
+"""Number of groups of pixels by hue, and saturation below which a pixel is grey."""
 EVERY = 3
 """Spacing of the pixels that are used for the fit [pixels]."""
 EDGE = 4

@@ -134,7 +134,7 @@ class _Sequence:
         self._write_head()
 
     def append(self, index: int, gaussians: Gaussians) -> None:
-        """Write a frame, as either all its values or the changes since the previous frame."""
+        """Write a frame: either all values, or the changes since the previous frame."""
         bins = self._quantise(gaussians, self._times[index])
         whole = self._library.writer.is_keyframe(index, self._cadence)
         self._index.append(self._write_keyframe(bins) if whole else self._write_changes(bins))

@@ -372,7 +372,7 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform columns by their node's matrix; add `step`, the resolution of the positions."""
+    """Transform positions, scales and rotations by a node's matrix; add the resolution `step`."""
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}

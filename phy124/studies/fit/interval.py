@@ -260,8 +260,8 @@ def find_undetermined(
 
     Args:
         names: Names of the values [P].
-        errors: Half-width of each value's interval that is due to the errors of the measurements,
-            as a fraction of the range [P].
+        errors: Half-width of each value's interval from measurement errors, as a fraction of the
+            range [P].
         model: Half-width of each value's interval that is due to the error of the finest grid, as a
             fraction of the range [P].
         directions: Covariance matrix of the values [P,P].

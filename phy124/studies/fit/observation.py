@@ -84,7 +84,7 @@ ROUNDED = 1e-3
 
 
 class Observation(Protocol):
-    """Measurements of one kind, such as heights, which can be predicted from a clip."""
+    """Measurements of one kind, such as heights, and their prediction from a clip."""
 
     name: str
     """Name of the kind of measurement, in the plural."""

@@ -19,7 +19,7 @@ Places = Sequence[Values]
 
 
 class Problem(Protocol):
-    """Measurements, and a way to predict them: simulations of a scene, or a formula."""
+    """Measurements, and their prediction by simulations of a scene or by a formula."""
 
     measured: Values
     """Measured values [M]."""
