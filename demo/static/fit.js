@@ -1,4 +1,4 @@
-/* Fit to a video: finds the softness with which the simulated object moves as in a video. */
+/* Fit to a video: estimates the softness of the object in a video. */
 'use strict';
 (() => {
   const { h, follow, places, announce } = globalThis.Phy124;
@@ -85,7 +85,7 @@
       this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
     }
 
-    /** Stop the fit; if the fit has not begun yet, stop it as soon as it begins. */
+    /** Stop the fit, or stop it when it begins. */
     stop() {
       this.stopping = true;
       this.trigger('stop');

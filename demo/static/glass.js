@@ -121,7 +121,7 @@ globalThis.Phy124Glass = (() => {
       gl.bindVertexArray(null);
     }
 
-    /** Sort the solids into those behind, among and in front of the Gaussians; skip absent solids (displacement NaN). */
+    /** Sort the solids: behind, among and in front of the Gaussians; skip absent solids (displacement NaN). */
     sort(eye, box, moved) {
       this.here = this.solids.flatMap((solid, k) => {
         const by = [...moved.subarray(3 * k, 3 * k + 3)];
@@ -129,7 +129,7 @@ globalThis.Phy124Glass = (() => {
       });
     }
 
-    /** Draw the solids that are 'behind' the Gaussians, or those that are 'before' (in front of) the Gaussians. */
+    /** Draw the solids that are 'behind' or 'before' (in front of) the Gaussians. */
     draw(camera, where, ground) {
       const { gl, program } = this, shown = this.here.filter((solid) => solid.where === where || solid.where === 'among');
       if (!shown.length) return;

@@ -34,7 +34,7 @@ globalThis.Phy124Lattice = (() => {
       this.centres = new Float32Array(this.means);
       this.shapes = new Float32Array(this.sigma);
       this.moved = new Float32Array(3 * this.walls.length).fill(NaN);
-      /** Positions of the nodes: now, one frame ago, and when they were last drawn. */
+      /** Positions of the nodes in this frame, in the previous frame, and when they were last drawn. */
       [this.places, this.before, this.drawn] = [0, 1, 2].map(() => new Float32Array(3 * this.nodes).fill(Infinity));
       this.box = [[0, 0, 0], [0, 0, 0]];
     }

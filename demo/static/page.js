@@ -87,7 +87,7 @@
     for (const button of document.querySelectorAll('#go, #begin-touch')) button.setAttribute('aria-disabled', !state.picture);
   }
 
-  /** Elements in one panel that contain parts of other panels. */
+  /** Elements of one panel that contain parts of other panels. */
   const places = { pictures: h('div', { id: 'more-pictures' }), film: h('div', {}), fit: h('div', { id: 'fit-place' }) };
 
   /** If there is no picture, let Generate and Touch show where to choose a picture. */
@@ -196,7 +196,7 @@
       if (job) this.trigger('finished', { job });
     }
 
-    /** Remove the last refusal, which no longer matters once another request is made. */
+    /** Remove the last refusal when another request is made. */
     settle() { if (this.element.querySelector('.progress.refused')) this.element.replaceChildren(); }
 
     say(state, message) {
@@ -210,7 +210,7 @@
 
   /* ---- the stage: ready results, the cut-out, the growing clip, the result --------------------- */
 
-  /** The functions of the stage that other panels call. */
+  /** The functions of the viewer that other panels call. */
   const live = { begin() {}, add() {}, glimpse() {}, drop() {}, played: () => 0 };
 
   async function viewer(element, props, watch) {
@@ -263,7 +263,7 @@
 
     fill(...children) { this.element.replaceChildren(...children); this.place(); }
 
-    /** Show the visitor's cut-out on the stage, unless a ready or an earlier result is shown. */
+    /** Show the visitor's cut-out in the viewer, unless an example or an earlier result is shown. */
     own({ url, fresh }) {
       const gone = this.cut && !url && !this.shown;
       this.cut = url;
@@ -281,7 +281,7 @@
 
     /* -- a run -- */
 
-    /** `keep`: whether the displayed result stays until the run is over. */
+    /** `keep`: whether the displayed result stays until the end of the run. */
     begin(keep) {
       this.growing = { waiting: [], drawn: false, busy: false, keep };
       document.body.classList.toggle('kept', Boolean(keep && this.url));
@@ -459,7 +459,7 @@
       return h('p', { class: 'shared', role: 'status' }, h('a', { href: url, target: '_blank', rel: 'noopener' }, url), copy, h('span', {}, lasts));
     };
 
-    /* One button next to the player: it opens the system's share menu if there is one, else a link and the video. */
+    /* The button next to the player opens the system's share menu or, if there is none, a link and the video. */
     let pop = null;
     const share = () => {
       pop = h('details', { class: 'pop share' }, h('summary', { class: 'filled' }, 'Share'), h('div', { class: 'panel', role: 'group', 'aria-label': 'Share' }));

@@ -151,7 +151,7 @@
 
     retry() { this.again.hidden = true; this.last(); }
 
-    /** Ask the server to drop the earlier picture, which must not be used after a refusal. */
+    /** Ask the server to forget the earlier picture, which must not be used after a refusal. */
     refuse(message, again = null) {
       this.restoring = false;
       mark({ opening: '' });
@@ -219,7 +219,7 @@
 
   const isOfGaussians = (file, limits) => limits.file_endings.some((ending) => (file.name || '').toLowerCase().endsWith(ending));
 
-  /** Store a picture in this tab, in case the server no longer has it after a reload. */
+  /** Store a picture in this tab, because the server may not have the picture after a reload. */
   async function keep({ example, file }) {
     try {
       sessionStorage.removeItem(KEPT);

@@ -65,7 +65,7 @@
       if (material) data.material = clone(this.offer.substances.find((s) => s.name === material).material);
       // On a dark page, white videos would be too bright.
       if (document.body.classList.contains('dark')) [data.view.background] = clone(BACKGROUNDS.dark);
-      // The first object keeps the first picture that was sent, the second object the second, and so on.
+      // Objects keep the pictures that were sent, in the same order.
       const sent = pictured(this.data).map((one) => one.picture);
       pictured(data).forEach((one, i) => { if (sent[i]) one.picture = sent[i]; });
       this.load(data);
@@ -105,7 +105,7 @@
       this.send(this.sent);
     }
 
-    /** Go back to an earlier scene (undo), or forward again (redo). */
+    /** Return to an earlier scene (undo), or to a later scene (redo). */
     step(from, to) {
       this.settle();
       if (!from.length) return;

@@ -32,11 +32,11 @@
     }
   }
 
-  /** Requests of a panel to the server, one at a time; of later requests only the latest waits. */
+  /** Requests of a panel to the server, one at a time; only the latest request waits. */
   class Questions {
     constructor(trigger) { Object.assign(this, { trigger, pending: null, next: null }); }
 
-    /** Return whether an event waits or has been sent without an answer yet. */
+    /** Return whether an event waits, or was sent and not yet answered. */
     holds(event) { return this.pending === event || this.next?.[0] === event; }
 
     ask(event, what) {
@@ -58,7 +58,7 @@
 
   const server = { forgot: false, look };
 
-  /** Ask whether the server answers, which also keeps this visitor's files; returns whether it does. */
+  /** Return whether the server answers; the request also keeps this visitor's files. */
   async function look() {
     let visitor;
     try { ({ visitor } = await (await ask('phy124/here')).json()); } catch { return false; }
