@@ -99,7 +99,8 @@ def search(
         asked = strategy.ask()
         places = [np.asarray(place[:count], float) for place in asked]
         costs = [*map(distance.cost, problem.predict(places, 0))]
-        # CMA-ES uses only the order of the costs, which the logarithm does not change.
+        # The logarithm keeps the order of the costs and makes differences between small costs
+        # visible.
         strategy.tell(asked, np.log(np.maximum(costs, 1e-30)).tolist())
         if min(costs) < least:
             best, least = places[int(np.argmin(costs))], min(costs)

@@ -61,7 +61,7 @@ class Splats:
 
     @classmethod
     def from_points(cls, points: Tensor, colors: Tensor, rates: Rates | None = None) -> Splats:
-        """Create spherical Gaussians whose scales are the mean distances to neighbours."""
+        """Create spherical Gaussians at points [N,3]; their scale is the distance to neighbours."""
         n = len(points)
         mean = neighbour_distances(points).clamp(min=SMALLEST)
         parameters = {
