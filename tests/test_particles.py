@@ -368,7 +368,7 @@ def test_refusals_say_what_to_do(rng):
         make_particles(gaussians, density=1, spacing=0.1, binding="glue")
     with pytest.raises(InputError, match=rf"limit is {MAX_PARTICLES:,}.* coarser grid"):
         make_particles(gaussians, density=1, spacing=1e-3)
-    with pytest.raises(InputError, match=r"size = -1: the longest side"):
+    with pytest.raises(InputError, match=r"size = -1: the length of the longest side"):
         scale_to_size(gaussians, -1)
 
 

@@ -1,4 +1,4 @@
-"""Chooses the finest grid that this machine can run live; a trial takes half a second."""
+"""Chooses the finest grid that this machine can run live, by a trial of half a second."""
 
 from __future__ import annotations
 
@@ -18,37 +18,34 @@ from phy124.scene import Scene
 from phy124.simulation.bodies import proportions_of
 
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
-"""Numbers of cells across the object from which to choose."""
+"""Possible numbers of cells across the object."""
 TRIED = 12
-"""Number of cells across the object in the trial, unless an error is requested."""
+"""Number of cells across the object in the trial, unless a largest error is requested."""
 SPARE = 0.8
-"""Largest fraction of the interval between frames that computing a frame may take."""
+"""The computation of a frame may take this fraction of the interval between frames."""
 WARM, FRAMES, SECONDS = 2, 6, 0.2
-"""Number of warm-up frames of a trial, number of timed frames, and time limit of the timed frames
-[s]."""
+"""Numbers of warm-up and timed frames of a trial, and time limit for the timed frames [s]."""
 COST_POWER = 4
-"""Exponent of the time of substeps as a function of the number of cells. The time grows because
-there are more particles and shorter substeps.
+"""Exponent of the time of substeps as a function of the number of cells. With more cells, there are
+more particles and shorter substeps.
 """
 
 
 class Cost(NamedTuple):
-    """Time of a frame on the trial's grid, divided into `substeps` and `others` [s]."""
+    """Computing time of a frame on the trial's grid, divided into `substeps` and `others` [s]."""
 
     cells: int
     substeps: float
     others: float
-    """Time that does not depend on the grid [s]: computing the shapes of the Gaussians and showing
-    them.
-    """
+    """Time that does not depend on the grid [s]: computing and showing the Gaussians."""
 
     def on(self, cells: int) -> float:
-        """Estimate the time of a frame on another grid [s]."""
+        """Estimate the computing time of a frame on another grid [s]."""
         return self.others + self.substeps * (cells / self.cells) ** COST_POWER
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough on this machine, else on the coarsest grid."""
+    """A scene on the finest grid that is fast enough on this machine, or on the coarsest grid."""
 
     scene: Scene
     factor: float
@@ -58,7 +55,7 @@ class Choice(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The choice, described in a sentence."""
+        """Description of the choice in one sentence."""
         slow = "" if self.factor >= 1 else "; slower than real time"
         cells = f"{self.scene.resolution.cells} cells across the object"
         return f"{cells}, {self.factor:.1f}x real time{slow}. {self.promise.brief}"
@@ -82,13 +79,12 @@ def held_rate(
         gaussians: The object.
         scene: The scene. The scene's number of cells is ignored.
         context: Device, number of threads, and progress function.
-        rate: Simulated seconds per second; a fifth of the computing time is kept free.
-        max_error: Largest error bound, as a fraction of the object's size. The coarsest grid that
-            meets this bound is chosen, even if the grid is too slow. If None, only `rate`
-            determines the grid.
-        shapes: The same argument as in `Live`.
-        show: Function that does further work on each frame, such as drawing it. This work also
-            takes time.
+        rate: Simulated seconds per second; a fifth of the computing time is left unused.
+        max_error: Largest error bound, relative to the object's size. The coarsest grid that
+            satisfies this bound is chosen, even if it is too slow. If None, only `rate` determines
+            the grid.
+        shapes: As for `Live`.
+        show: Function that processes each frame, for example draws it; its time counts as well.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.
@@ -107,13 +103,13 @@ def held_rate(
 
 
 def _on(scene: Scene, cells: int) -> Scene:
-    """Return the scene with this number of cells, and with Gaussians bound to a lattice."""
+    """Return the scene with a number of cells, and with Gaussians bound to a lattice."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 
 
 def _exact_enough(scene: Scene, proportions: Proportions | None, error: float) -> int:
-    """Return the coarsest grid whose error bound is at most `error`, or else the finest grid."""
+    """Return the coarsest grid with an error bound of at most `error`, or else the finest grid."""
     for cells in CELLS:
         promised = promise(_on(scene, cells), proportions).error
         if promised is not None and promised <= error:
@@ -128,7 +124,7 @@ def _trial(
     shapes: bool,
     show: Callable[[Frame], object],
 ) -> Cost:
-    """Measure the time of frames in the costliest motion: a hand swings the object by its top."""
+    """Measure the time of frames in an expensive motion: a hand swings the object by its top."""
     watch = Stopwatch()
     live = Live(gaussians, scene, replace(context, watch=watch), shapes=shapes)
     means = live.step().gaussians.means
@@ -142,7 +138,7 @@ def _trial(
         show(live.step())
         substeps = watch.seconds.get("simulate", 0.0) - before
         frames.append((time.perf_counter() - begun, substeps))
-        # After a frame that was too violent and is computed again without a hand, nothing is held.
+        # If a frame was too violent, it is computed again without a hand, so nothing is held.
         if not live.holds or sum(whole for whole, _ in frames[WARM:]) > SECONDS:
             break
     counted = sorted(frames[WARM:] or frames[-1:])

@@ -1,8 +1,8 @@
 """Runs a scene frame by frame while inputs act on it.
 
-The watchdog may reject a frame, or a frame may need too many substeps. The run then notes this,
-drops the inputs, and continues from the last valid frame, from an earlier frame, or from the start.
-The run ends only if a frame fails although no input has acted since the start.
+If the watchdog rejects a frame, or a frame needs too many substeps, the run stores a note, drops
+the inputs, and continues from the last valid frame, from an earlier frame, or from the start. The
+run ends only if a frame fails although no input has acted since the start.
 """
 
 from __future__ import annotations
@@ -40,23 +40,22 @@ from phy124.simulation import Setup, Simulation, Stopped, prepare
 from phy124.simulation.appearance import Appearance
 
 FOREVER = 1e8
-"""Time budget of a live run [s]. It is practically unlimited."""
+"""Time budget of a live run [s]; practically unlimited."""
 KEPT_EVERY = 12
-"""Number of frames between two states that are stored."""
+"""Number of frames between two stored states."""
 LOST = 50.0
-"""Distance of the object from the middle of the scene at which the run starts again [object
-sizes].
+"""If the object is farther from the middle of the scene than this [object sizes], the run restarts.
 """
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
-"""Largest number of substeps of a frame, relative to the number for the object at rest. A duck that
-is made a hundred times softer under ten times its weight needs 23 times as many.
+"""Largest number of substeps of a frame, relative to the object at rest. A duck that is a hundred
+times softer, under ten times its weight, needs 23 times as many.
 """
 
 
 class Live:
-    """A run that accepts inputs while it is computed.
+    """A run that accepts inputs during the computation.
 
     Call the input methods between two frames. Inputs act from the next frame on. The class is not
     thread-safe, so inputs from other threads must be passed through a queue.
@@ -71,16 +70,15 @@ class Live:
         shapes: bool = True,
         crop: Crop = WHOLE,
     ) -> None:
-        """Build the run; the first frame is the object at rest.
+        """Prepare the run; the first frame is the object at rest.
 
         Args:
-            gaussians: The object at any size, standing upright, facing +x.
-            scene: The scene without inputs. The scene's accuracy is kept (`held_rate` chooses an
-                accuracy that this machine runs in real time).
-            context: Device, number of threads, progress function and stopwatch.
-            shapes: Whether frames contain the shapes of the Gaussians. Without shapes, frames take
-                less time. This is useful for programs that bind Gaussians to `particles`
-                themselves.
+            gaussians: The object, of any size, upright and facing +x.
+            scene: The scene without inputs, with its accuracy (`held_rate` chooses an accuracy that
+                this machine can run in real time).
+            context: Device, number of threads, progress function and timer.
+            shapes: Whether frames contain the shapes of the Gaussians. Frames without shapes take
+                less time, for programs that bind Gaussians to `particles` themselves.
             crop: Position of the object in the picture on which the masks of parts were painted.
 
         Raises:
@@ -91,12 +89,12 @@ class Live:
         self._gaussians, self._shapes, self._crop = gaussians, shapes, crop
         self._context = context or RunContext()
         self.notes: list[str] = []
-        """Sentences about inputs that were reduced and about frames that failed."""
+        """Sentences about reduced inputs and failed frames."""
         self.reset()
         self.limits = Limits.of(self._run.setup.particles, self._scene)
 
     def reset(self) -> None:
-        """Start the run again without inputs."""
+        """Restart the run without inputs."""
         self._inputs = Inputs(self._scene)
         options: dict[str, Any] = {"keep": False, "changes": True, "shapes": self._shapes}
         self._run = Simulation(self._prepare(self._scene, **options))
@@ -111,7 +109,7 @@ class Live:
 
     @property
     def time(self) -> float:
-        """Simulated time of the last frame [s]; new inputs act from this time on."""
+        """Simulated time of the last frame [s], from which new inputs act."""
         return max(self._run.count - 1, 0) / self._scene.time.fps
 
     @property
@@ -135,7 +133,7 @@ class Live:
 
     @property
     def holds(self) -> bool:
-        """True while a grab holds the object."""
+        """Whether a grab holds the object."""
         return self._inputs.holding is not None
 
     @property
@@ -159,7 +157,7 @@ class Live:
             yield self.step()
 
     def step(self) -> Frame:
-        """Compute the next frame; if the frame is not valid, continue from the last valid state.
+        """Compute the next frame; if it is not valid, continue from the last valid state.
 
         Raises:
             Stopped: A frame failed although no input has acted since the start.
@@ -194,11 +192,11 @@ class Live:
         """Grab the object, and release any earlier grab.
 
         Args:
-            point: Position on or near the object in its present state [m].
-            object: Name of the object, if there are several. None means the nearest object.
-            radius: Radius of the material that is held [m]. The hold weakens towards the rim.
+            point: Position on or near the object in its current state [m].
+            object: Name of the object, if there are several; None: the nearest object.
+            radius: Radius of the pulled material [m]; the force decreases towards the rim.
             stiffness: Stiffness of the spring between hand and object [N/m].
-            strength: Largest force [N]. If None, three times the object's weight, or less on soft
+            strength: Largest force [N]; None: three times the object's weight, or less on soft
                 material.
 
         Raises:
@@ -230,7 +228,7 @@ class Live:
         """Set the target position of the grab [m]; the hand reaches it by the next frame.
 
         Raises:
-            InputError: Nothing is held, or the position is not three finite numbers.
+            InputError: No object is held, or the position is not three finite numbers.
         """
         if not self.holds:
             raise InputError("move_to", target, "nothing is held.", "Call grab first.")
@@ -263,13 +261,13 @@ class Live:
         Args:
             force: Force [N].
             torque: Torque about `at` [N m].
-            at: Position on the moving object [m]. If None, the push acts on the whole object.
-            object: Name of the object, if there are several. If None, the object at `at`, or all
+            at: Position on the moving object [m]; None: the push acts on the whole object.
+            object: Name of the object, if there are several; None: the object at `at`, or all
                 objects.
-            radius: Radius of the material that is pushed [m]. The push weakens towards the rim.
+            radius: Radius of the pushed material [m]; the force decreases towards the rim.
             seconds: Duration [s].
-            name: Name of the push, which replaces an earlier push of the same name. An unnamed push
-                adds to all other pushes.
+            name: Name of the push; it replaces an earlier push of this name. An unnamed push is
+                added to all other pushes.
 
         Raises:
             InputError: A number cannot be used, no part of the object is near `at`, or the largest
@@ -308,7 +306,7 @@ class Live:
         self._changed = True
 
     def gravity(self, g: Sequence[float]) -> None:
-        """Set the gravity [m/s^2]; its magnitude is limited to ten times the earth's gravity.
+        """Set gravity [m/s^2]; its magnitude is limited to ten times the earth's gravity.
 
         Raises:
             InputError: The value is not three finite numbers.
@@ -318,7 +316,7 @@ class Live:
         self._changed = True
 
     def soften(self, factor: float) -> None:
-        """Set the factor (0.01 to 100) on the scene's Young's modulus; it replaces earlier factors.
+        """Set the factor (0.01 to 100) on the scene's Young's modulus; replaces earlier factors.
 
         Raises:
             InputError: The factor is out of bounds, or the scene has a stiffness profile.
@@ -332,7 +330,8 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary to a displacement [m] from its start, at most at the speed of a hand.
+        """Move a boundary to a displacement [m] from its initial position, at most at a hand's
+        speed.
 
         Raises:
             InputError: There is no such boundary, the boundary cannot be moved or follows a motion
@@ -353,7 +352,7 @@ class Live:
 
     @property
     def pairs(self) -> dict[str, str]:
-        """Maps each wrench between objects (`duck_on_cushion`) to the object on which it acts."""
+        """For each wrench between objects (`duck_on_cushion`), the object on which it acts."""
         return places.list_pairs(self._run)
 
     @property
@@ -363,7 +362,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """Positions of each object's particles [P,3], m; for a rigid object, that of its centre."""
+        """Positions of each object's particles [P,3], m; for a rigid object, of its centre."""
         return places.list_points(self._run)
 
     @property
@@ -372,12 +371,12 @@ class Live:
         return places.list_motions(self._run)
 
     def set_motion(self, name: str, motion: places.Motion, *, twist: bool = True) -> None:
-        """Move an object at once as a rigid body; `session` does not repeat this move.
+        """Move an object immediately, as a rigid body; `session` does not repeat this move.
 
         Args:
             name: Name of the object.
             motion: New position and orientation, and new velocities.
-            twist: Whether velocities are set. Otherwise they rotate with the object.
+            twist: Whether velocities are set; otherwise they rotate with the object.
 
         Raises:
             InputError: There is no such object, it never moves, or it has no particles.
@@ -387,13 +386,13 @@ class Live:
         self._note(f"{name} was moved at once: the session does not repeat this.")
 
     def session(self) -> Scene:
-        """Return the scene with all inputs and with the session's number of frames."""
+        """Return the scene with all inputs and the session's number of frames."""
         frames = max(self._run.count, 1)
         scene = self._inputs.scene()
         return scene.model_copy(update={"time": scene.time.model_copy(update={"frames": frames})})
 
     def clip(self) -> Clip:
-        """Simulate the session again and return the clip, which equals the live run bit for bit."""
+        """Simulate the session again and return the clip; it equals the live run bit for bit."""
         return Simulation(self._prepare(self.session())).run()
 
     def _prepare(self, scene: Scene, **options: Any) -> Setup:
@@ -411,7 +410,7 @@ class Live:
             self._move_on(wall, offset, next_time)
 
     def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """Move a wall towards its requested offset in the next frame, at most at a hand's speed."""
+        """Move a wall towards the requested offset in the next frame, at most at a hand's speed."""
         moved = self._inputs.moved.setdefault(wall, WallPath())
         here, there = np.array(moved.points[-1]), np.array(offset)
         step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
@@ -437,7 +436,7 @@ class Live:
             self._changed, self._touched = False, True
 
     def _limit_substeps(self) -> None:
-        """Limit the number of substeps of a frame, so that no frame takes many seconds."""
+        """Limit the number of substeps of a frame, so that a frame does not take many seconds."""
         timing = self._scene.time.model_copy(update={"frames": max(self._scene.time.frames, 2)})
         resting = longest_substeps(self._scene.model_copy(update={"time": timing})).min()
         stiffer = math.sqrt(max(self._inputs.softness[-1][1], 1.0))
@@ -456,7 +455,7 @@ class Live:
         self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:
-                # If the run fails again later, it continues from an even earlier state.
+                # If the run fails again, it continues from an even earlier state.
                 self._kept.pop()
                 self._run.restore(snapshot)
             self._drop(time)
@@ -475,7 +474,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value of a pair; if the pair's sentence is not empty, store it as a note."""
+        """Return the value of a pair; store the pair's sentence as a note, unless it is empty."""
         if sentence:
             self._note(sentence)
         return value

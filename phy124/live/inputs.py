@@ -19,7 +19,7 @@ from phy124.schema.region import Vector
 
 @dataclass
 class GrabRecord:
-    """A grab with its targets over time; each frame adds a target."""
+    """A grab with targets over time; each frame adds a target."""
 
     start: float
     """Start time [s]."""
@@ -29,7 +29,7 @@ class GrabRecord:
     """Time of each target since `start` [s]."""
     targets: list[Vector]
     end: float | None = None
-    """Time of release [s]; None if the grab has not been released yet."""
+    """Time of release [s]; None before the release."""
 
     def force(self, since: float) -> Grab:
         """Return the user's grab as a force, without targets that ended before `since` [s]."""
@@ -62,10 +62,10 @@ class Inputs:
         self.gravity: list[Gravity] = []
         self.moved: dict[int, WallPath] = {}
         self.softness: list[tuple[float, float]] = [(0.0, 1.0)]
-        """Factors on Young's modulus, each with the time [s] from which it acts."""
+        """Factors on Young's modulus, with the times [s] from which they act."""
 
     def soften(self, factor: float, now: float, before: float) -> None:
-        """Set the factor on E that acts from `now` on; the old factor acts until `before`."""
+        """Set the factor on E from `now` on; the old factor acts until `before`."""
         kept = [key for key in self.softness if key[0] < now]
         if kept and kept[-1][0] < before:
             kept.append((before, kept[-1][1]))
@@ -73,7 +73,7 @@ class Inputs:
 
     @property
     def holding(self) -> GrabRecord | None:
-        """The grab that holds the object, or None if no grab holds it."""
+        """The current grab, or None."""
         return next((held for held in self.grabs if held.end is None), None)
 
     def weigh(self, g: Vector, now: float) -> None:
@@ -89,7 +89,7 @@ class Inputs:
             self.wrenches[index : index + 1] = _cut_push(before, now)
 
     def scene(self, since: float = 0.0) -> Scene:
-        """Return the scene with all inputs except those that ended before `since` [s]."""
+        """Return the scene with all inputs except inputs that ended before `since` [s]."""
         boundaries = list(self.base.boundaries)
         for index, moved in self.moved.items():
             path = Path(times=tuple(moved.times), points=tuple(moved.points), smooth=False)
@@ -107,12 +107,12 @@ class Inputs:
             return {}
         first = max(sum(time <= since for time, _ in self.softness) - 1, 0)
         kept = self.softness[first:]
-        # A profile needs at least two keys. Therefore the last factor is repeated one second later.
+        # A profile needs at least two keys, so the last factor is repeated one second later.
         times, factors = zip(*kept, (kept[-1][0] + 1, kept[-1][1]), strict=True)
         return {"stiffness_profile": Keyframes(times=times, factors=factors)}
 
     def forget(self, since: float) -> None:
-        """Remove inputs that start at `since` [s] or later, and end those that act at `since`."""
+        """Remove inputs that start at `since` [s] or later; end inputs that act at `since`."""
         self.grabs = [held for held in self.grabs if held.start < since]
         for held in self.grabs:
             kept = sum(held.start + time <= since + 1e-9 for time in held.times)
@@ -131,9 +131,9 @@ class Inputs:
         self.moved = {i: moved for i, moved in self.moved.items() if len(moved.times) > 1}
 
     def _weights(self, since: float) -> list[AnyForce]:
-        """Return the scene's forces and the inputs of gravity.
+        """Return the scene's forces and the gravity inputs.
 
-        Each gravity ends when the next gravity begins.
+        Each gravity input ends when the next one begins.
         """
         if not self.gravity:
             return list(self.base.forces)
@@ -156,7 +156,7 @@ def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
 
 
 def _cut_push(push: WrenchForce, now: float) -> list[WrenchForce]:
-    """Return a push that is cut off at `now` [s]; empty if the push has not begun."""
+    """Return a push that ends at `now` [s]; empty if the push has not begun."""
     if push.start >= now:
         return []
     end = now if push.end is None else min(push.end, now)

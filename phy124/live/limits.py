@@ -1,10 +1,10 @@
-"""Limits and defaults of the inputs of a hand, which pulls the object as its user directs.
+"""Limits and defaults for inputs by a hand, with which a user pulls the object.
 
 By default a hand pulls with three times the object's weight, which lifts and throws the object. On
-soft material a hand pulls with less force. At the strain `STRAIN`, the material that the hand holds
-gains about a quarter of the speed of sound before the neighbouring material feels the pull.
-Material that is pulled faster than sound would be squeezed flat. The object's weight stretches the
-hand's spring by a few hundredths of the object's size.
+soft material, a hand pulls with less force, because material that is pulled faster than sound would
+be squeezed flat. At the strain `STRAIN`, the held material gains about a quarter of the speed of
+sound before the neighbouring material reacts. The object's weight stretches the hand's spring by a
+few hundredths of the object's size.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ STRAIN = 0.3
 STRONGEST = 30.0
 """Largest strength of a hand, as a multiple of the object's weight."""
 TWIST = 0.2
-"""Lever arm of the largest torque [object sizes]. With this arm, the rim of a ball gains the same
-acceleration from the largest torque as from the largest force.
+"""Lever arm of the largest torque [object sizes]. With this value, the largest torque and the
+largest force give the rim of a ball equal accelerations.
 """
 SWAY = 3.0
 """Natural frequency of an object of 1 m that hangs on a hand's spring [Hz]."""
@@ -62,7 +62,7 @@ class Limits:
 
     @property
     def stiffness(self) -> float:
-        """Stiffness of a hand's spring [N/m]. Smaller objects oscillate faster on this spring."""
+        """Stiffness of a hand's spring [N/m]; smaller objects oscillate faster."""
         return self.mass * (2 * math.pi * SWAY) ** 2 / self.size
 
     @property
@@ -85,15 +85,15 @@ class Limits:
         return min(LIFTS * self.weight, STRAIN * modulus * math.pi * radius**2)
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a force [N], reduced to the limit, and a sentence if it was reduced."""
+        """Return a force [N], reduced to the limit, and a sentence about a reduction."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a torque [N m], reduced to the limit, and a sentence if it was reduced."""
+        """Return a torque [N m], reduced to the limit, and a sentence about a reduction."""
         return shorten(field, value, STRONGEST * self.weight * TWIST * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a position [m], moved into a hand's reach, and a sentence if it was moved."""
+        """Return a position [m], moved into a hand's reach, and a sentence about the move."""
         return shorten(field, value, FARTHEST * max(self.size, 1e-6), "m")
 
 
@@ -108,7 +108,7 @@ def check_vector(field: str, value: Sequence[float]) -> Vector:
     except (TypeError, ValueError, OverflowError):
         components = np.full(1, np.nan)
     if components.shape != (3,) or not np.isfinite(components).all():
-        raise InputError(field, value, "it must be three finite numbers.", "Give [x, y, z].")
+        raise InputError(field, value, "it must be three finite numbers.", "Enter [x, y, z].")
     x, y, z = components.tolist()
     return x, y, z
 
@@ -129,9 +129,9 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
     try:
         result = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(field, value, limit, "Give a number in this range.") from None
+        raise InputError(field, value, limit, "Choose a number in this range.") from None
     if not least <= result <= most:
-        raise InputError(field, value, limit, "Give a number in this range.")
+        raise InputError(field, value, limit, "Choose a number in this range.")
     return result
 
 
@@ -153,8 +153,8 @@ def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple
     length = math.hypot(*vector)
     if length <= most:
         return vector, ""
-    # The vector is divided by its largest component first, because the square of a huge number
-    # overflows.
+    # The vector is first divided by its largest component, because the square of a huge number
+    # would overflow.
     largest = max(map(abs, vector))
     x, y, z = (component / largest for component in vector)
     scale = most / math.hypot(x, y, z)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class NearestMaterial(NamedTuple):
-    """The particle that is nearest to a position."""
+    """The particle nearest to a position."""
 
     rest: Vector
     """Position at rest [m]."""
@@ -45,7 +45,7 @@ def find_material(
         field: Name of the position in error messages.
         place: The position [m].
         radius: Largest distance of the particle [m].
-        name: Name of the object to which the particle belongs. None means any object that can move.
+        name: Name of the particle's object; None: any object that can move.
 
     Raises:
         InputError: No particle is within `radius`, or the object never moves.
@@ -82,7 +82,7 @@ def list_points(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 class Motion(NamedTuple):
-    """The motion of an object, described as if the object were rigid."""
+    """The motion of an object, approximated as rigid."""
 
     place: NDArray[np.float64]
     """Centre of mass [3], m."""
@@ -114,7 +114,7 @@ def list_motions(run: Simulation) -> dict[str, Motion]:
 
 
 def _list_rigid(run: Simulation) -> dict[str, Motion]:
-    """Return the motions of the objects without particles: static, on a path, or moving freely."""
+    """Return the motions of objects without particles: static, on a path, or moving freely."""
     scenery, free, motions = run.setup.scenery, run.solver.free, {}
     tracks, time = dict(scenery.tracks), run.solver.clock.time
     for number, item in enumerate(run.scene.every_object):
@@ -138,7 +138,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         run: The run.
         name: Name of the object.
         motion: New position and orientation, and new velocities.
-        twist: Whether velocities are set. Otherwise they rotate with the object.
+        twist: Whether velocities are set; otherwise they rotate with the object.
 
     Raises:
         InputError: There is no such object, it never moves, it has no particles, or the scene
@@ -229,7 +229,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 def list_pairs(run: Simulation) -> dict[str, str]:
-    """Map the name of each wrench between objects to the name of the object on which it acts."""
+    """Return the name of the object on which each wrench between objects acts, by wrench name."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]
@@ -248,9 +248,9 @@ def _positions(run: Simulation) -> NDArray[np.float64]:
 
 
 def _list_movable(scene: Scene) -> list[int]:
-    """Return the indices of the objects that are not held in place.
+    """Return the indices of the objects that are not fixed.
 
-    If all objects are held, return all indices.
+    If all objects are fixed, return all indices.
     """
     numbers = [
         i

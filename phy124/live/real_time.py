@@ -1,4 +1,4 @@
-"""Shows each frame of a live run when it is due, or later if the machine is too slow."""
+"""Shows each frame of a live run at the right time, or later if the machine is too slow."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ REMEMBERED = 24
 
 
 class RealTime:
-    """Paces frames: call `wait` after each frame; it returns when the next frame is due.
+    """Paces frames: `wait`, called after each frame, returns when the next frame is due.
 
-    A late frame shifts the due times of all later frames. Simulated time then runs slower than real
-    time, and no backlog of frames builds up.
+    A late frame delays all later frames. Simulated time is then slower than real time, and no
+    backlog of frames builds up.
     """
 
     def __init__(
@@ -32,9 +32,7 @@ class RealTime:
             sleep: Function that waits for a number of seconds.
         """
         self.speed = 1.0
-        """Number of simulated seconds to show in a real second. A value below 1 gives slow
-        motion.
-        """
+        """Number of simulated seconds per real second; a value below 1 gives slow motion."""
         self._fps, self._clock, self._sleep = fps, clock, sleep
         self._due = clock()
         self._shown: deque[float] = deque([self._due], maxlen=REMEMBERED)
@@ -59,7 +57,7 @@ class RealTime:
         return (len(self._shown) - 1) / self._fps / (last - first)
 
     def restart(self) -> None:
-        """Restart the pacing after a pause."""
+        """Restart the clock after a pause."""
         self._due = self._clock()
         self._shown.clear()
         self._shown.append(self._due)

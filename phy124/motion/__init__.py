@@ -1,1 +1,1 @@
-"""Computes the Gaussians of a frame from the motion of the particles that carry them."""
+"""Computes the Gaussians of a frame from the motion of the carrying particles."""

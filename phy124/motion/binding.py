@@ -1,6 +1,4 @@
-"""Binds Gaussians to the particles that carry them: selects these particles and computes their
-weights.
-"""
+"""Binds Gaussians to particles: selects the particles that carry each Gaussian, with weights."""
 
 from __future__ import annotations
 
@@ -19,12 +17,12 @@ from phy124.motion.blocks import BlockLauncher, Step
 from phy124.runtime.cores import cores
 
 PER_CELL, MOST_CELLS = 2, 256
-"""Parameters of the search for the particles that carry each Gaussian: mean number of particles in
-a cell of their bounding box, and largest number of cells per axis.
+"""Parameters of the search for carrying particles: mean number of particles in a cell of the
+particles' bounding box, and largest number of cells per axis.
 """
 FARTHEST = 4.0
-"""Distance, in mean distances between particles, beyond which only the nearest particle carries a
-Gaussian, because the grid does not connect material that is so far apart.
+"""If a Gaussian is farther away than this, in mean particle distances, only the nearest particle
+carries the Gaussian, because the grid does not connect material so far apart.
 """
 
 
@@ -46,7 +44,7 @@ class Binding(NamedTuple):
         return out.astype(np.float32)
 
     def select(self, chosen: NDArray) -> Binding:
-        """Return the binding of only some of the Gaussians."""
+        """Return the binding of some of the Gaussians."""
         return Binding(
             self.particles[chosen], None if self.weights is None else self.weights[chosen]
         )
@@ -56,7 +54,7 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
     """Find the particles that carry each Gaussian.
 
     Raises:
-        ValueError: The particles belong to other Gaussians.
+        ValueError: The particles were made from other Gaussians.
     """
     if particles is None:
         return Binding(np.arange(len(gaussians), dtype=np.int32), None)
@@ -65,10 +63,8 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return, for each Gaussian, the value of its particle or of the nearest particle [N], from
-    values [P].
-    """
-    # If all values are equal, for example for a single material, no search is needed.
+    """Return each Gaussian's value [N], from values [P], of its own or the nearest particle."""
+    # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
     particle = _bound_particles(len(gaussians), particles)
@@ -83,7 +79,7 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return each Gaussian's carriers [N,K], all of the same object, and their weights [N,K]."""
+    """Return the carriers [N,K] of each Gaussian, from its own object, with weights [N,K]."""
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)
@@ -99,10 +95,10 @@ def _carriers_within(
     means: NDArray, x: NDArray, volume: NDArray
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the carriers [N,K] and weights [N,K] of the Gaussians of one object."""
-    # The distance is rounded, so that equal volumes and their mean give the same weights.
+    # The distance is rounded, so that equal volumes and their mean give equal weights.
     index, weights = find_carriers(means, x, float(np.float32(FARTHEST * np.cbrt(volume.mean()))))
     if len(x) < CARRIERS:
-        # A few particles do not determine the motion far from them, so only the nearest particle is
+        # A few particles do not determine the motion far away, so only the nearest particle is
         # used.
         weights[:] = np.eye(1, CARRIERS)
     return index, weights
@@ -113,11 +109,11 @@ def find_carriers(
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
-    The weight at a distance d is proportional to (1 - (d / R)^2)^2. R is the distance of the
-    nearest particle that is not chosen. R is at most twice the distance of the farthest chosen
-    particle, and at most the larger of `farthest` and twice the distance of the nearest particle
-    [m]. The weights vary smoothly over the points, since a particle enters and leaves the chosen
-    set with weight 0. If there are fewer than K particles, the last weights are 0.
+    The weight at the distance d is proportional to (1 - (d / R)^2)^2, where R is the distance of
+    the nearest particle that is not chosen. R is limited to twice the distance of the farthest
+    chosen particle, and to the larger of `farthest` and twice the distance of the nearest particle
+    [m]. The weights vary smoothly in space, since a particle enters and leaves the chosen set with
+    weight 0. If there are fewer than K particles, the last weights are 0.
     """
     low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
     extent = np.maximum(high - low, 1e-9)

@@ -1,4 +1,4 @@
-"""Launches kernels over Gaussians in blocks, which are divided among the CPU's threads."""
+"""Launches kernels over blocks of Gaussians, which are divided among CPU threads."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 BLOCK = 1 << 15
-"""Number of Gaussians that a CPU thread processes at once."""
+"""Number of Gaussians that a CPU thread processes at a time."""
 DEFORMATION = "F"
 """Placeholder for the deformation gradients of the Gaussians in the arguments of a step."""
 THREADS = "shapes"
@@ -21,9 +21,9 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments: arrays with one entry per Gaussian; `DEFORMATION` stands for F."""
+    """First arguments: arrays with one entry per Gaussian; `DEFORMATION` is replaced by F."""
     shared: list[Any]
-    """Next arguments: arrays in which the thread of a Gaussian may read any entry."""
+    """Next arguments: arrays of which any thread may read any entry."""
     out: list[Any]
     """Last arguments: arrays with one entry per Gaussian, which the kernel writes."""
     each: int = 1
@@ -34,7 +34,7 @@ class BlockLauncher:
     """Launches kernels over the Gaussians in blocks that are divided among CPU threads.
 
     The deformation gradients of a block stay in the cache from one step to the next. The threads
-    are reused, because new threads often all started on the same core.
+    are reused, because new threads often all started on one core.
     """
 
     def __init__(self, count: int, device: str, threads: int) -> None:
@@ -59,8 +59,7 @@ class BlockLauncher:
             ]
             for run, F in zip(self._runs, self._deformation, strict=True)
         ]
-        # Recording a launch loads its kernel, and several threads must not load kernels at the same
-        # time.
+        # Recording a launch loads a kernel, which several threads must not do at the same time.
         first, *others = work
         started = [self._others.submit(_launch, items) for items in others] if self._others else []
         _launch(first)

@@ -1,15 +1,13 @@
-"""Moves the Gaussians with the material: computes a frame from the particles and the Gaussians at
-rest.
+"""Moves Gaussians with the material: computes a frame from particles and the Gaussians at rest.
 
 The paper (Phy124, arXiv 2409.07179) computes Sigma_t = F Sigma_0 F^T with the total F. The
-decomposition Sigma = Q Lambda Q^T then gives the rotation and the scales of the 4D representation.
-Here the axes are computed from A = F R_0 S_0 (Sigma = A A^T), once per frame and in float64, never
-from an integrated Sigma. The factor A preserves thin axes and positive definiteness
-(`phy124.kernels.deform`).
+decomposition Sigma = Q Lambda Q^T then gives the rotation and the scales. Here the axes are
+computed from A = F R_0 S_0 (Sigma = A A^T) instead, once per frame and in float64. This preserves
+thin axes and positive definiteness (`phy124.kernels.deform`).
 
-Orientations are continuous: the labels of the axes (one of 24 proper signed permutations) are
-chosen closest to the labels in the previous frame, and the sign of q is chosen so that q .
-q_previous >= 0. Axes of equal length move with the material, to within 1e-5 of the covariance.
+Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
+closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
+equal length move with the material, to within 1e-5 of the covariance.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ from phy124.motion.blocks import DEFORMATION, BlockLauncher, Step
 
 
 class Deformer:
-    """Computes the frames of one moving object; call it once per frame, in order of time.
+    """Computes the frames of one moving object; call once per frame, in order of time.
 
     With the binding `particles`, each Gaussian moves with one particle. With `lattice`, the nearest
     particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and F_g = sum
@@ -58,20 +56,19 @@ class Deformer:
             gaussians: The object at rest, N Gaussians.
             particles: The particles that `make_particles` made from the Gaussians; None: one
                 particle per Gaussian, in order.
-            max_stretch: Longest axis allowed, relative to the longest axis at rest, for all
-                Gaussians or for each Gaussian [N]. It is meant for fluid and plastic material,
-                whose F grows without bound. None: no limit.
+            max_stretch: Largest allowed length of the longest axis, relative to rest, for all
+                Gaussians or for each Gaussian [N]; for fluid and plastic material, whose F grows
+                without bound. None: no limit.
             rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
                 fluids do not look like needles; None: no Gaussians.
             flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without
                 bound; None: no Gaussians.
             holds: Largest stretch of each Gaussian's material [N]. If the stretch of F is larger,
-                the material is torn, and its Gaussians are drawn with the largest stretch. None: no
+                the material is torn, and the Gaussian is drawn with this largest stretch. None: no
                 limit.
-            binding: Particles that carry each Gaussian, if they are known.
+            binding: Particles that carry each Gaussian, if already known.
             device: Warp device of the computation.
-            threads: Number of CPU threads that process the Gaussians; it does not change the
-                result.
+            threads: Number of CPU threads; does not affect the result.
 
         Raises:
             InputError: `max_stretch` is below 1.
@@ -81,7 +78,7 @@ class Deformer:
         if not (limits >= 1).all():
             limit = "Gaussians would have to be smaller than they are at rest."
             least = float(np.nanmin(limits))
-            raise InputError("max_stretch", least, limit, "Give 1 or more, or omit max_stretch.")
+            raise InputError("max_stretch", least, limit, "Choose at least 1, or omit max_stretch.")
         self.gaussians = gaussians
         self.rotations: Array | None = None
         """Polar rotations of the material in the last frame [N,4] wxyz; None if sh has degree 0."""
@@ -93,8 +90,8 @@ class Deformer:
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
-            """Return an array on the device; if all values are equal, the array has the length of
-            one block.
+            """Return an array on the device; if all values are equal, it has the length of one
+            block.
             """
             values = np.broadcast_to(values, n)
             if n > block and (values.strides == (0,) or (values == values[0]).all()):
@@ -121,7 +118,7 @@ class Deformer:
         quaternion: Any = wp.vec4f
         self._inner = wp.empty(n, dtype=quaternion, device=device)
         self._turned = wp.empty(n if gaussians.sh_degree else 0, dtype=quaternion, device=device)
-        # The axes continue those of the previous frame, whose arrays are not changed.
+        # The axes start from the axes of the previous frame, whose arrays are not changed.
         self._quats = self._quats0
         self.reset()
 
@@ -148,12 +145,13 @@ class Deformer:
             F: Total deformation gradients of the particles [P,3,3].
             index: Number of the frame.
             time: Time [s].
-            velocities: Velocities of the particles [P,3], m/s, if the frame is to include them.
+            velocities: Velocities of the particles [P,3], m/s, if the frame should contain
+                velocities.
             colours: Whether colours are rotated with the material.
 
         Raises:
-            FloatingPointError: A position or F is not finite; the message gives the number of such
-                particles.
+            FloatingPointError: A position or F is not finite; the message contains the number of
+                such particles.
             ValueError: The arrays do not match the number of particles.
         """
         x, F = self._upload(x, F)
@@ -201,14 +199,14 @@ class Deformer:
         return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Return the axes of the Gaussians, from which the next frame continues."""
+        """Return a snapshot: the axes of the Gaussians, from which the next frame starts."""
         axes = {"quats": self._quats, "inner": self._inner}
         if self.gaussians.sh_degree:
             axes["turned"] = self._turned
         return {name: array.numpy().copy() for name, array in axes.items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
-        """Return to the state right after the frame at which a snapshot was taken."""
+        """Restore a snapshot."""
         self._quats = wp.array(snapshot["quats"], dtype=wp.vec4f, device=self._device)
         self._inner.assign(snapshot["inner"])
         if self.gaussians.sh_degree:

@@ -1,6 +1,4 @@
-"""Shows Gaussians of inner particles, which are hidden in the surface until a tear exposes the
-particles.
-"""
+"""Shows Gaussians of inner particles, hidden in the surface until a tear exposes the particles."""
 
 from __future__ import annotations
 
@@ -19,11 +17,10 @@ HIDDEN = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Exposed:
-    """The G Gaussians of inner particles, and the frames, out of T, in which each of them is
-    exposed.
+    """The G Gaussians of inner particles, and the frames in which each Gaussian is exposed.
 
-    A hidden Gaussian is a small copy of the Gaussian above it; an exposed one is at the position of
-    its particle. The E exposures are sorted by Gaussian, then by frame.
+    A hidden Gaussian is a small copy of the Gaussian above it; an exposed Gaussian is at the
+    position of its particle. The E exposures are sorted by Gaussian, then by frame.
     """
 
     grains: Gaussians
@@ -31,7 +28,7 @@ class Exposed:
     above: NDArray[np.int32]
     """Index of the surface Gaussian in which each Gaussian is hidden [G]."""
     grain: NDArray[np.int32]
-    """For each exposure, the index of the exposed Gaussian [E], below G."""
+    """For each exposure, the index of the exposed Gaussian [E], 0 to G - 1."""
     frame: NDArray[np.int32]
     """For each exposure, the index of its frame [E]."""
     x: NDArray[np.float32]
@@ -52,15 +49,14 @@ class Exposed:
     def show(
         self, row: Mapping[str, Array], index: int, grains: NDArray[np.intp]
     ) -> dict[str, Array]:
-        """Return the arrays of a frame, with the centres and sizes that these Gaussians have in the
-        frame.
+        """Return the arrays of a frame with the right centres and sizes of these Gaussians.
 
         Args:
             row: Arrays of M Gaussians by name; a hidden Gaussian has the values of the Gaussian
                 above it.
             index: Index of the frame.
-            grains: Index among the G Gaussians for each of the M Gaussians; -1 if it is none of
-                them.
+            grains: For each of the M Gaussians, the index among the G Gaussians; -1 if it is not
+                one of them.
         """
         means, scales = row["means"].copy(), row["scales"].copy()
         rows = np.flatnonzero(grains >= 0)

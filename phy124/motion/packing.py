@@ -1,5 +1,4 @@
-"""Packs a motion into bytes: static arrays without loss, and moving arrays rounded to small
-increments.
+"""Packs a motion into bytes: static arrays without loss, moving arrays with rounding.
 
 Every array is stored as differences, which are split into bytes of equal significance and then
 compressed by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`;
@@ -29,14 +28,14 @@ STEP_F = 2.0**-10
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
-"""Number of values above which arrays are compressed at the fast level, the second of `LEVELS`."""
+"""Arrays with more values are compressed at the fast level, the second of `LEVELS`."""
 LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10
-"""Number of cells of the Hilbert curve along each axis, as an exponent of two."""
+"""Exponent of two for the number of cells of the Hilbert curve along each axis."""
 Tensors = dict[str, NDArray]
 Packed = tuple[Tensors, dict[str, Any]]
-"""Packed arrays [bytes] by name, and the data that `unpack` needs to unpack them."""
+"""Packed arrays [bytes] by name, and the data for `unpack`."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 EXPOSED = ("above", "grain", "frame", "x")
 """Names of the arrays of `Exposed` besides its Gaussians; in a file, these names begin with
@@ -76,7 +75,7 @@ def pack(motion: Motion) -> Packed:
                     raise OverflowError(f"{name} is too large to be stored in a clip")
                 column[:] = exact[:, order]
             chunks.append(_pack_steps(whole))
-            trim()  # otherwise the chunks would prevent the gaps between them from being reused
+            trim()  # Otherwise, the gaps between the chunks could not be reused.
         tensors[f"motion.{name}"], lengths = _join(chunks)
         arrays[name] = {"chunks": lengths}
     facts = {"arrays": arrays, "steps": steps, "frames": len(motion.x)}
@@ -84,7 +83,7 @@ def pack(motion: Motion) -> Packed:
 
 
 def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDArray) -> Motion:
-    """Return a packed motion; its positions and F are unpacked only when they are read.
+    """Return a packed motion; positions and F are unpacked only when they are read.
 
     Raises:
         KeyError, ValueError, zstandard.ZstdError: The arrays are damaged.
@@ -141,15 +140,13 @@ def unpack(tensors: Mapping[str, NDArray], facts: Mapping[str, Any], times: NDAr
 
 
 def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
-    """Remove the arrays of Gaussians from a set of arrays, and return them as Gaussians."""
+    """Remove the arrays of Gaussians from a set of arrays, and return the Gaussians."""
     means, quats, scales, opacities, sh = (arrays.pop(prefix + name) for name in STATIC[:5])
     return Gaussians(means, quats, scales, opacities, sh, arrays.pop(f"{prefix}object_id", None))
 
 
 class Steps:
-    """Rows of a packed array, one per frame; the chunk of frames that was read last stays unpacked
-    in memory.
-    """
+    """Rows of a packed array, one per frame; the last chunk that was read stays unpacked."""
 
     def __init__(
         self,
@@ -161,7 +158,7 @@ class Steps:
         count: int,
         shape: tuple[int, ...],
     ) -> None:
-        """Store the packed bytes and the data that are needed to unpack them."""
+        """Store the packed bytes, with the data for unpacking."""
         self._data, self._step, self._base, self._order = data, step, base, order
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
@@ -223,12 +220,12 @@ def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
-    """Return the values of the particles at rest, to which the rounded differences are added."""
+    """Return the values of the particles at rest, to which rounded differences are added."""
     return rest if name == "x" else np.broadcast_to(np.eye(3).ravel(), (len(rest), 9))
 
 
 def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
-    """Return, for each particle, the mean volume of its object's particles [P].
+    """Return for each particle the mean volume of its object's particles [P].
 
     The binding does not need the volumes of individual particles.
     """
@@ -253,7 +250,7 @@ def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int64]
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Pack an array without loss, column by column; a column that equals the previous one takes no
+    """Pack an array without loss, column by column; a column equal to the one before takes no
     bytes.
     """
     columns = _columns(array)
@@ -271,7 +268,7 @@ def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str,
 
 
 def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
-    """Return an array that `_pack_exact` packed."""
+    """Unpack an array that `_pack_exact` packed."""
     dtype, shape = np.dtype(facts["dtype"]), tuple(facts["shape"])
     ends = np.cumsum([0, *facts["chunks"]])
     width = len(facts["chunks"])
@@ -290,15 +287,13 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 def _column_order(name: str, count: int) -> Sequence[int]:
     """Return the order of columns; the real part of quaternions is last, because it is computed
-    from the other parts.
+    from the others.
     """
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 
 
 def _real_part(columns: NDArray) -> NDArray[np.float32]:
-    """Return the positive real part of unit quaternions from the bits of the other three
-    components.
-    """
+    """Return the positive real part of unit quaternions, from the bits of the other components."""
     x, y, z = (columns[k].view(np.float32).astype(np.float64) for k in (1, 2, 3))
     return np.sqrt(np.maximum(1 - x * x - y * y - z * z, 0)).astype(np.float32)
 
@@ -317,7 +312,7 @@ def _columns(array: NDArray) -> NDArray:
 
 
 def _zigzag(values: NDArray, size: int) -> NDArray:
-    """Map integers to non-negative integers that are small if the integers are close to 0."""
+    """Map integers to non-negative integers, so that integers close to 0 become small."""
     whole = values.astype(f"<i{size}", copy=False)
     return ((whole << 1) ^ (whole >> (8 * size - 1))).view(f"<u{size}")
 

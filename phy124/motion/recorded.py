@@ -1,8 +1,8 @@
-"""Computes the frames of a clip from the motion of the particles that carry its Gaussians.
+"""Computes the frames of a clip from the motion of the carrying particles.
 
 The shapes of the Gaussians in a frame depend on the shapes in the previous frame
 (`phy124.motion.deform`). Frames are therefore computed in order, from the first frame or from the
-nearest stored state, so that a frame is bit for bit the same whenever it is read.
+nearest stored state. Every reading of a frame then gives bitwise equal results.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ if TYPE_CHECKING:
     from phy124.motion.deform import Deformer
 
 KEPT = 256e6
-"""Total size [bytes] up to which all computed frames of a clip are kept."""
+"""All computed frames of a clip are kept up to this total size [bytes]."""
 NEAR = 4
-"""Number of computed frames that are kept if a clip is larger than `KEPT`."""
+"""Number of frames that are kept if a clip is larger than `KEPT`."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Total size [bytes] of all stored states from which frames can be computed."""
+"""Total size [bytes] of all stored states."""
 BYTES = 40
 """Number of bytes per Gaussian in a computed frame."""
 STATE = 32
 """Number of bytes per Gaussian in a state."""
 MOVING = ("means", "quats", "scales", "rotations")
-"""Names of the arrays of a frame that are computed."""
+"""Names of the computed arrays of a frame."""
 
 
 class Rows(Protocol):
@@ -53,7 +53,7 @@ class Rows(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion that carries the Gaussians of a clip in T frames."""
+    """The motion of the particles that carry the Gaussians of a clip, in T frames."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
@@ -66,29 +66,29 @@ class Motion:
     carriers: NDArray[np.int32]
     """Indices of the particles that carry Gaussians [C]."""
     x: Rows
-    """Positions of these particles in each frame [C,3], m."""
+    """Positions of the carrying particles in each frame [C,3], m."""
     F: Rows
-    """Deformation gradients of these particles in each frame [C,3,3]."""
+    """Deformation gradients of the carrying particles in each frame [C,3,3]."""
     times: NDArray[np.float64]
     """Times of the frames [T], s."""
     on_tracks: tuple[int, ...]
     """Indices of the objects that follow a track."""
     tracks: NDArray[np.float64]
-    """Displacements of these objects [T,K,3], m."""
+    """Displacements of the objects in `tracked` [T,K,3], m."""
     free: tuple[int, ...]
     """Indices of the objects that are rigid solids."""
     poses: NDArray[np.float64]
     """Centres [m] and rotations (wxyz) of the rigid solids [T,R,7]."""
     binding: Binding | None = None
-    """Particles that carry the moving Gaussians, if these particles are known."""
+    """Particles that carry the moving Gaussians, if already known."""
     exposed: Exposed | None = None
-    """Additional Gaussians that become visible where the object tears."""
+    """Additional Gaussians that become visible if the object tears."""
     describes: tuple[Any, ...] = ()
     """Arrays of a clip that can be computed from this motion (`phy124.io.clip.DESCRIBED`)."""
 
     @property
     def shown(self) -> Gaussians:
-        """All Gaussians at rest; the Gaussians that are visible only after a tear come last."""
+        """All Gaussians at rest; Gaussians that become visible by a tear come last."""
         return (
             self.gaussians if self.exposed is None else join([self.gaussians, self.exposed.grains])
         )
@@ -107,7 +107,7 @@ class Track:
 
 
 class Recorded:
-    """Computes the frames of a motion when they are read."""
+    """Frames of a motion, which are computed when they are read."""
 
     def __init__(
         self,
@@ -122,10 +122,9 @@ class Recorded:
         Args:
             motion: The motion.
             chosen: Indices of the Gaussians that the frames contain [M]; None: all Gaussians.
-            measure: Called once with the arrays of each frame that is computed.
+            measure: Function that is called once with the arrays of each computed frame.
             threads: Number of CPU threads; None: one per core.
-            frames: Number of frames that the motion will finally have, if frames are still being
-                added.
+            frames: Final number of frames, if frames are still being added to the motion.
         """
         self.motion, self.chosen = motion, chosen
         self._threads, self._expected = threads, frames
@@ -151,7 +150,7 @@ class Recorded:
         return self.motion.gaussians.sh_degree > 0
 
     def gaussians(self, index: int) -> Gaussians:
-        """Return the Gaussians of a frame, with colours that are rotated with the material."""
+        """Return the Gaussians of a frame, with colours rotated with the material."""
         row = self.row(index)
         sh = self.motion.gaussians.sh
         if "rotations" in row:
@@ -170,7 +169,7 @@ class Recorded:
                 self._advance()
             row = self._advance()
             self._frames[index] = row
-            # A larger clip is read frame after frame, so keeping its earlier frames would not help.
+            # A larger clip is read frame by frame, so keeping earlier frames would not help.
             while len(self._frames) > NEAR and BYTES * self.count * self._length > KEPT:
                 self._frames.popitem(last=False)
             return row
@@ -183,12 +182,12 @@ class Recorded:
         return [self._measured[index] for index in sorted(self._measured)]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame, without keeping any frame."""
+        """Yield the arrays of chosen Gaussians, frame by frame, without keeping frames."""
         part = Recorded(self.motion, chosen)
         return (part._advance() for _ in range(len(self)))
 
     def _return_to(self, index: int) -> None:
-        """Return to the latest stored state that is not later than a frame."""
+        """Return to the latest stored state before or at a frame."""
         start = max((state for state in self._states if state <= index), default=0)
         self._next = start
         assert self._deformer is not None
@@ -228,7 +227,7 @@ class Recorded:
 
     def _prepare(self) -> None:
         """Bind the Gaussians to the particles that carry them."""
-        from phy124.motion.binding import bind  # loads Warp
+        from phy124.motion.binding import bind  # This import loads Warp.
         from phy124.motion.deform import Deformer
 
         motion, chosen = self.motion, self.chosen
@@ -259,9 +258,7 @@ class Recorded:
 
 
 class Torn:
-    """Frames of a motion. Gaussians that become visible where the object tears are included, and
-    come last.
-    """
+    """Frames of a motion, including Gaussians that become visible by a tear; these come last."""
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
         """Store the frames, which do not contain the exposed Gaussians."""
@@ -282,13 +279,13 @@ class Torn:
         return self._last[1]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame, without keeping any frame."""
+        """Yield the arrays of chosen Gaussians, frame by frame, without keeping frames."""
         carried, grains = self._split(chosen)
         for index, row in enumerate(self._recorded.rows_of(carried)):
             yield self._exposed.show(row, index, grains)
 
     def _split(self, chosen: NDArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return, for each chosen Gaussian, the index of the carried Gaussian, and the index among
+        """Return for each chosen Gaussian the index of the carried Gaussian, and the index among
         the exposed Gaussians or -1.
         """
         grains = np.maximum(chosen - self._recorded.count, -1)
@@ -346,12 +343,12 @@ class Computed(NDArrayOperatorsMixin):
         return getattr(np.asarray(self), name)
 
     def first(self, columns: slice) -> Computed:
-        """Return the part of the array that a slice of the Gaussians selects."""
+        """Return the part of the array for a slice of the Gaussians."""
         return Computed(self.recorded, self.name, columns=columns)
 
 
 def frames_of(motion: Motion) -> Frames:
-    """Return the frames of a motion, which are computed when they are read."""
+    """Return the frames of a motion; a frame is computed when it is read."""
     frames = Recorded(motion)
     return frames if motion.exposed is None else Torn(frames, motion.exposed)
 

@@ -17,7 +17,7 @@ from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""
 INSTANT = 1e-6
-"""Time step of the difference quotient that gives the velocity of an object on a track [s]."""
+"""Time step of the difference quotient for the velocity of an object on a track [s]."""
 
 
 class Track(Protocol):
@@ -30,9 +30,7 @@ class Track(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Adds all other Gaussians to a frame that contains only the Gaussians that the solver
-    moves.
-    """
+    """Adds all other Gaussians to a frame of the Gaussians that the solver moves."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
@@ -56,10 +54,10 @@ class Scenery:
     def whole(
         self, frame: Frame, poses: Sequence[NDArray] = (), motions: NDArray | None = None
     ) -> Frame:
-        """Return a frame of all Gaussians, from a frame of the Gaussians that the solver moves.
+        """Return a frame of all Gaussians from a frame of the Gaussians that the solver moves.
 
-        Static Gaussians are unchanged bit for bit. Gaussians of tracks and rigid solids are at
-        their position at the frame's time.
+        Static Gaussians are bitwise unchanged. Gaussians of rigid solids and of objects on tracks
+        are at their positions at the frame's time.
 
         Args:
             frame: Frame of the Gaussians that the solver moves.

@@ -1,3 +1,1 @@
-"""Functions for the whole process: starting Warp, signals, time measurement, and work that can be
-killed.
-"""
+"""Functions for the whole process: starting Warp, signals, timing, and isolated processes."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 ROOT = Path("/")
 """Root of the file system; tests replace the root by a temporary folder."""
 RECLAIMED = ("inactive_file", "active_file", "total_inactive_file", "total_active_file")
-"""Entries of memory.stat that count cached files, which the system can reclaim."""
+"""Entries of memory.stat that count memory of cached files, which the system can reclaim."""
 
 
 class Mount(NamedTuple):
@@ -28,21 +28,20 @@ class Mount(NamedTuple):
     group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of this hierarchy, in version 1. In version 2, one hierarchy has all
-    controllers.
+    """Controllers of the hierarchy in version 1. In version 2, one hierarchy has all controllers.
     """
 
 
 def memory_left(root: Path = ROOT) -> float:
-    """Return the memory that the groups leave to this process [bytes]; infinity if there is no
-    limit.
+    """Return the memory that this process may use according to its groups [bytes]; infinity if
+    unlimited.
     """
     return min((_left(group) for group in _groups("memory", root)), default=math.inf)
 
 
 def cpu_quota(root: Path = ROOT) -> float:
-    """Return the number of CPUs that the groups grant this process; infinity if there is no
-    limit.
+    """Return the number of CPUs that this process may use according to its groups; infinity if
+    unlimited.
     """
     return min((_quota(group) for group in _groups("cpu", root)), default=math.inf)
 
@@ -62,8 +61,8 @@ def _left(group: Path) -> float:
 
 
 def _reclaimable(group: Path) -> float:
-    """Return how much of a group's memory holds cached files [bytes]. In version 1, entries with
-    the prefix total_ include the subgroups.
+    """Return the memory of cached files in a group [bytes]. In version 1, entries with the prefix
+    total_ include the subgroups.
     """
     parts = dict(line.split() for line in _text(group / "memory.stat").splitlines())
     kept = {name: float(value) for name, value in parts.items() if name in RECLAIMED}
@@ -105,8 +104,8 @@ def _below(path: str, top: str) -> str:
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller of cgroups version 1 (for version 2, ""), and the path of this
-    process's group under the controller.
+    """Yield each controller of version 1 (for version 2, ""), with the path of this process's
+    group.
     """
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
@@ -115,7 +114,7 @@ def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
 
 
 def _mounts(root: Path) -> Iterator[Mount]:
-    """Yield all control-group hierarchies that this process sees."""
+    """Yield all control-group hierarchies that are visible to this process."""
     for line in _text(root / "proc/self/mountinfo").splitlines():
         fields, _, kind = line.partition(" - ")
         words = kind.split()
@@ -134,7 +133,7 @@ def _number(path: Path) -> float:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a file; the text is empty if the file cannot be read."""
+    """Return the text of a file; empty if the file cannot be read."""
     try:
         return path.read_text("utf-8", "replace")
     except OSError:

@@ -1,8 +1,8 @@
-"""Compiles missing kernels in parallel before they are needed; Warp itself compiles one at a time.
+"""Compiles missing kernels in parallel before they are needed; Warp alone compiles one at a time.
 
-Threads suffice, because the compiler releases Python's global lock. Processes that compile the same
-kernels do not disturb each other, because each process writes to its own folder and renames the
-folder when it is complete.
+Threads suffice, because the compiler releases Python's global lock. Several processes may compile
+the same kernels, because each process writes to its own folder and renames the folder when it is
+complete.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from phy124.runtime.startup import start
 def compile_missing(
     kernels: Iterable[Any], device: str = "cpu", progress: Progress = silent
 ) -> int:
-    """Compile and load the modules of kernels that are missing in Warp's cache.
+    """Compile and load those modules of kernels that are missing in Warp's cache.
 
     Args:
-        kernels: The kernels that will be launched.
+        kernels: The kernels of the run.
         device: Warp device.
         progress: Called with ("compile", modules done, modules), if any modules are missing.
 
@@ -34,19 +34,20 @@ def compile_missing(
         Number of modules that were missing.
 
     Raises:
-        Cancelled: `progress` raised it; modules that are being compiled are finished first.
+        Cancelled: Raised by `progress`; modules that are being compiled are finished first.
     """
-    # Start Warp here, because a start in a thread would discard the modules of the other threads.
+    # Warp is started here, because a start in a thread would discard the modules of the other
+    # threads.
     start()
     missing = {k.module.name: k for k in kernels if not is_compiled(k, device)}
     if not missing:
         return 0
-    # Compile the longest module first: at the end, it would occupy a single core alone.
+    # The longest module is compiled first: at the end, it would occupy a single core alone.
     modules = [k.module for k in sorted(missing.values(), key=lambda k: -k.seconds)]
     total = len(modules)
     progress("compile", 0, total)
     if device == "cpu" and not has_headers():
-        # The first module also compiles the headers, so that not every thread compiles them.
+        # The first module also compiles the headers, so that other threads need not compile them.
         wp.load_module(modules.pop(), device)
         progress("compile", 1, total)
     with ThreadPoolExecutor(min(cores(), len(modules)) or 1) as pool:
@@ -61,9 +62,7 @@ def compile_missing(
 
 
 def is_compiled(kernel: Any, device: str = "cpu") -> bool:
-    """Return whether a kernel's module is loaded, or whether its current version is in the
-    cache.
-    """
+    """Return whether a kernel's module is loaded, or is in the cache in its current version."""
     if kernel.module.execs:
         return True
     file = compiled_file(kernel, device)
@@ -72,12 +71,12 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 
 @contextmanager
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
-    """Look up kernels in Warp's cache in another thread while the block runs.
+    """Look up kernels in Warp's cache in another thread, within this context.
 
-    Warp then knows the hashes of the kernels' code, so `compile_missing` is faster after the block.
+    Warp then knows the hashes of the kernels' code, so that `compile_missing` is faster afterwards.
 
     Args:
-        kernels: The kernels to look up; the second thread reads them if they come from an iterator.
+        kernels: The kernels to look up; if this is an iterator, the other thread reads it.
         device: Warp device.
     """
     start()

@@ -1,4 +1,4 @@
-"""Defines the context of a run: its device, threads, progress function and stopwatch."""
+"""The context of a run: device, number of threads, progress function and timer."""
 
 from __future__ import annotations
 
@@ -23,40 +23,38 @@ class ContextOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class RunContext:
-    """Device, threads, progress function and stopwatch of a computation.
+    """Device, number of threads, progress function and timer of a computation.
 
-    These fields change results only by rounding errors, because the device and the number of
-    threads determine the order in which numbers are added.
+    These fields affect results only by rounding errors: device and number of threads determine the
+    order in which numbers are added.
     """
 
     device: str = "cpu"
     """Warp device, "cpu" or "cuda:0"."""
     threads: int | None = None
-    """Number of CPU threads that simulate and render. None means one per free core, but no more
-    threads than the work can use.
+    """Number of CPU threads that simulate and render. None: one per free core, but not more than
+    the work can use.
     """
     progress: Progress = silent
     """Function that is called with (stage, steps done, total steps); it may raise Cancelled."""
     watch: Stopwatch = field(default_factory=Stopwatch)
-    """Stopwatch that records the durations of the stages."""
+    """Timer that records the durations of the stages."""
 
     @classmethod
     def of(cls, context: RunContext | None, **options: Unpack[ContextOptions]) -> RunContext:
-        """Return a copy of the context in which the named fields are replaced; if there is no
-        context, create a new one.
+        """Return a copy of the context with the named fields replaced; without a context, create
+        one.
         """
         return replace(context or cls(), **options)
 
     @classmethod
     def pop(cls, context: RunContext | None, options: dict[str, Any]) -> RunContext:
-        """Take the fields of a context out of `options`, and return the context that `of` makes
-        from them.
-        """
+        """Remove the fields of a context from `options`; return a context with these fields."""
         fields = ContextOptions.__annotations__.keys() & options.keys()
         return replace(context or cls(), **{name: options.pop(name) for name in fields})
 
     def aside(self) -> RunContext:
-        """Return a context for a probe: device and threads are unchanged, but progress and
-        durations are not recorded.
+        """Return a context for a test run, with this device and number of threads, but without
+        progress and timer.
         """
         return replace(self, progress=silent, watch=Stopwatch())

@@ -1,4 +1,4 @@
-"""Counts the CPU cores that this process may use, and the free ones among these cores."""
+"""Counts the CPU cores that this process may use, and how many of them are free."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of cores to which these hardware threads belong. If it is unknown, each
-    hardware thread counts as a core.
+    """Return the number of cores of some hardware threads; if unknown, the number of hardware
+    threads.
     """
     try:
         mine = os.sched_getaffinity(0)
@@ -34,26 +34,25 @@ def physical_cores() -> int:
 
 
 def free_cores() -> int:
-    """Return the number of usable cores that no other program is using, at least 1."""
-    # The quota limits only this process, so other programs do not use it up.
+    """Return the number of usable cores that no other program uses, at least 1."""
+    # The quota limits only this process, so other programs do not count.
     return max(1, min(physical_cores(), _hardware_threads() - _others_running()))
 
 
 def _hardware_threads() -> int:
-    """Return the number of hardware threads on which this process may run."""
+    """Return the number of hardware threads that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _within_quota(threads: int) -> int:
-    """Limit the number of threads to the number of whole CPUs in the quota. A thread on a fraction
-    of a CPU would delay the other threads.
+    """Limit a number of threads to the number of whole CPUs in the quota. A thread on a fraction of
+    a CPU would delay the other threads.
     """
     return max(1, int(min(threads, cpu_quota())))
 
 
 def refuse_threads(threads: int | None) -> None:
-    """Refuse a number of threads that is impossible; None means that the number is chosen
-    automatically.
+    """Check that a number of threads is possible; None: it is chosen automatically.
 
     Raises:
         InputError: The number is below 1 or above `MOST_THREADS`.
@@ -61,7 +60,7 @@ def refuse_threads(threads: int | None) -> None:
     if threads is None or 1 <= threads <= MOST_THREADS:
         return
     limit = f"a run can use 1 to {MOST_THREADS} threads."
-    remedy = f"Give at most the number of cores, {cores()} here, or remove the option."
+    remedy = f"Choose at most the number of cores, {cores()} here, or remove the option."
     raise InputError("threads", threads, limit, remedy)
 
 
@@ -71,8 +70,7 @@ def _others_running() -> int:
     for _ in range(5):
         try:
             running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
-            # Subtract this process's threads, because libraries may leave some threads spinning
-            # briefly.
+            # This process's threads are subtracted, because threads of libraries may spin briefly.
             stats = [path.read_text("latin-1") for path in Path("/proc/self/task").glob("*/stat")]
         except OSError:
             return 0

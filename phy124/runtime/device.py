@@ -15,8 +15,7 @@ from phy124.errors import InputError
 CHOICES = "auto, cpu, cuda:0 or another GPU."
 """Help text of the options that take a device."""
 KEPT = 2**30
-"""Amount of freed GPU memory that is kept for the next frame [bytes], because allocating memory is
-slow.
+"""Amount of freed GPU memory that is kept for the next frame [bytes], because allocation is slow.
 """
 P = ParamSpec("P")
 Made = TypeVar("Made")
@@ -26,7 +25,7 @@ Version = tuple[int, int]
 LIBRARIES = ("libcuda.so.1", "nvcuda.dll")
 """File names of the NVIDIA driver's library on Linux and on Windows."""
 RELEASES = {12: 525, 13: 580}
-"""Major version of CUDA -> the first release of the NVIDIA driver that supports this version."""
+"""First release of the NVIDIA driver that supports a CUDA version, by major version."""
 
 
 def pick_device(name: str) -> str:
@@ -57,7 +56,7 @@ def pick_device(name: str) -> str:
 def lock_gpu(
     method: Callable[Concatenate[Owner, P], Made],
 ) -> Callable[Concatenate[Owner, P], Made]:
-    """Decorate methods so that, on a GPU, only one thread at a time runs any of them.
+    """Decorate methods so that, on a GPU, only one thread at a time runs any of these methods.
 
     While a thread captures a CUDA graph, Warp would record the launches of other threads in the
     graph.
@@ -73,16 +72,14 @@ def lock_gpu(
 
 
 class Driver(NamedTuple):
-    """The version of CUDA that the driver supports, and the version that Warp needs. A version is
-    None if it is unknown.
-    """
+    """The CUDA versions that the driver supports and that Warp needs; None if unknown."""
 
     supported: Version | None
     needed: Version | None
 
     @property
     def problem(self) -> str | None:
-        """A sentence that asks for an update if the driver is too old; otherwise None."""
+        """A sentence that asks for an update if the driver is too old, otherwise None."""
         if self.supported is None or self.needed is None or self.supported >= self.needed:
             return None
         release = RELEASES.get(self.needed[0])
@@ -100,7 +97,7 @@ class Driver(NamedTuple):
 
 
 def driver() -> Driver:
-    """Return the versions for this machine's driver; Warp must have been started before."""
+    """Return the versions for this machine's driver; Warp must be running."""
     import warp as wp
 
     toolkit = wp.get_cuda_toolkit_version()

@@ -1,8 +1,8 @@
-"""Explains any exception to users by its kind, an exit status and an error message.
+"""Explains any exception to users: kind, exit status and error message.
 
-The command line, the bridge and the web page all use this module: no user sees a traceback, and
-the same problem has the same message everywhere. Exceptions of libraries are recognised by their
-names, which avoids importing the libraries.
+The command line, the bridge and the web page use this module, so that no user sees a traceback and
+a problem has one message everywhere. Exceptions of libraries are recognised by name, in order not
+to import the libraries.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PROJECT = "phy124"
 OURS = (PROJECT, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
 """Packages of this project, under all names by which they are imported."""
 LONGEST = 300
-"""Maximum number of characters that an error message quotes from a library's message."""
+"""Maximum number of quoted characters of a library's message."""
 MEMORY_WORDS = (
     "out of memory",
     "failed to allocate",
@@ -31,13 +31,13 @@ MEMORY_WORDS = (
     "failed to map segment",
     "bad_alloc",
 )
-"""Phrases in the messages of libraries that report a lack of memory without raising MemoryError."""
+"""Phrases in messages of libraries that report a lack of memory without a MemoryError."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
-"""Import name of a library -> the name by which users know the library, if the two names differ."""
+"""Names by which users know libraries, by import name, if the names differ."""
 
 
 class Kind(Enum):
-    """The kinds of failure; each kind calls for a different action of the user."""
+    """The kinds of failure; each kind requires a different action of the user."""
 
     REFUSED = "bad input"
     STOPPED = "stopped by the user"
@@ -48,12 +48,12 @@ class Kind(Enum):
 
 
 STATUS = {Kind.REFUSED: 2, Kind.STOPPED: 130}
-"""Kind of failure -> exit status; all other kinds have status 1."""
+"""Exit status by kind of failure; all other kinds have the status 1."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """The explanation of an exception that the user sees."""
+    """The explanation of an exception for the user."""
 
     kind: Kind
     sentence: str
@@ -67,8 +67,8 @@ def failure(problem: BaseException) -> Failure:
     """Explain the exception that stopped the run.
 
     Args:
-        problem: The exception. For an `Incomplete`, its cause is explained, and the saved results
-            are named.
+        problem: The exception. For an `Incomplete`, the cause is explained and the saved results
+            are listed.
     """
     if isinstance(problem, Incomplete):
         return _incomplete(problem)
@@ -78,10 +78,10 @@ def failure(problem: BaseException) -> Failure:
 
 
 def is_stop(problem: BaseException) -> bool:
-    """Return whether the user caused the exception by stopping the work.
+    """Return whether the user caused the exception by stopping the program.
 
-    If Ctrl-C is pressed while native code of a library calls Python, a SystemError is raised whose
-    cause is the KeyboardInterrupt.
+    If Ctrl-C is pressed while native code calls Python, a SystemError is raised, with the
+    KeyboardInterrupt as its cause.
     """
     stop = problem.__cause__ if isinstance(problem, SystemError) else problem
     return isinstance(stop, (Cancelled, KeyboardInterrupt))
@@ -158,16 +158,15 @@ def _refusal(problem: BaseException) -> InputError | None:
 
     try:
         return explain_options(problem) if isinstance(problem, ValidationError) else None
-    except LookupError:  # the error is in the code, not in the options
+    except LookupError:  # The error is in the code, not in the options.
         return None
 
 
 def _package(problem: BaseException) -> str:
-    """Return the package that defines the exception; if there is none, return the package whose
-    code raised it.
+    """Return the package that defines the exception or, if there is none, that raised it.
 
-    Modules of Python's standard library are skipped, so that an error in `pathlib` is attributed to
-    the code that called `pathlib`.
+    Modules of the standard library are skipped, so that an error in `pathlib` is attributed to its
+    caller.
     """
     modules = [PROJECT, *_modules(problem.__traceback__), type(problem).__module__]
     packages = [module.partition(".")[0] for module in modules]

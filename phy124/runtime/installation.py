@@ -1,4 +1,4 @@
-"""Determines how phy124 was installed, and which command installs an optional extra."""
+"""Determines how phy124 was installed, and the command that installs an optional extra."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def install_command(extra: str) -> str:
 
 
 def program() -> str:
-    """Return the command that starts the running program again, either `phy124` or the program's
-    relative path.
-    """
+    """Return the command that starts the running program: `phy124`, or a relative path."""
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return f"{_short(Path(sys.executable))} -m {PACKAGE}"
@@ -46,16 +44,14 @@ def program() -> str:
 
 
 def with_program(message: str) -> str:
-    """Return a message in which commands (`phy124 ...` in backquotes) start with the running
-    program's name.
+    """Return a message whose commands (`phy124 ...` in backquotes) start with the running program's
+    name.
     """
     return message.replace(f"`{PACKAGE} ", f"`{program()} ")
 
 
 def clone() -> Path | None:
-    """Return the folder of the repository's clone that contains this code; None if there is
-    none.
-    """
+    """Return the folder of the clone that contains this code; None if there is none."""
     root = Path(__file__).resolve().parents[2]
     return root if (root / "pyproject.toml").is_file() else None
 
@@ -79,9 +75,7 @@ def packages(extra: str) -> list[str]:
 
 
 def _pip() -> str:
-    """Return the command `pip install` for this interpreter; if the environment has no pip, use
-    uv.
-    """
+    """Return the command `pip install` for this interpreter, or uv if there is no pip."""
     python = _short(Path(sys.executable))
     if not _has("pip"):
         return f"uv pip install --python {python}"

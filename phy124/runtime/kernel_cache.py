@@ -1,4 +1,4 @@
-"""Repairs Warp's folder of compiled kernels, and reuses the compiler's precompiled headers.
+"""Repairs Warp's cache of compiled kernels, and reuses the compiler's precompiled headers.
 
 A module that cannot be loaded is compiled again, and incomplete modules are removed. If the disk is
 full, compilation is refused, because the compiler would crash the whole program.
@@ -30,11 +30,9 @@ except ImportError:  # Windows
     fcntl = None
 
 ROOM = 8_000_000
-"""Free disk space that is needed to compile a module [bytes]; this includes 5 MB for the
-headers.
-"""
+"""Free disk space that is needed to compile a module [bytes], including 5 MB for headers."""
 FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
-"""Patterns of the names of temporary files, which remain if the compiling process is killed."""
+"""Patterns of the names of temporary files that remain if the compiling process is killed."""
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
 OLD = 600
@@ -42,7 +40,7 @@ OLD = 600
 
 
 def keep_sound() -> None:
-    """Make Warp repair its cache from now on, and remove files that killed programs left.
+    """From now on, make Warp repair its cache; remove the files of killed programs.
 
     Unknown versions of Warp are not changed.
     """
@@ -72,8 +70,8 @@ def keep_sound() -> None:
 
 
 def compiled_file(kernel: Any, device: str) -> Path | None:
-    """Return the path of the compiled file of a kernel's module for this CPU or GPU; None if there
-    is no cache.
+    """Return the path of the compiled module of a kernel, for this device; None if there is no
+    cache.
     """
     if wp.config.kernel_cache_dir is None:
         return None
@@ -89,7 +87,7 @@ def compiled_file(kernel: Any, device: str) -> Path | None:
 def _load_mended(
     load: Any, module: Any, device: Any, block: Any = None, *rest: Any, **options: Any
 ) -> Any:
-    """Load a module; if the module's cached files are broken, compile the module again."""
+    """Load a module; compile it again if the cached files are broken."""
     block = options.pop("block_dim", block)
     if rest or options:  # the caller names the file to load
         return load(module, device, block, *rest, **options)
@@ -116,7 +114,7 @@ def _discard(folder: Path) -> None:
 
 
 def _is_whole(file: Path) -> bool:
-    """Return whether a cached file looks complete, without loading the file.
+    """Return whether a cached file looks complete, without loading it.
 
     If the disk was full or the power failed while a file was written, the file is truncated or ends
     in zeros.
@@ -148,7 +146,7 @@ def _is_json(text: bytes) -> bool:
 
 @contextmanager
 def _building(folder: Path | None) -> Iterator[None]:
-    """Compile a module within this context; if the compilation fails, remove the module's files."""
+    """Within this context, a module is compiled; after a failure, remove the module's files."""
     with _lock(wait=True):
         if folder is not None and not folder.is_dir():
             _refuse_full(folder.parent)
@@ -166,7 +164,7 @@ def _refuse_full(cache: Path) -> None:
         if shutil.disk_usage(cache).free < ROOM:
             limit = (
                 f"compiled kernels need {ROOM / 1e6:.0f} MB; set "
-                "WARP_CACHE_PATH to a folder that has room"
+                "WARP_CACHE_PATH to a folder with more space"
             )
             raise OSError(errno.ENOSPC, limit, str(cache))
 
@@ -189,7 +187,7 @@ def _sweep() -> None:
 
 
 def _is_abandoned(folder: Path) -> bool:
-    """Return whether the process that created a folder has ended."""
+    """Return whether a folder's process has ended."""
     number = PROCESS.search(folder.name)
     if number is None:
         return False
@@ -204,7 +202,7 @@ def _is_abandoned(folder: Path) -> bool:
 
 @contextmanager
 def _lock(*, wait: bool) -> Iterator[bool]:
-    """Lock the cache, with a shared lock for compiling or an exclusive lock for cleaning up.
+    """Lock the cache: shared for compiling, exclusive for cleaning up.
 
     Args:
         wait: If true, wait for the shared lock; if false, try once to get the exclusive lock.
@@ -259,7 +257,7 @@ def keep_headers() -> None:
 def headers_folder() -> Path:
     """Return the folder of the headers, which is next to the kernels of the same version of Warp.
 
-    Each installation of Warp has its own folder, because the compiler checks paths and times of the
+    Each installation of Warp has a separate folder, because the compiler checks paths and times of
     headers.
     """
     header = Path(wp.__file__).parent / "native" / "builtin.h"

@@ -1,8 +1,8 @@
-"""Makes Warp declare the Python variants of its functions only when Python first calls one of them.
+"""Makes Warp declare the Python variants of its functions only when one of them is called.
 
-Warp declares each function of its language once for kernels. It also declares about 2,300 variants,
-which Python code outside kernels can call with values such as `wp.vec3`. Declaring the variants
-took half of the time to import Warp.
+Warp declares each function of its language for kernels. In addition, it declares about 2,300
+variants that Python code outside kernels can call, with values such as `wp.vec3`. Declaring the
+variants took half of the time to import Warp.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ DECLARING = "warp._src.builtins"
 
 
 class LateVariants:
-    """A module finder that finds no modules. Python calls it just before Warp's functions are
-    declared, so that it can prepare Warp.
+    """A module finder that finds no modules, but prepares Warp just before its functions are
+    declared.
     """
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
@@ -30,17 +30,13 @@ class LateVariants:
 
 
 def declare_late() -> None:
-    """Make Warp declare the variants only when they are called; this works only if Warp is not
-    imported yet.
-    """
+    """Make Warp declare the variants only when they are called; call before importing Warp."""
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
 
 
 def _declare_late() -> None:
-    """Replace the function by which Warp declares functions. Unknown versions of Warp are not
-    changed.
-    """
+    """Replace Warp's function that declares functions. Unknown versions of Warp are not changed."""
     from phy124.runtime.late_parsing import KNOWN
 
     try:

@@ -1,4 +1,4 @@
-"""Makes Warp parse a device function only when the first kernel needs the function.
+"""Makes Warp parse a device function only when a kernel first needs the function.
 
 phy124 declares about 350 device functions, and a run uses a quarter of them. Parsing all device
 functions took a fifth of the time of phy124's imports.
@@ -19,8 +19,8 @@ OURS = "phy124.kernels."
 def parse_late() -> None:
     """From now on, make Warp parse each device function of phy124 only when it is needed.
 
-    Functions of other packages, kernels, and functions with `wp.static` are parsed at once. Unknown
-    versions of Warp are not changed.
+    Functions of other packages, kernels, and functions with `wp.static` are parsed immediately.
+    Unknown versions of Warp are not changed.
     """
     try:
         from warp import config
@@ -35,9 +35,7 @@ def parse_late() -> None:
     lock = threading.RLock()
 
     class LateAdjoint(usual):
-        """The parsed form of a device function. The function is parsed when an attribute of this
-        object is read for the first time.
-        """
+        """The parsed form of a device function, which is parsed when an attribute is first read."""
 
         parses_late = True
         has_unresolved_static_expressions = False
@@ -69,7 +67,8 @@ def parse_late() -> None:
             raise AttributeError(name)
 
     def find_references(module: Any, adj: Any) -> None:
-        # Warp uses references if a function is declared again, which phy124's functions never are.
+        # Warp uses references if a function is declared again; functions of phy124 are declared
+        # only once.
         if not adj.func.__module__.startswith(OURS):
             find(module, adj)
 

@@ -2,9 +2,8 @@
 
 When SciPy is imported, it formats the docstrings of its functions. SciPy's copy of NumPy's names
 also imports parts of NumPy that phy124 does not use. tyro uses typeguard, which imports `unittest`
-for one class, and with it the event loop and TLS. pydantic describes its schemas by 70 typed
-dictionaries, which only type checkers read. Without the parts for documentation and tests, the
-imports take half of the time.
+for a single class, and thereby the event loop and TLS. pydantic describes its schemas by 70 typed
+dictionaries, which only type checkers read. Without these parts, the imports take half of the time.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ UNUSED = {
     **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
-"""Name of a module that is not imported -> the classes that other modules import from it."""
+"""Classes that other modules import from modules that are not imported, by module name."""
 TYPED_ONLY = "pydantic_core.core_schema"
-"""Name of the module whose typed dictionaries only type checkers read."""
+"""Name of the module with typed dictionaries that only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")
 """SciPy's modules that a run uses."""
 FILMING = ("scipy.fft", "scipy.special")
-"""SciPy's modules that filming a clip uses."""
+"""SciPy's modules that rendering a clip uses."""
 _lock = Lock()
 
 
@@ -41,9 +40,7 @@ class PlainDict(dict[str, Any]):
 
 
 class PlainDocs(defaultdict[str, list[Any]]):
-    """Replacement for SciPy's parsed docstring: it parses nothing, and ignores changes of its
-    sections.
-    """
+    """Replacement for SciPy's parsed docstring; parses nothing, and ignores changes of sections."""
 
     def __init__(self, function: object) -> None:
         super().__init__(list)
@@ -54,7 +51,7 @@ class PlainDocs(defaultdict[str, list[Any]]):
 
 
 def import_lightly(*names: str) -> None:
-    """Import modules; replace modules that the imported modules do not need by empty ones."""
+    """Import modules; replace modules that they do not need by empty modules."""
     with _lock:
         missing = [name for name in names if name not in sys.modules]
         if missing:
@@ -65,9 +62,7 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Within this context, replace modules that are not needed by empty modules, unless they are
-    already imported.
-    """
+    """Within this context, replace unneeded modules by empty modules, unless already imported."""
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")

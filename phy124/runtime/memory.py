@@ -1,4 +1,4 @@
-"""Measures the memory available to this process, and refuses limits that are too small."""
+"""Measures the memory available to this process, and checks that limits are large enough."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ HEAPS = "MALLOC_ARENA_MAX"
 
 
 def release(array: object) -> None:
-    """Give the memory of a memory-mapped array back to the system after the array has been read.
+    """Return the memory of a memory-mapped array to the system after the array has been read.
 
-    If memory is not given back, a long run that reads all its frames from disk seems to need memory
-    for all frames.
+    Otherwise, a long run that reads all frames from disk seems to need memory for all frames.
     """
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):
@@ -38,10 +37,10 @@ def release(array: object) -> None:
 
 
 def trim() -> None:
-    """Give freed memory back to the system.
+    """Return freed memory to the system.
 
-    The arrays of each frame leave gaps between small objects when they are freed, and the C library
-    keeps these gaps. In a long run, the gaps add up to the size of all frames.
+    When the arrays of a frame are freed, they leave gaps between small objects, which the C library
+    keeps. In a long run, the gaps add up to the size of all frames.
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this function
         ctypes.CDLL(None).malloc_trim(0)
@@ -88,16 +87,16 @@ def _of_process() -> float:
 
 
 NEEDED = 1.2e9
-"""Measured address space that the libraries, the kernels and a small object take [bytes]."""
+"""Address space that the libraries, the kernels and a small object need [bytes], as measured."""
 STACK = 512 << 10
-"""Stack size that runs and the compilation of kernels need [bytes]; with half this size, a run
+"""Stack size for runs and for the compilation of kernels [bytes]; with half this size, a run
 crashes.
 """
 THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def share_heap() -> None:
-    """Make all threads share one heap, so that repeated runs do not use more and more memory.
+    """Make all threads use one heap, so that repeated runs do not need more and more memory.
 
     By default glibc opens up to eight heaps per core, and rarely returns their memory. Call this
     function before the first thread starts, because existing heaps stay. If MALLOC_ARENA_MAX is
@@ -110,7 +109,7 @@ def share_heap() -> None:
 
 
 def refuse_narrow() -> None:
-    """Refuse limits of stack or address space that are too small, before NumPy is imported.
+    """Check that the limits of stack and address space are large enough, before NumPy is imported.
 
     If the address space is limited but large enough, OpenBLAS gets a single thread, because each
     OpenBLAS thread allocates buffers.
@@ -132,16 +131,15 @@ def refuse_narrow() -> None:
     if most < NEEDED:
         allowed, needed = f"{most / 1e9:.1f} GB", f"{NEEDED / 1e9:.1f} GB"
         raise MemoryError(
-            f"`ulimit -v` allows {allowed} of address space, but {needed} are needed: raise it"
+            f"`ulimit -v` allows {allowed} of address space, but {needed} are needed: raise the "
+            f"limit"
         )
     os.environ.setdefault(THREADS, "1")
     _take_buffers()
 
 
 def _take_buffers() -> None:
-    """Call each copy of OpenBLAS once, so that it allocates its buffers now and not later under
-    load.
-    """
+    """Call each copy of OpenBLAS once, to allocate its buffers now instead of under load."""
     import numpy as np
     import scipy.linalg
 

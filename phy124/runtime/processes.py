@@ -21,9 +21,9 @@ Result = TypeVar("Result")
 
 @contextmanager
 def processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Provide a pool of `count` processes; the processes are terminated when the context ends.
+    """Provide a pool of `count` processes, which are terminated at the end of the context.
 
-    The processes are spawned, because a forked process would share the threads of Warp.
+    The processes are spawned, because a forked process would contain the threads of Warp.
     """
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
@@ -41,7 +41,7 @@ def as_done(
     tasks: Iterable[Task],
     beat: Callable[[], object],
 ) -> Iterator[tuple[Task, Result]]:
-    """Yield each task with its result, as soon as the task is finished.
+    """Yield each task with its result as soon as the task is finished.
 
     Args:
         pool: The processes.
@@ -50,7 +50,7 @@ def as_done(
         beat: Function that is called at least every `BEAT` seconds; it may raise Cancelled.
 
     Raises:
-        OSError: A worker process was killed, most likely for lack of memory.
+        OSError: A worker process was killed, most likely because of a lack of memory.
     """
     waiting = {pool.submit(work, task): task for task in tasks}
     while waiting:
@@ -65,9 +65,7 @@ def as_done(
 
 
 def _begin() -> None:
-    """Start Warp in a worker process, and ignore Ctrl-C, because the parent process handles
-    Ctrl-C.
-    """
+    """Start Warp in a worker process, and ignore Ctrl-C, which the parent process handles."""
     share_heap()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

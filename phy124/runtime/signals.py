@@ -16,12 +16,11 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Within this context, make the signals that end a process call `handler`; this works only in
-    the main thread.
+    """Within this context, signals that end a process call `handler`; only in the main thread.
 
     Signals that the parent process has set to be ignored (nohup) stay ignored, unless they are in
-    `always`. This exception is needed because a shell without job control makes background
-    processes ignore SIGINT.
+    `always`. This exception exists because a shell without job control makes background processes
+    ignore SIGINT.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():
@@ -41,7 +40,7 @@ interrupt: Handler = signal.default_int_handler
 
 
 def ending(status: int, text: str = "") -> Handler:
-    """Return a handler that prints a text and ends the process at once, without flushing files."""
+    """Return a handler that prints a text and ends the process without flushing files."""
 
     def end(number: int, frame: FrameType | None) -> None:
         del number, frame

@@ -22,8 +22,8 @@ NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
 def prepare() -> None:
-    """Prepare the start of Warp: keep Warp's messages away from standard output, and choose a
-    writable folder for compiled kernels.
+    """Prepare the start of Warp: suppress messages, and choose a writable folder for compiled
+    kernels.
     """
     keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
@@ -59,9 +59,7 @@ def kernel_folder() -> Path | None:
 
 
 def temporary_folder() -> Path:
-    """Return a folder that later runs of the same user can use, and to which no other user may
-    write.
-    """
+    """Return a folder for all runs of this user, to which no other user may write."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir()) / f"phy124-kernels-{user}"
     try:
@@ -76,7 +74,7 @@ def temporary_folder() -> Path:
 
 
 def _usable(folder: Path) -> bool:
-    """Test whether files can be written in a folder by writing a file."""
+    """Test whether a folder is writable, by writing a file."""
     if folder.parts[:1] == ("~",):  # this user has no home folder
         return False
     try:
@@ -89,7 +87,7 @@ def _usable(folder: Path) -> bool:
 
 @contextmanager
 def _without_line(unwanted: bytes) -> Iterator[None]:
-    """Within this context, drop an unwanted line that native code writes to standard error."""
+    """Within this context, suppress an unwanted line that native code writes to standard error."""
     try:
         usual = os.dup(2)
     except OSError:  # standard error is closed

@@ -12,11 +12,9 @@ T = TypeVar("T")
 
 
 class Stopwatch:
-    """Adds up the seconds and the kernel launches of each named stage; a stage may be entered
-    several times.
+    """Adds up the seconds and the kernel launches of named stages; a stage may occur repeatedly.
 
-    If a stage runs inside another stage, the time of the inner stage is not added to the outer
-    stage.
+    If a stage runs inside another stage, the outer stage does not include the inner stage's time.
     """
 
     def __init__(self) -> None:
@@ -27,7 +25,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time that is spent in this context to the stage."""
+        """Add the time spent in this context to a stage."""
         before, self._thread.inner = getattr(self._thread, "inner", 0.0), 0.0
         start = time.perf_counter()
         try:
@@ -38,7 +36,7 @@ class Stopwatch:
             self._thread.inner = before + spent
 
     def each(self, name: str, items: Iterable[T]) -> Iterator[T]:
-        """Yield the items; add the time that it takes to produce each item to the stage."""
+        """Yield items; add the time to produce each item to a stage."""
         iterator = iter(items)
         try:
             while True:
@@ -64,9 +62,7 @@ class Stopwatch:
         return time.perf_counter() - self.start
 
     def data(self) -> list[dict[str, Any]]:
-        """Return the name, the seconds and, if counted, the kernel launches of each stage, as plain
-        data.
-        """
+        """Return name, seconds and, if counted, kernel launches of each stage, as plain data."""
         return [
             {"name": name, "seconds": seconds, "launches": self.launches.get(name)}
             for name, seconds in self.seconds.items()

@@ -1,8 +1,7 @@
-"""Makes errors of the standard streams harmless, such as closed streams, broken pipes, and missing
-characters.
+"""Handles errors of the standard streams: closed streams, broken pipes, and missing characters.
 
-Results matter more than messages. If a stream is closed or cannot be written, the remaining text is
-therefore discarded. A character that is missing in the encoding is written in ASCII.
+Results matter more than messages. If a stream is closed or broken, the remaining text is therefore
+discarded. A character that is missing in the encoding is replaced by ASCII.
 """
 
 from __future__ import annotations
@@ -20,16 +19,15 @@ from typing import Any, TextIO
 PLAIN = "phy124-plain"
 """Name of the error handler for characters that are missing in an encoding."""
 SPELLED = {"•": "*", "…": "...", "–": "-", "—": "-", "×": "x", "−": "-", "µ": "u"}
-"""Character -> ASCII replacement; characters that are not listed are written as their code
-point."""
+"""ASCII replacements of characters; other characters are written as code points."""
 
 
 @contextmanager
 def steady_streams() -> Iterator[list[OSError]]:
     """Within this context, writing to standard output and standard error never fails.
 
-    Yields a list of errors, to which an error is added when text for standard output is lost. It is
-    not an error if a reader closes the pipe early, since the reader has then read enough.
+    Yields a list, to which errors are added when text for standard output is lost. If a reader
+    closes the pipe early, this is not an error, since the reader has read enough.
     """
     _occupy()
     codecs.register_error(PLAIN, _spell)
@@ -46,8 +44,8 @@ def steady_streams() -> Iterator[list[OSError]]:
 def _occupy() -> None:
     """Open the null device for each standard stream that is closed.
 
-    Without an open stream, the next opened file would get the number of the closed stream, and
-    receive the text that native code prints.
+    Otherwise, the next opened file would get the number of the closed stream, and the output of
+    native code.
     """
     for number in range(3):
         try:
@@ -57,7 +55,7 @@ def _occupy() -> None:
 
 
 def _steady(stream: TextIO | None, problems: list[OSError]) -> Any:
-    """Return a stream that writes to `stream` and never fails; for None, the null device."""
+    """Return a stream that writes to `stream` and never fails; the null device for None."""
     if stream is None:
         return open(os.devnull, "w", encoding="utf-8", errors=PLAIN)
     if not isinstance(stream, io.TextIOWrapper) or not _is_file(stream):
@@ -110,8 +108,7 @@ class _Steady(io.RawIOBase):
 
 
 def _spell(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Replace a character that is missing in the encoding by bytes, by ASCII characters, or by its
-    code point.
+    """Replace a character that is missing in the encoding by bytes, ASCII, or its code point.
 
     File names that are not text contain lone surrogates; these are written as the original bytes.
     """

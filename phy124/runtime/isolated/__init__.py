@@ -1,10 +1,10 @@
 """Runs native third-party code on a user's data in a separate process that can be killed.
 
 An endless C++ loop cannot be interrupted from Python, neither by Ctrl-C nor by a thread. The
-process is started from a file of this package, not by `multiprocessing`. A user's script therefore
-needs no `if __name__ == "__main__"`, and `run` works from any thread and on every platform. The
-process imports only the function's own module. The process ends when its time limit is reached,
-when the wait is interrupted or cancelled, and when the waiting process dies.
+process is started from a file of this package instead of by `multiprocessing`. A user's script
+therefore needs no `if __name__ == "__main__"`, and `run` works from any thread and on every
+platform. The process imports only the function's own module. The process is ended when its time
+limit is over, when the caller is interrupted or cancels, and when the caller's process dies.
 """
 
 from __future__ import annotations
@@ -30,20 +30,19 @@ NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 
 
 class Deadline(NamedTuple):
-    """Time limit of isolated code, and a function that may cancel the code."""
+    """Time limit of isolated code, and a function that may cancel it."""
 
     seconds: float = 120.0
     beat: Callable[[], object] = lambda: None
-    """Function that is called ten times a second; if it raises an exception, the process is
-    ended."""
+    """Function that is called ten times a second; an exception of the function ends the process."""
 
 
 PATIENT = Deadline()
-"""Time limit [s]: two minutes. A segmentation takes half a second on an otherwise idle machine."""
+"""Time limit [s]. For comparison, a segmentation takes half a second on an idle machine."""
 
 
 class Unfinished(Exception):
-    """Raised if the process took too long or crashed; the message completes a sentence."""
+    """Raised if the process took too long or crashed; the message is the end of a sentence."""
 
 
 class RemoteTraceback(Exception):
@@ -61,21 +60,21 @@ def run(
 ) -> T:
     """Call a module's function in another process, and return its result.
 
-    An exception of the function is raised in this process, too. Arguments and result must be
+    An exception of the function is raised again in this process. Arguments and result must be
     picklable.
 
     Args:
         function: The function.
         deadline: Time limit and cancellation.
-        memory: Memory limit of the process [bytes], on systems that support it; above it the
-            function gets a MemoryError.
+        memory: Memory limit of the process [bytes], on systems that support limits; above the
+            limit, the function gets a MemoryError.
         arguments: The function's arguments.
 
     Raises:
         Unfinished: The time is over, or the process crashed.
     """
     if getattr(sys, "frozen", False) or not sys.executable:
-        # No Python interpreter can be started: the program would start itself.
+        # There is no Python interpreter to start: the program would start itself.
         return function(*arguments)
     order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
     with _log() as log:
@@ -102,7 +101,7 @@ def run(
 
 
 def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) -> bytes:
-    """Return everything that the process writes until it ends."""
+    """Return the output of the process, after it has ended."""
     answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_talk, args=(child, order, answers), daemon=True).start()
     end = time.monotonic() + deadline.seconds
@@ -116,7 +115,7 @@ def _answer(child: subprocess.Popen[bytes], order: bytes, deadline: Deadline) ->
 
 
 def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQueue[bytes]) -> None:
-    """Send the order and read the answer, each in a thread, because both may block."""
+    """Send the request and read the answer in separate threads, because both may block."""
     assert child.stdin is not None and child.stdout is not None
     answer = b""
     with suppress(OSError), child.stdin as orders, child.stdout as output:

@@ -1,6 +1,6 @@
 """The child process of `phy124.runtime.isolated.run`: calls a function and writes its result.
 
-The file is run by its path, which imports nothing of phy124.
+The file is started by its path, so that no other module of phy124 is imported.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from contextlib import suppress
 
 
 def main() -> None:
-    """Read an order from standard input, and write the pickled result to standard output."""
+    """Read a request from standard input, and write the pickled result to standard output."""
     # Ctrl-C reaches the whole process group, but the waiting process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print goes to standard error
+    os.dup2(2, 1)  # Output of libraries goes to standard error.
     try:
         memory, sys.path[:] = pickle.load(sys.stdin.buffer)
         if memory is not None:
@@ -38,7 +38,9 @@ def _limit(memory: int) -> None:
     """Limit the memory of this process from now on [bytes]."""
     # Otherwise each thread of OpenBLAS, which comes with NumPy, reserves tens of megabytes.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    with suppress(ImportError, OSError, ValueError):  # not on every platform
+    with suppress(
+        ImportError, OSError, ValueError
+    ):  # This module does not exist on every platform.
         import resource
 
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
@@ -55,8 +57,8 @@ def _pickle_error(error: Exception) -> bytes:
 
 
 def _end_with_parent() -> None:
-    """Exit when standard input ends, because the waiting process has then ended, too."""
-    # Not through sys.stdin, whose lock would then be held for ever.
+    """Exit when standard input ends, because the waiting process has then ended as well."""
+    # Reading through sys.stdin would keep the lock of sys.stdin for ever.
     while os.read(0, 1):
         pass
     os._exit(1)
