@@ -92,3 +92,19 @@ def test_a_shock_of_one_substep_ends_within_a_few():
         clock.closing = 0.0
     assert shocks == sorted(shocks, reverse=True)
     assert 3 <= sum(shocks) <= 6
+
+
+@pytest.mark.parametrize("damping", [0.0, 3000.0])
+def test_only_the_frequency_of_a_damped_body_is_called_steady(damping):
+    solver = make(block((0.2, 0.2, 0.2)), SOFT.model_copy(update={"damping": damping}))
+    known = []
+    for squeezed in (1.0, 1.0, 0.8, 0.8):
+        solver.nodes_state.u.assign((squeezed - 1) * solver.lattice.x)
+        solver.workers[0].run(0)
+        solver._measure_frequency()
+        known.append(solver.spectrum.steady)
+    expected = [True, True, False, True] if damping else [False] * 4
+    assert known == expected
+    solver.spectrum.steady = damping == 0
+    solver.restore({**solver.snapshot(), "spectrum": {**solver.spectrum.snapshot()}})
+    assert solver.spectrum.steady == (damping == 0)

@@ -141,7 +141,7 @@ class Meeting:
         every = wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
         read = [pairs[name] for name in ("nodes", "normal", "slopes", "back")]
         changed = [pairs[name] for name in ("weights", "rest", "shift")]
-        limits = [SIDEWAYS * model.dx, REACH * model.dx, int(self._between)]
+        limits = [SIDEWAYS * model.dx, self.reach, int(self._between)]
         meet = model.launch(
             make_meet(real, nodes.rows),
             1,
@@ -186,11 +186,7 @@ class Meeting:
         def stage(*numbers: int) -> Named:
             def act() -> None:
                 for number in numbers if len(self._points) else ():
-                    launch, place = self._launches[number]
-                    launch.set_param_at_index(place, len(self._points))
-                    if number == 0 and self._response == "separate":
-                        launch.set_param_at_index(2, self.reach)
-                    launch.launch()
+                    self._launches[number][0].launch()
                 if 2 in numbers and self._passed is not None and len(self._points):
                     self._pass.set_dim(len(self._points))
                     self._pass.launch()
@@ -199,6 +195,13 @@ class Meeting:
 
         sums = range(2, 2 + (self._sums is not None) + (work is not None))
         return [stage(0), stage(1), *([stage(*sums)] if sums else [])]
+
+    def limit(self, reach: float) -> None:
+        """Set the distance within which contact is computed [m], unless points stick together."""
+        if self._response == "separate" and reach != self.reach:
+            self.reach = reach
+            for launch, _ in self._launches[:1]:
+                launch.set_param_at_index(2, reach)
 
     def follow(self, x: NDArray[np.float64]) -> None:
         """Determine the pairs again if the parts have moved relative to each other.
@@ -275,6 +278,8 @@ class Meeting:
         if len(points):
             for name, array in self._pairs.items():
                 array[: len(points)].assign(pairs[name])
+            for launch, place in self._launches:
+                launch.set_param_at_index(place, len(points))
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot: the pairs and their forces."""
@@ -287,5 +292,6 @@ class Meeting:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self._seen, self._flagged = (np.array(snapshot[name]) for name in ("seen", "flagged"))
-        self._away, self.reach = bool(snapshot["away"]), float(snapshot["reach"])
+        self._away = bool(snapshot["away"])
+        self.limit(float(snapshot["reach"]))
         self._fill(np.array(snapshot["points"]), snapshot)

@@ -122,7 +122,7 @@ class Meetings:
         if self._place is None:
             return
         for meeting in self.every:
-            meeting.reach = min(REACH * self._dx, 2 * AHEAD * step + CLOSE * self._dx)
+            meeting.limit(min(REACH * self._dx, 2 * AHEAD * step + CLOSE * self._dx))
         if 2 * self.way < self._slack:
             return
         self._place.launch()

@@ -51,8 +51,9 @@ from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_launches, run_time
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.25, 0.25
-"""`STRAIN`: largest strain between two measurements of the largest frequency. `WAY`: largest
-displacement of a point [cells] between two measurements of its distance from walls.
+"""`STRAIN`: largest strain between two measurements of the largest frequency; twice as large while
+the frequency is steady. `WAY`: largest displacement of a point [cells] between two measurements of
+its distance from walls.
 """
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
@@ -425,7 +426,8 @@ class LatticeSolver:
         # Until the next measurement, the strain grows at the present rate.
         ahead = clock.interval * clock.extremes.gradient * clock.stable().dt
         late = clock.substeps + clock.interval > self._probed + SLOWEST
-        self._probing = late or not self._strain + ahead < STRAIN
+        enough = 2 * STRAIN if self.spectrum.steady else STRAIN
+        self._probing = late or not self._strain + ahead < enough
         if self._travel > TRAVEL * self.model.dx:
             self._look()
         self._list_near()

@@ -37,6 +37,9 @@ iterations, and would grow without viscosity.
 MIXED = 0.1
 """Size of the accelerations that are added to the shape before an iteration, relative to the shape.
 """
+STEADY = 0.05
+"""Largest relative change of the squared frequency between two measurements of a steady frequency.
+"""
 MISSED = 1.1
 """Factor on squared frequencies, because the iterations underestimate frequencies."""
 
@@ -93,6 +96,8 @@ class Spectrum:
         nodes.lagging.assign(v)
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
+        self.steady = False
+        """Whether the last two measurements agree, and the fastest vibration is damped."""
         self._stiffened = 1.0
         """Factor (at least 1) on the initial stiffness of all materials."""
 
@@ -132,9 +137,11 @@ class Spectrum:
         self._crew.accelerate()
         largest = float(np.abs(self._crew.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
-        hard = self.square > SQUEEZED * self._least and self._damping_ratio < UNDAMPED
+        damped, before = self._damping_ratio >= UNDAMPED, self.square
+        hard = before > SQUEEZED * self._least and not damped
         rounds = FOLLOWED if hard else 1
         self.square = max(self._least, MISSED * self._iterate(share, rounds))
+        self.steady = damped and abs(self.square - before) < STEADY * before
 
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
@@ -173,15 +180,16 @@ class Spectrum:
         return float(np.abs(self._shape.numpy()).max())
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the last shape and frequency."""
+        """Return a snapshot: the last shape, its frequency, and whether the frequency is steady."""
         shape, factor = self._shape.numpy().copy(), self._stiffened
-        return {"shape": shape, "square": self.square, "stiffened": factor}
+        known = {"square": self.square, "steady": self.steady, "stiffened": factor}
+        return {"shape": shape, **known}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self._shape.assign(np.array(snapshot["shape"]))
         self.stiffen(snapshot.get("stiffened", 1.0))
-        self.square = snapshot["square"]
+        self.square, self.steady = snapshot["square"], snapshot.get("steady", False)
 
 
 def _shorten(z: float) -> float:

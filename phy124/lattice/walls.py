@@ -207,7 +207,7 @@ class Walls:
         """
         for contact in self._contacts:
             if contact.separates:
-                contact.reach = min(REACH * self._dx, AHEAD * step + CLOSE * self._dx)
+                contact.limit(min(REACH * self._dx, AHEAD * step + CLOSE * self._dx))
         width = STEP * self._dx
         steps = math.ceil(approach / width)
         if steps > self._listed:
@@ -317,6 +317,12 @@ class _Contact:
                 self._list[: len(near)].assign(self._near)
             self._count()
 
+    def limit(self, reach: float) -> None:
+        """Set the distance from the wall within which contact is computed [m]."""
+        if reach != self.reach:
+            self.reach = reach
+            self._of_all[0].set_param_at_index(2, reach)
+
     def record(
         self, impulses: Impulses | None, work: ContactWork | None, passed: PassedOn | None
     ) -> list[Callable[[], None]]:
@@ -330,7 +336,6 @@ class _Contact:
             if len(self._near):
                 if self.clamped:
                     yields.launch()
-                first.set_param_at_index(2, self.reach)
                 first.launch()
 
         self._of_each = [self._yield(), self._account()]
@@ -371,7 +376,7 @@ class _Contact:
         """Record the launch that finds touching points and applies their previous impulses."""
         model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
         inputs = [
-            self._list, 0, REACH * model.dx, self._shape, self._slot, points.nodes,
+            self._list, 0, self.reach, self._shape, self._slot, points.nodes,
             points.weights, points.rest, nodes.movable, self._yields, nodes.u, tracks.clock,
             tracks.values,
         ]  # fmt: skip

@@ -96,13 +96,14 @@ def make_flag(real: Any):
         while wp.hash_grid_query_next(query, j):
             way = x[j] - here
             square = wp.dot(way, way)
-            if square < far * far and near == 0 and j != i:
+            if square < far * far and j != i:
                 b = sample[j]
                 still = rest[b] - rest[a]
                 closer = square < real(NEARER) * real(NEARER) * wp.dot(still, still)
                 if between or closer or apart(side, a, b):
                     if may_meet(between, dx, rest, normal, body, side, a, b):
                         near = 1
+                        break
         flagged_out[i] = near
 
     return flag
