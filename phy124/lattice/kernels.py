@@ -61,8 +61,7 @@ def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -
     for law, viscous in model_laws:
         if vectors and simd.has_stress(law):
             yield from (simd.make_stress_simd(law, viscous), simd.make_totals_simd(law))
-            if not viscous:
-                yield simd.make_measure_simd()
+            yield simd.make_measure_simd()
             continue
         yield from (make_stress(law, real, viscous), make_lattice_measure(real))
         yield make_totals(law, real)

@@ -191,7 +191,6 @@ class Crew:
         pushes: Tracks | None = None,
         *,
         trial: bool = False,
-        v: wp.array | None = None,
     ) -> list[Named]:
         """Return the launches that sum the forces of a worker's points on the nodes.
 
@@ -199,10 +198,9 @@ class Crew:
             worker: The worker.
             pushes: The tracks of forces on points; None: no force acts on points.
             trial: Whether to compute the forces due to trial displacements.
-            v: Velocities of the nodes on which viscosity acts [N,3], m/s; None: `Nodes.lagging`.
         """
-        out, v = worker.trial if trial else worker.forces, self._nodes.lagging if v is None else v
-        motion = self.trial_u if trial else self._nodes.u, v
+        out = worker.trial if trial else worker.forces
+        motion = self.trial_u if trial else self._nodes.u, self._nodes.lagging
         outputs = [out, self._unread if trial else worker.maxima, self.stray]
         records = [self._stress(worker, group, motion, outputs) for group in self._model.groups]
         stress = [("clear", out.zero_), *launches(records)]
@@ -462,8 +460,6 @@ class Crew:
 
     def _measure(self, worker: Worker) -> list[Named]:
         """Return the launches that follow a worker's points and measure their motion."""
-        if self.measuring:
-            return self.force(worker, v=self._nodes.v)
         model, state, nodes, records = self._model, self._state, self._nodes, []
         outputs = [worker.maxima, self.stray]
         for group in model.groups:
@@ -478,7 +474,9 @@ class Crew:
             records.append(("measure", launch))
         plain = not all(self.vectors(group) for group in model.groups)
         follows = self._follow(worker) if plain else []
-        return [*follows, ("measure", worker.maxima.zero_), *launches(records)]
+        # The maxima that kernels of viscous stress have measured are kept.
+        reset = [] if self.measuring else [("measure", worker.maxima.zero_)]
+        return [*follows, *reset, *launches(records)]
 
 
 def is_viscous(group: Group, model: Model) -> bool:
