@@ -219,7 +219,7 @@ def make_follow_simd():
 
     @native_kernel(
         "phy124_lattice_follow_simd",
-        code(*MOTION, "lattice_points:follow"),
+        code(*MOTION, "lattice_points:places", "lattice_points:follow"),
         seconds=1.0,
     )
     def lattice_follow_simd(
@@ -246,7 +246,9 @@ def make_locate_simd():
     """Kernel over blocks of sixteen cells, equivalent to `make_locate`, for float32."""
 
     @native_kernel(
-        "phy124_lattice_locate_simd", code("lattice", "lattice_points:locate"), seconds=0.6
+        "phy124_lattice_locate_simd",
+        code("lattice", "lattice_points:places", "lattice_points:locate"),
+        seconds=0.6,
     )
     def lattice_locate_simd(
         full_blocks: int,

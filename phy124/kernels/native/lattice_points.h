@@ -65,8 +65,31 @@ for (int lane = 0; lane < 16; ++lane) {
     range[1] = largest[lane] > range[1] ? largest[lane] : range[1];
 }
 
-//: follow
+//: places
+// Writes the points' positions and velocities, the latter also with `keep` (index, value).
 const float* const still = (const float*)rest.data;
+const auto place_points = [&](const Lanes* velocities, auto keep) {
+    alignas(64) Lanes shift[8][3], speed[8][3];
+    interpolate(U, shift);
+    interpolate(velocities, speed);
+    for (int point = 0; point < 8; ++point) {
+        alignas(64) Lanes moved[8] = {};
+        for (int d = 0; d < 3; ++d) moved[d] = shift[point][d], moved[3 + d] = speed[point][d];
+        transpose(moved);
+        for (int k = 0; k < 16; ++k) {
+            const long p = 3 * (8L * cells[k] + point);
+            const float* const row = (const float*)(moved + k % 8) + k / 8 * 8;
+            for (int d = 0; d < 3; ++d) {
+                ((float*)x_out.data)[p + d] = still[p + d] + row[d];
+                ((float*)v_out.data)[p + d] = row[3 + d];
+                keep(p + d, row[3 + d]);
+            }
+        }
+    }
+};
+
+//: follow
+place_points(W, [](long, float) {});
 // Writes nine numbers of a point for each cell.
 const auto store = [&](const Lanes* values, float* to, int point) {
     Lanes m[8];
@@ -78,43 +101,15 @@ const auto store = [&](const Lanes* values, float* to, int point) {
         out[8] = ((const float*)(values + 8))[k];
     }
 };
-alignas(64) Lanes shift[8][3], speed[8][3];
-interpolate(U, shift);
-interpolate(W, speed);
 for (int point = 0; point < 8; ++point) {
-    alignas(64) Lanes c[9], C[9], moved[8] = {};
-    for (int d = 0; d < 3; ++d) moved[d] = shift[point][d], moved[3 + d] = speed[point][d];
+    Lanes c[9], C[9];
     const Lanes J = cofactors(F_all[point], c);
     strain_rate(rates[point], c, 1.0f / larger(J, Lanes{} + FLOOR), C);
     store(C, (float*)C_out.data, point);
     store(F_all[point], (float*)F_out.data, point);
-    transpose(moved);
-    for (int k = 0; k < 16; ++k) {
-        const long p = 3 * (8L * cells[k] + point);
-        const float* const row = (const float*)(moved + k % 8) + k / 8 * 8;
-        for (int d = 0; d < 3; ++d) {
-            ((float*)x_out.data)[p + d] = still[p + d] + row[d];
-            ((float*)v_out.data)[p + d] = row[3 + d];
-        }
-    }
 }
 
 //: locate
-alignas(64) Lanes W[81], shift[8][3], speed[8][3];
+alignas(64) Lanes W[81];
 collect((const float*)v.data, W);
-interpolate(U, shift);
-interpolate(W, speed);
-const float* const still = (const float*)rest.data;
-for (int point = 0; point < 8; ++point) {
-    alignas(64) Lanes moved[8] = {};
-    for (int d = 0; d < 3; ++d) moved[d] = shift[point][d], moved[3 + d] = speed[point][d];
-    transpose(moved);
-    for (int k = 0; k < 16; ++k) {
-        const long p = 3 * (8L * cells[k] + point);
-        const float* const row = (const float*)(moved + k % 8) + k / 8 * 8;
-        for (int d = 0; d < 3; ++d) {
-            ((float*)x_out.data)[p + d] = still[p + d] + row[d];
-            ((float*)v_out.data)[p + d] = ((float*)kept_out.data)[p + d] = row[3 + d];
-        }
-    }
-}
+place_points(W, [&](long index, float value) { ((float*)kept_out.data)[index] = value; });
