@@ -1,7 +1,7 @@
 """Send frames no faster than subscribers acknowledge them, and wait for the last frames.
 
-Writers keep the last few frames. A subscriber loses a frame if a newer frame replaces it, or if the
-publisher ends, before the subscriber has acknowledged the frame.
+Writers keep the last few frames. A subscriber loses an unacknowledged frame if a newer frame
+replaces it or the publisher ends.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
 The tools call the functions of the endpoints, so the same checks and limits apply. Gradio's MCP
-server is not used, because it stores pictures of any size before they are checked, all agents share
-one session, and /render cannot use a run of /generate. Source of the protocol:
+server is not used, because it stores pictures before their size is checked. In addition, all of its
+agents share one session, and /render cannot use a run of /generate. Source of the protocol:
 modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without sessions.
 """
 

@@ -2,9 +2,9 @@
 
 A level is a run of the scene on one grid. For a maximum error, levels are run from coarse to fine.
 Each level has at most 1.5 times as many cells across the object as the previous level. After three
-levels, the order of convergence and the error of each level are estimated, and the next level is
-the coarsest grid that is predicted to meet the goal. The search ends when a level meets the goal.
-If the estimates are correct, the chosen grid therefore has at most 1.5 times as many cells as
+levels, the order of convergence and the error of each level are estimated. The next level is the
+coarsest grid that is predicted to meet the goal. The search ends when a level meets the goal. If
+the estimates are correct, the chosen grid therefore has at most 1.5 times as many cells as
 necessary. If the material tears on a level (phy124/monitor/tearing.py), the level is repeated with
 one more particle per cell and axis. All later levels also use this number of particles.
 

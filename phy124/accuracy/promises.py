@@ -38,10 +38,9 @@ class Promise:
     """The error bound of a scene, or the reason why there is none."""
 
     error: float | None
-    """Bound on the RMS distance of the Gaussians from the exact motion, as a fraction of the
-    object's size; None if there is no bound.
+    """Bound on the RMS distance of the Gaussians from the exact motion, or None.
 
-    The RMS is taken over the clip, or over its first `seconds`.
+    The unit is the object's size. The RMS is taken over the clip, or over its first `seconds`.
     """
     why: str
     """A sentence that names the source of the bound, or the reason why there is none."""

@@ -23,9 +23,9 @@ LOOKS = {"tint", "visibility"}
 def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene: its energy relative to the stiffness, 2 e / c^2 + s^2.
 
-    Here 2 e is twice the energy per mass (see `energy`), c the speed of waves in a bar of the
-    object's softest material, and s the deformation by walls and hands, relative to the object's
-    size.
+    Here 2 e is twice the energy per mass (see `energy`). The speed of waves in a bar of the
+    object's softest material is c. The deformation by walls and hands, relative to the object's
+    size, is s.
 
     Args:
         scene: The scene.

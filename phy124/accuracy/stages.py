@@ -1,9 +1,8 @@
 """Predicts the time of a substep on lattices, stage by stage.
 
-Trial runs at rest do not show the full cost of a motion, because some stages take longer in motion:
-contact, the search for touching parts, and measurements of the vibration frequency. The calls of
-each stage are counted in a pilot run of the whole motion; the duration of a call is measured in a
-trial run on the grid of the run.
+Some stages take longer in motion than at rest: contact, the search for touching parts, and
+measurements of the vibration frequency. Therefore, the calls of each stage are counted in a pilot
+run of the whole motion. The duration of a call is measured in a short trial run on the final grid.
 """
 
 from __future__ import annotations
@@ -39,9 +38,9 @@ def average_stages(timings: Timings, substeps: int) -> dict[str, Stage]:
 def predict_substep(pilot: Stages, probe: Stages, finer: float, total: float) -> float:
     """Predict the mean time of a substep in a run [s].
 
-    Calls of some stages, such as contact, take longer in motion than at rest. For such a stage, the
-    time of the pilot's calls is multiplied by `finer`, because the number of surface points along a
-    line grows with the number of cells.
+    Calls of some stages, such as contact, take longer in motion than at rest. The time of these
+    calls in the pilot run is multiplied by `finer`, because the number of surface points along a
+    line is proportional to the number of cells.
 
     Args:
         pilot: The stages of the whole motion on a coarse grid.

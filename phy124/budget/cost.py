@@ -38,9 +38,8 @@ STEP = 6.0
 """Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
 """Times of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md). The
-first number is the time per lattice point with kernels for the CPU's vector units, and the second
-is the time per lattice point with other kernels. The third number is the time to launch the
-kernels.
+first two numbers are the times per lattice point: with kernels for the CPU's vector units, and with
+other kernels. The third number is the time to launch the kernels.
 """
 UNDAMPED, DAMPED = 1.5, 0.235
 """The first number is the longest stable substep of an undamped lattice at rest, in units of

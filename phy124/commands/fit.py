@@ -23,8 +23,8 @@ from phy124.studies.fit.declaration import parse_ranges
 class Fit:
     """Estimate stiffness, damping, friction or initial values from a clip, tracked points, or a
     video. `phy124 fit points.csv --object duck.ply --scene drop --find material.E=1e4..1e6`
-    searches on a coarse grid and refines on finer grids; the same command continues an interrupted
-    search.
+    searches on a coarse grid and refines the result on finer grids. The same command continues an
+    interrupted search.
     """
 
     target: tyro.conf.Positional[str]

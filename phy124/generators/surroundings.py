@@ -1,7 +1,7 @@
 """Detects whether a file of Gaussians shows, besides an object, a background or a sky.
 
-A capture often contains the surroundings of the object. This has two disadvantages. The object's
-size follows from the bounding box, which would be much too large, and the object and its
+A capture often contains the surroundings of the object. This has two disadvantages. The bounding
+box, which defines the object's size, would be much too large. In addition, the object and its
 surroundings would move as a single body.
 """
 

@@ -40,8 +40,7 @@ FRONT = 0.95
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Positions across a rim at which the rim is sampled, relative to half its width; its left and
-right ends are not sampled."""
+"""Positions of the samples across a rim, relative to half the rim's width, without the ends."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
 """Ratios of the heights of front half and back half that are tried.
 

@@ -60,8 +60,8 @@ def open_image(
     """Open a photograph upright, as RGBA in sRGB, with sides of at most `WORK_SIDE` pixels.
 
     If the file is an animation, only the first frame is used. The `info` of the result contains the
-    number of `frames`, the `size` of the upright image before it was reduced, and `notes`, which
-    are sentences about what was ignored.
+    number of `frames`, the `size` of the upright image before it was reduced, and `notes` about
+    ignored parts of the file.
 
     Args:
         path: The image file, or a pipe.

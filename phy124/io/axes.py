@@ -1,8 +1,8 @@
 """Converts the axes of a file to those of phy124, and rotates Gaussians.
 
 In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md). If `rotate`
-is set, this rotation is applied to the file first. The arguments `up` and `front`, or the file's
-dialect, then state which directions of the rotated file point up and to the front.
+is set, the file is rotated first. The arguments `up` and `front`, or the file's dialect, are
+directions in the rotated file.
 """
 
 from __future__ import annotations

@@ -75,9 +75,9 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 def centre_paths_differ(a: Clip, b: Clip) -> float:
     """Return the relative difference between the paths of the centres of two clips.
 
-    The difference is the largest distance between the displacements of the two centres at the same
-    time, divided by the largest displacement of either centre. If the difference is small, the
-    objects from two generators move in the same way.
+    The difference is the largest distance between the simultaneous displacements of the two
+    centres, divided by the largest displacement. If the difference is small, the objects from two
+    generators move in the same way.
 
     Raises:
         ValueError: The clips have different numbers of frames.

@@ -8,8 +8,7 @@ calls `simulate`. `simulate` prepares the scene (`phy124.simulation.prepare`) an
 report their progress and the duration of each stage. A run that is refused leaves no files. A
 cancelled run saves its finished frames only if `keep` is set. A run that the solver stops early
 always saves its finished frames. If a run ends in any other way (an error, lack of disk space or
-memory, a kill), the finished frames stay on disk, and `go_on` can continue the run. A complete clip
-also stays on disk.
+memory, a kill), the finished frames stay on disk for `go_on`. A complete clip also stays on disk.
 """
 
 from __future__ import annotations

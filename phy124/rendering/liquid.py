@@ -6,8 +6,8 @@ computed from these volumes, smoothed over `BLUR` cells. The liquid's surface is
 drawn, and Gaussians in thin spray become balls. Near flat walls, phi is the filled fraction of the
 space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto
 the wall. The opacity of a disc follows from the thickness of the liquid behind the disc
-(Beer-Lambert). Each of the two faces of a layer has half of the layer's optical depth, which is
-divided by the number of overlapping discs. A thin film on a wall has only one face.
+(Beer-Lambert). Each face of a layer has half of the layer's optical depth, divided by the number of
+overlapping discs. A thin film on a wall has only one face.
 """
 
 from __future__ import annotations

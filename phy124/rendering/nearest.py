@@ -3,10 +3,10 @@
 A point is in the picture if it lies between four planes through the camera. The planes are moved
 until they touch the outermost Gaussians. The two vertical planes then intersect in one line, and
 the two horizontal planes in another line. The more distant line determines the distance of the
-camera, and both lines determine the target. An object that is much longer along the view than
-across, such as a sword viewed end-on, would look distorted and blurred from this distance. For such
-objects, the camera is farther away and has a narrower field of view, so that the object has the
-same size in the picture.
+camera, and both lines determine the target. From this distance, an object that is much longer along
+the view than across, such as a sword, would look distorted and blurred. For such objects, the
+camera is farther away and has a narrower field of view, so that the object has the same size in the
+picture.
 """
 
 from __future__ import annotations
@@ -48,8 +48,11 @@ Single drops therefore have no effect.
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE, TRIES = 0.98, 8
-"""The search for a zoom ends when the camera's distance is at least this fraction of the smallest
-distance, or after this number of trials."""
+"""Two conditions that end the search for a zoom.
+
+The first is a smallest distance of the camera, relative to the smallest allowed distance. The
+second is a number of trials.
+"""
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08

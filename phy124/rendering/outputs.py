@@ -1,7 +1,7 @@
 """Writes depth, normals, flow, force and other quantities per pixel, as training data.
 
 The renderer blends values in the same way as colours. The value of a pixel is therefore the mean of
-the values of the Gaussians that it shows, weighted by their contributions to the pixel,
+the Gaussians' values, weighted by their contributions to the pixel,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 

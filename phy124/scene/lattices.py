@@ -19,8 +19,8 @@ Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as
 FARTHEST_DRIVEN = 0.5
 """Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
 chooses lattices if the object is held. The limit comes from a test in which the upper third of a
-ball is driven into its held foot, half the ball's size away. The run on a lattice stops early; the
-run with MPM does not.
+ball is driven into the held foot of the ball. The distance between the two is half the ball's size.
+The run on a lattice stops early; the run with MPM does not.
 """
 
 

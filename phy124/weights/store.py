@@ -1,8 +1,8 @@
 """Finds, checks and downloads files of trained weights.
 
-Nothing is downloaded unless `fetch` is called. Files are searched in the user's folder
-(`--weights`), then in the folder PHY124_WEIGHTS, then in the Hugging Face cache, and then in the
-package phy124.
+Nothing is downloaded unless `fetch` is called. Files are searched in four places, in this order:
+the user's folder (`--weights`), the folder PHY124_WEIGHTS, the Hugging Face cache, and the package
+phy124.
 """
 
 from __future__ import annotations

@@ -32,8 +32,8 @@ number is the smallest fraction of the silhouette's area that remains without th
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
 """Upper fraction of the height that may contain a face.
 
-In a face, the overlap (IoU) with the mirror image is at least the second value, and the correlation
-between the brightness of image and mirror image is at least the third value.
+The second value is the smallest overlap (IoU) of a face with its mirror image. The third value is
+the smallest correlation between the brightness of both images.
 """
 LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and smallest number of pixels
@@ -46,8 +46,8 @@ size."""
 SHORTER = 6.0
 """Exponent in the weights of rows and columns.
 
-The colour of a pixel on the back is a weighted mean of colours interpolated along its row and its
-column; the shorter of the two has the larger weight.
+The colour of a pixel on the back is the weighted mean of two colours, interpolated along the row
+and along the column. The shorter one of row and column has the larger weight.
 """
 COARSE = 3.0
 """Standard deviation of the filter that separates colours from fine texture [pixels]."""
@@ -70,8 +70,8 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     """Choose the look of the back: plain if the image [H,W,4] shows the front, otherwise mirrored.
 
     An image shows a front if its silhouette without thin parts is symmetric. It also shows a front
-    if the outline and the colours of its upper part are symmetric, such as a face above an
-    outstretched arm.
+    if only the upper part is symmetric in outline and colours, such as a face above an outstretched
+    arm.
     """
     solid = rgba[..., 3] > 0.5
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))

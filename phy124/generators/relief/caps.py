@@ -20,16 +20,18 @@ The front edge is the lowest line of the object in the image. The height of the 
 the remaining weight. If the end consists of separate feet, the weight of the front edge is 1.
 """
 STRIP, BLUR = 8, 12.0
-"""Height of the strip of the image along an end from which the end's colours are taken, and
-standard deviation of the filter that blurs them [pixels]."""
+"""Height of the image strip that provides the colours of an end, and blur of these colours.
+
+The unit is pixels; the blur is a standard deviation.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
     """The horizontal plane of a flat end.
 
-    If the near part of the plane would appear beyond the object's outline in the image, this part
-    is replaced by a bevel, which follows the view rays of the outline.
+    A near part of the plane may appear beyond the object's outline in the image. This part is
+    replaced by a bevel along the view rays of the outline.
     """
 
     level: float

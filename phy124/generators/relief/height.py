@@ -49,8 +49,8 @@ def _free(pool: ThreadPoolExecutor, made: list[Any]) -> None:
 class Silhouette:
     """The Laplace operator on the pixels inside a silhouette, with a rim at subpixel accuracy.
 
-    The rim is the contour alpha = 1/2. If a neighbour of a pixel is outside, and the rim is at the
-    distance theta from the pixel, the neighbour has the weight 1/theta. This is the symmetric
+    The rim is the contour alpha = 1/2. If a neighbour of a pixel is outside, the weight of the
+    neighbour is 1/theta, where theta is the pixel's distance from the rim. This is the symmetric
     second-order scheme of Gibou et al. 2002.
     """
 

@@ -2,9 +2,9 @@
 
 Round parts are as deep as they are wide. The solid is the union of all balls that fit inside, so a
 disc becomes a ball and a limb becomes a cylinder. An object is assumed to be a solid of revolution
-if the outline has a waist and each row is a single run of pixels, centred on a common axis. Each
-row is then as deep as it is wide. A shape with straight edges and without shading is assumed to be
-a flat slab. If there is a depth map, it replaces the guessed shape of the front.
+under two conditions: the outline has a waist, and each row is a single run of pixels, centred on a
+common axis. Each row is then as deep as it is wide. A shape with straight edges and without shading
+is assumed to be a flat slab. If there is a depth map, it replaces the guessed shape of the front.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 The lattice surrounds the object in the first frame. The displacement of a Gaussian is interpolated
 trilinearly from the eight nodes around it. In each frame, the displacements of the nodes are fitted
-to the displacements of the Gaussians by least squares. If the error of a Gaussian would exceed
-`TOLERANCE` times the object's size, the file stores an extra shift of this Gaussian in each frame.
-The file states the remaining error of each Gaussian. Layout, little endian, with offsets from the
-start of the file:
+to the displacements of the Gaussians by least squares. For each Gaussian whose error would exceed
+`TOLERANCE` times the object's size, the file stores an extra shift in each frame. The file states
+the remaining error of each Gaussian. Layout, little endian, with offsets from the start of the
+file:
 
     bytes          content
     0 to 7         "PHY4D" 0 1 0

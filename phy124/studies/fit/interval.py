@@ -3,8 +3,8 @@
 J is the Jacobian of the measurements in units of their errors. The Fisher matrix J^T J shows how
 precisely each direction in the space of values is determined. Along an eigenvector with eigenvalue
 l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of two parts. The
-first is the error from a bootstrap over groups of measurements, and the second is the effect of the
-grid's error.
+first part is the error from a bootstrap over groups of measurements. The second part is the effect
+of the grid's error.
 
 Each bootstrap draw selects G of the G groups with replacement, and makes one Gauss-Newton step from
 the fitted point. This step needs no simulation. All measurements of a group may have the same

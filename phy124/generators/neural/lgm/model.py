@@ -100,8 +100,8 @@ OPTIONS = {
 class LgmModel(nn.Module):
     """U-Net and head: map input [B,4,9,H,W] to Gaussians [B,N,14], where N = 4 * splat_size^2.
 
-    The 14 numbers of a Gaussian are its position (3 numbers in -1..1, y up, front +z), opacity,
-    scale (3), quaternion wxyz (4) and colour (3), all after their activation functions.
+    The 14 numbers of a Gaussian are position (3 numbers in -1..1, y up, front +z), opacity, scale
+    (3), quaternion wxyz (4) and colour (3). Activation functions have been applied.
     """
 
     def __init__(self, option: Option, *, rotations: Rotations | None = None) -> None:
