@@ -72,7 +72,7 @@ def count_within(rows: list[dict], part: float) -> str:
     ratios = [row["ratio"] for row in rows if row["promised"]]
     within = sum(1 - part <= ratio <= 1 + part for ratio in ratios)
     ends = f"between {1 - part:.3g} and {1 + part:.3g}"
-    return f"{within} of {len(ratios)} ratios of spent to predicted are {ends}."
+    return f"{within} of {len(ratios)} ratios of actual to predicted time are {ends}."
 
 
 def measure_zoo(folder: Path, names: list[str], solver: str | None, threads: int | None) -> None:

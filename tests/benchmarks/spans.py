@@ -1,10 +1,10 @@
-"""Measures how often a run of the page takes a time in the predicted range, and the range's width.
+"""Measures how often the time of a run of the page is in the predicted range, and the range's width.
 
-Forecasts and true times beside 0, 1, 2 and 4 busy loops: a new picture, another motion of a picture
-that is there, another camera, what was probed on the object itself, and kernels that must be
-compiled. With `--docs` the table of docs/lab/forecasts.md is renewed. It prints a line per run,
-asserts nothing, and takes a quarter of an hour on a busy machine; numbers of loops do only these,
-one round for each.
+Forecasts are compared with measured times while 0, 1, 2 and 4 busy loops run. The runs are a new
+picture, another motion of a picture, another camera, a run after a trial with the object itself,
+and a run whose kernels must be compiled. With `--docs` the table of docs/lab/forecasts.md is
+updated. The program prints a line per run, asserts nothing, and takes a quarter of an hour on a
+busy machine. If numbers of loops are passed, only these are measured, one round for each.
 """
 
 from __future__ import annotations
@@ -146,14 +146,14 @@ def summary(rows: list[dict[str, Any]]) -> str:
             within = sum(row["within"] for row in some)
             width = np.median([row["high s"] / max(row["low s"], 0.01) for row in some])
             said.append(
-                f"{name}: {within} of {len(some)} true times were within the span predicted, whose "
-                f"ends are a factor of {width:.1f} apart (median)"
+                f"{name}: {within} of {len(some)} measured times were within the predicted range. "
+                f"The ends of the range differ by a factor of {width:.1f} (median)"
             )
     return ".\n".join(said) + "."
 
 
 def main(loops: list[int], *, docs: bool) -> None:
-    """All runs, a line each, and what they add up to."""
+    """Print all runs, one per line, and a summary."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         kernels_without(COLD, Path(folder) / "kernels")
