@@ -349,8 +349,9 @@ def write_page(pairs: list[Pair]) -> None:
     replace_block(page, "solvers", compare_solvers(pairs))
     bounds = [(pair.error, pair.before) for pair in pairs if pair.before is not None]
     held, ratio = sum(a <= b for a, b in bounds), np.median([b / a for a, b in bounds])
-    text = f"For all objects, before the run: {held} of {len(bounds)} bounds held, and the bounds were "
-    replace_block(page, "summary", f"{text}in the median {ratio:.1f} times the error.")
+    text = f"For all objects, before the run: {held} of {len(bounds)} bounds held, "
+    text += f"and the bounds were in the median {ratio:.1f} times the error."
+    replace_block(page, "summary", text)
     draw(mpm)
 
 

@@ -1,4 +1,4 @@
-"""Measures how often the time of a run of the page is in the predicted range, and the range's width.
+"""Measures how often the time of a run of the page is in the predicted range, and the range's size.
 
 Forecasts are compared with measured times while 0, 1, 2 and 4 busy loops run. The runs are a new
 picture, another motion of a picture, another camera, a run after a trial with the object itself,
