@@ -92,7 +92,7 @@ class Boundary(Section):
     """Name for messages of the part of the boundary that may be too thin."""
 
     holds: ClassVar[bool] = False
-    """Whether the boundary holds material in place instead of only blocking it."""
+    """Whether the boundary fixes material in place instead of only blocking it."""
 
     contact: Contact = Field(
         default="separate",

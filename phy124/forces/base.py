@@ -25,7 +25,7 @@ class Force(Section):
     sudden: ClassVar[bool] = False
     """Whether the force may change velocities abruptly even if its strength is small."""
     in_newtons: ClassVar[bool] = False
-    """Whether the track holds a force on each particle [N] instead of an acceleration [m/s^2]."""
+    """Whether the track is a force on each particle [N] instead of an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that determine the strength of the force."""
     joins: ClassVar[bool] = False
@@ -114,7 +114,7 @@ class Force(Section):
         """Return the indices of the movable particles in the force's region.
 
         Raises:
-            InputError: The region holds no particle.
+            InputError: The region contains no particle.
         """
         x = model.rest
         inside = model.moves if self.region is None else self.region.contains(x) & model.moves
@@ -195,7 +195,7 @@ def stage(
 
     Args:
         force: The force, with its region.
-        name: Name of the stage in reports, which list its time.
+        name: Name of the stage in the times that reports list.
         kernel: Kernel with the arguments: chosen particles, slot of the track, `inputs`, clock,
             values of the tracks, `read`.
         track: The strength over time.
@@ -220,6 +220,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return those of the sorted particle indices that are in a range."""
+    """Select the particle indices within a range from a sorted list."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

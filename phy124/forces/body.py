@@ -41,7 +41,7 @@ class Acceleration(Force):
 
 
 class TotalForce(Force):
-    """A force in newtons on a region; each particle's share is proportional to its mass."""
+    """A force in newtons on a region, distributed over the particles in proportion to mass."""
 
     kind: Literal["force"] = "force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)

@@ -76,7 +76,7 @@ class Part(NamedTuple):
             name: Name of the object; None: the part may belong to any object.
 
         Raises:
-            InputError: The part holds no particle.
+            InputError: The part contains no particle.
         """
         weight = weights(model.rest, point, radius) * of_object(model, name)
         index = np.flatnonzero(weight * model.moves)
@@ -119,7 +119,7 @@ class Part(NamedTuple):
         """Yield the stages that compute a part's centre and its second moments about the centre.
 
         Args:
-            name: Name of the stages in reports, which list their time.
+            name: Name of the stages in the times that reports list.
             slot: Slot of the track; nothing is computed while the track is inactive.
             model: The constants of the run.
             state: The particles' positions and velocities.

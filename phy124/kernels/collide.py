@@ -84,8 +84,8 @@ def make_settle(real: Any):
     """Kernel over the nodes of a sub-box: adds to each node the mean of the velocity changes that
     the node's columns request.
 
-    `changes_out` holds the sums of the weighted changes and the sums of the weights; the kernel
-    resets it to zero. The weight of a column is the size of its change, so that the mean varies
+    `changes_out` contains the sums of the weighted changes and of the weights; the kernel resets
+    these sums to zero. The weight of a column is the size of its change, so that the mean varies
     continuously when a column begins to push.
     """
     t = types(real)

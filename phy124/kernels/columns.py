@@ -200,8 +200,7 @@ def tie(v: Any, m: Any, g: Any):
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the velocity change that slows a node behind a wall to the speed of the node in front
-    of it.
+    """Return the velocity change that slows a node behind a wall to the speed of the node in front.
 
     The change never accelerates a node, so it never adds energy.
     """

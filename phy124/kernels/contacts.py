@@ -3,8 +3,8 @@
 
 A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
 among the particles by the weights w_ip with which their mass was scattered to the node: particle p
-receives m_p w_ip (v_after - v_before). The shares add up to the node's impulse, since m_i = sum_p
-m_p w_ip. A wrench is the total impulse of a wall on all nodes and its moment, in float64.
+receives m_p w_ip (v_after - v_before). These impulses add up to the node's impulse, since m_i =
+sum_p m_p w_ip. A wrench is the total impulse of a wall on all nodes and its moment, in float64.
 """
 
 from typing import Any
@@ -81,7 +81,7 @@ def make_contact_reach(real: Any):
 
 @build_once
 def make_contacts(real: Any):
-    """Kernel over particles: adds each particle's share of the wall's impulses to the particle's
+    """Kernel over particles: adds each particle's part of the wall's impulses to the particle's
     total.
     """
     t = types(real)

@@ -1,12 +1,13 @@
 """Forces on particles before the scatter: accelerations, wrenches, pulls, and a force for a test.
 
-`chosen` lists the particles on which a force acts. `slot` is the index of the track with the
-force's strength. The strength is averaged over the kick, and is zero while the force does not act.
+The kick is the time step of velocities [s]. `chosen` lists the particles on which a force acts.
+`slot` is the index of the track with the force's strength. The strength is averaged over the kick,
+and is zero while the force does not act.
 
 A pull or a wrench acts on a group of particles as a whole; each particle has a weight w from 0 to
-1. The group's centre X is the mean of the positions weighted by w m, and V is the same mean of the
-velocities. The group may turn and deform freely about X. A force f gives each particle the
-acceleration w f / sum(w m); with any weights, the total force is f.
+1. The group's centre X and velocity V are means of the positions and velocities, weighted by w m.
+The group may turn and deform freely about X. A force f gives each particle the acceleration w f /
+sum(w m); with any weights, the total force is f.
 """
 
 from typing import Any
@@ -19,9 +20,7 @@ from phy124.kernels.build import build_once, kernel
 
 @build_once
 def make_accelerate(real: Any, per_mass: bool):
-    """Kernel: adds kick a to v or, if `per_mass` is set, kick f / m (the particle force of
-    PhysGaussian).
-    """
+    """Kernel: adds kick * a to v or, if `per_mass` is set, kick * f / m (as in PhysGaussian)."""
     name = f"phy124_accelerate_{'force' if per_mass else 'field'}_{real.__name__}"
 
     @kernel(name, real)
@@ -38,7 +37,7 @@ def make_accelerate(real: Any, per_mass: bool):
 
 @build_once
 def make_zone(real: Any):
-    """Kernel: adds kick a to v for the particles that are currently inside a box.
+    """Kernel: adds kick * a to v for the particles that are currently inside a box.
 
     If `axis` is 0, 1 or 2, the zone is the cylinder along this axis about the centre of the box.
     """
@@ -68,11 +67,11 @@ def make_drag(real: Any):
     """Kernel: solves dv/dt = rate (u - v) exactly, so that v approaches the wind u without
     overshooting.
 
-    The uniform acceleration a acts after the drag, on the grid, and adds kick a. If drag and
+    The uniform acceleration a acts after the drag, on the grid, and adds kick * a. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
-    this kernel makes this change without the part kick a. If drag and acceleration acted one after
-    the other, the terminal velocity of an object falling through a stream would be too high by the
-    fraction rate kick / 2.
+    this kernel makes this change without the part kick * a. If drag and acceleration acted one
+    after the other, the terminal velocity of an object falling through a stream would be too high
+    by the fraction rate kick / 2.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)
@@ -90,7 +89,7 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick g d / r to v; g is linear inside `radius` and decays as 1 / d^2 outside."""
+    """Kernel: adds kick * g d / r to v; g is linear inside `radius`, and falls as 1 / d^2 outside."""
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)
@@ -136,9 +135,9 @@ def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.floa
     """Return the force [N] of a damped spring at the end of a kick, by the implicit Euler method
     (always stable).
 
-    `spring` holds the stiffness [N/m], the damping [N s/m], the mass that the spring pulls [kg] and
-    the largest force [N]. `gap` and `slip` are the position and velocity of the target relative to
-    the group.
+    `spring` contains the stiffness [N/m], the damping [N s/m], the mass that the spring pulls [kg]
+    and the largest force [N]. `gap` and `slip` are the position and velocity of the target relative
+    to the group.
     """
     drag = spring[1] + kick * spring[0]
     f = (spring[0] * gap + drag * slip) / (wp.float64(1.0) + kick * drag / spring[2])
@@ -268,7 +267,7 @@ def make_wrench(real: Any):
 
 @build_once
 def make_vortex(real: Any):
-    """Kernel: adds kick b(x, t) to v, where b makes a prescribed motion exact (manufactured
+    """Kernel: adds kick * b(x, t) to v, where b makes a prescribed motion exact (manufactured
     solution).
 
     The motion is the generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi

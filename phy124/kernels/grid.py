@@ -83,9 +83,7 @@ def velocity_of(q: Any, kick: Any, a: Any):
 
 @build_once
 def make_update(real: Any):
-    """Kernel: converts (momentum, mass) to (velocity, mass), and kicks the velocity by the uniform
-    acceleration.
-    """
+    """Kernel: converts (momentum, mass) to (velocity, mass); applies the uniform acceleration."""
 
     @kernel(f"phy124_grid_{real.__name__}", real, seconds=0.15)
     def update(clock, values, grid, grid_out):

@@ -1,4 +1,4 @@
-"""Hencky strain, the logarithm of the stretch, and the elastic law based on it, without an SVD.
+"""Hencky strain (the logarithm of the stretch) and the elastic law in this strain, without an SVD.
 
 With b = F F^T and Z = (b - I)(b + I)^-1, the strain log V = 1/2 log b = atanh Z is an odd power
 series in Z. Let X = b - I, with invariants i. Then Z is a quadratic polynomial in X, Z = (i3 + (4 +
@@ -56,7 +56,7 @@ def left_strain(F: Any):
 def inverse_tanh(z: Any):
     """Return the coefficients of a quadratic in Z that equals the series of atanh Z up to Z^11.
 
-    `z` holds the invariants of Z.
+    `z` contains the invariants of Z.
 
     With W = Z^2, atanh Z = Z (1 + W/3 + W^2/5 + ...). The sum is first reduced to a quadratic in W;
     then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. These two stages take half as

@@ -209,7 +209,7 @@ def slots_at(
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return for each of K bodies whether a simple wall acts on it [K]."""
+    """Return whether a simple wall acts on each of K bodies [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
     if part.object not in model.names:

@@ -1,8 +1,8 @@
 """Builds the lattices of bodies at rest: nodes, cells, weights of points, masses and tied nodes.
 
 Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells i -
-1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore touch the same 27 nodes,
-and each weight is a single polynomial in the cell. If the points were between nodes instead, some
+1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore use the same 27 nodes, and
+each weight is a single polynomial in the cell. If the points were between nodes instead, some
 motions of partly filled cells would have no stiffness.
 
 If a body only partly fills its cells, some nodes have almost no mass and stiffness. Nodes lighter
@@ -44,7 +44,7 @@ DONORS, NEAR = 27, 3.0
 """The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells].
 """
 ROW = 9
-"""Number of rows of three nodes along z of a cell."""
+"""Number of rows per cell; a row is three nodes along z."""
 STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Indices of the 27 nodes of a cell, relative to the cell's middle node."""
 
@@ -63,7 +63,7 @@ class RestLattice:
     """Position of each point relative to its cell's first node [P,3], in cells, about 0.5 to 1.5.
     """
     mass: NDArray[np.float64]
-    """Mass of each node, including the mass of nodes tied to it [N], kg; 0 for a tied node."""
+    """Mass of each node, including its tied nodes [N], kg; 0 for a tied node."""
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
@@ -234,7 +234,7 @@ class RestLattice:
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
         """Return the nodes at a given step from each node [K]; -1 if there is no such node.
 
-        If there are copies, the result belongs to the same piece as the first node: some cell
+        If there are copies, the result is the copy in the piece of the first node: some cell
         contains both nodes.
 
         Args:

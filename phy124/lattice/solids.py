@@ -96,7 +96,7 @@ class Solids(FreeBodies):
         """Prepare the contact with bodies; call after `bind` and after the upload of the tracks.
 
         Args:
-            tracks: The tracks, which hold the clock.
+            tracks: The tracks of the run, with the clock.
             recovery: Gain of the speed at which points inside a solid are moved out [1/s].
         """
         self.recovery, forces, sides = recovery, self._forces(), self._sides()

@@ -105,7 +105,7 @@ class LatticeSolver:
             vectors: Whether to use vectorised CPU kernels if they exist.
 
         Raises:
-            InputError: The region of a force holds no particle, or a clamp fixes only some
+            InputError: The region of a force contains no particle, or a clamp fixes only some
                 directions.
         """
         self.state = State.of(model) if state is None else state
@@ -174,7 +174,7 @@ class LatticeSolver:
             planes: Flat walls with which freely moving solids collide.
 
         Raises:
-            InputError: The region of a force holds no particle, or a clamp fixes only some
+            InputError: The region of a force contains no particle, or a clamp fixes only some
                 directions; in this case nothing has changed.
         """
         model, state = self.model, self.state

@@ -44,7 +44,7 @@ class Bodies:
         """Allocate the arrays of the particles.
 
         Args:
-            model: All particles of the run, including those of the liquid.
+            model: All particles of the run, including the particles of the liquid.
             state: State of the particles.
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
@@ -76,8 +76,8 @@ class Bodies:
         self._films = np.zeros((every, 2, 3))
         """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
-        """Centre of mass of each solid and body [m], and the force [N] and torque [N m] on it in
-        the last step, except those of the liquid and the weight.
+        """Centre of mass of each solid and body [m], and the force [N] and torque [N m] in the last
+        step, without the liquid's force and the weight.
         """
         self._impulses = np.zeros((every, 2, 3))
         """Impulse of the liquid on each solid and body in the last step, and moment about the
@@ -294,8 +294,7 @@ class Bodies:
             cells: The cells.
             tracks: Quantities that change over time.
             sums: Sums of the walls' impulses, to which the impulses of films are added.
-            densities: Relative densities in the cells; None if all of the liquid has the same
-                density.
+            densities: Relative densities in the cells; None if the density is uniform.
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real

@@ -85,7 +85,8 @@ class MixedSolver(Solver):
             options: Further arguments of `Solver`.
 
         Raises:
-            InputError: The region of a force holds no particle, or a wall is too thin for the grid.
+            InputError: The region of a force contains no particle, or a wall is too thin for the
+                grid.
         """
         span = _span(model)
         part = _liquid_model(model, span)

@@ -108,7 +108,7 @@ class Phases:
 
     @property
     def densities(self) -> wp.array | None:
-        """Relative densities in the cells; None if all liquids have the same density."""
+        """Relative densities in the cells; None if all liquids have equal densities."""
         return self._mixture.densities if self._mixture.differ[0] else None
 
     def record(
@@ -332,7 +332,7 @@ class Phases:
         return [cells.open, cells.shares, cells.distances, cells.owners, first]
 
     def _viscous(self) -> list:
-        """Return the arguments that the kernels of viscosity share."""
+        """Return the common arguments of the viscosity kernels."""
         cells, walls = self._cells, self._walls
         inputs = [self.viscosity, cells.lattice, cells.window, self._tracks.clock, cells.known]
         inputs += [self._mixture.densities, self._mixture.viscosities, cells.open]

@@ -107,7 +107,8 @@ class LiquidSolver:
                 `model`.
 
         Raises:
-            InputError: The region of a force holds no particle, or a wall is too thin for the grid.
+            InputError: The region of a force contains no particle, or a wall is too thin for the
+                grid.
         """
         self.model, self._whole = model, whole or model
         self.state = State.of(model) if state is None else state
@@ -166,8 +167,8 @@ class LiquidSolver:
             planes: Flat walls with which the freely moving solid collides.
 
         Raises:
-            InputError: The region of a force holds no particle, or a wall is too thin for the grid;
-                in this case nothing has changed.
+            InputError: The region of a force contains no particle, or a wall is too thin for the
+                grid; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)

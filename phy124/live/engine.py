@@ -78,7 +78,7 @@ class Live:
                 this machine can run in real time).
             context: Device, number of threads, progress function and timer.
             shapes: Whether frames contain the shapes of the Gaussians. Frames without shapes take
-                less time, for programs that bind Gaussians to `particles` themselves.
+                less time; they suffice for programs that bind Gaussians to `particles` themselves.
             crop: Position of the object in the picture on which the masks of parts were painted.
 
         Raises:
@@ -235,7 +235,7 @@ class Live:
         self._target = self._note_change(*self.limits.place("move_to", target))
 
     def release(self) -> None:
-        """Release the object that is held."""
+        """Release the object."""
         held = self._inputs.holding
         if held is not None:
             self._inputs.grabs.remove(held)

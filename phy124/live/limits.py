@@ -38,7 +38,7 @@ FARTHEST = 5.0
 FASTEST = 5.0
 """Largest speed at which a hand moves a wall [object sizes per second]."""
 PUSHES = 32
-"""Largest number of pushes that act at the same time."""
+"""Largest number of simultaneous pushes."""
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,7 @@ class Totals:
 
 
 def _split(array: wp.array, count: int) -> tuple[wp.array, wp.array]:
-    """Split an array into the first elements and the others."""
+    """Split an array into its first elements and the remaining elements."""
     return cast("wp.array", array[:count]), cast("wp.array", array[count:])
 
 

@@ -59,7 +59,7 @@ class Effect(NamedTuple):
 
 
 class Violation(NamedTuple):
-    """Reason why a frame is wrong."""
+    """An error in a frame, with possible causes."""
 
     what: str
     """Description of the problem, as a clause."""

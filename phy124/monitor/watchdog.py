@@ -298,7 +298,7 @@ class Watchdog(Observer):
         return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict(), **details}}
 
     def _check_room(self) -> Violation | None:
-        """Return an error if a liquid with other bodies in it has too little space, otherwise None.
+        """Return an error if a liquid that contains bodies has too little space, otherwise None.
 
         Without other bodies, a liquid in a small space only becomes denser.
         """

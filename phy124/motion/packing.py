@@ -287,7 +287,7 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 def _column_order(name: str, count: int) -> Sequence[int]:
     """Return the order of columns; the real part of quaternions is last, because it is computed
-    from the others.
+    from the other parts.
     """
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 

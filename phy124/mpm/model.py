@@ -1,6 +1,6 @@
 """Model and State: the constants of a run, and the arrays that every substep changes.
 
-The model holds the particles at rest, their materials and the grid's spacing.
+The model contains the particles at rest, their materials and the grid's spacing.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from phy124.mpm.tracks import Tracks
 TRIES = 100
 """Largest number of trials; each trial is at most half as long as the trial before."""
 FIRST = 4
-"""If sudden forces act all the time, this number of substeps at the start are trials."""
+"""Number of substeps at the start that are trials if sudden forces act all the time."""
 PULL = 0.1
 """A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
 ROUNDED = 1 - 1e-6
@@ -150,7 +150,8 @@ class StepRejection:
             dt: Length of the first trial [s].
             scatter: Function that applies forces, scatters and updates the grid for a substep of a
                 given length [s].
-            grids: The grids; the trial is accepted or rejected by the largest speed of their nodes.
+            grids: The grids; the largest speed of their nodes determines whether a trial is
+                accepted.
 
         Returns:
             The accepted length [s], and whether the substep was violent. A substep is violent if a

@@ -102,8 +102,8 @@ class Solver:
             gathered: Objects that read each part of the particles after every gather.
 
         Raises:
-            InputError: The region of a force holds no particle, or a boundary is too thin for the
-                grid.
+            InputError: The region of a force contains no particle, or a boundary is too thin for
+                the grid.
             ValueError: The scheme is not stable with the model's substeps.
         """
         self.model = model
@@ -156,8 +156,8 @@ class Solver:
             planes: Flat walls with which free bodies collide.
 
         Raises:
-            InputError: The region of a force holds no particle, or a boundary is too thin for the
-                grid; in this case nothing has changed.
+            InputError: The region of a force contains no particle, or a boundary is too thin for
+                the grid; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)

@@ -16,7 +16,7 @@ class Stage(NamedTuple):
     """A launch that a force, a boundary or an accumulator adds to a substep."""
 
     name: str
-    """Name of the stage in reports, which list the time of each stage."""
+    """Name of the stage in the times that reports list."""
     record: Callable[[Grid], wp.Launch | None]
     """Function that records the launch for the grid's current window; returns None if no launch is
     needed.
@@ -24,7 +24,7 @@ class Stage(NamedTuple):
     sudden: bool = False
     """Whether the stage may change a velocity abruptly even if its strength is small."""
     in_newtons: bool = False
-    """Whether the track holds a force on each particle [N] instead of an acceleration [m/s^2]."""
+    """Whether the track is a force on each particle [N] instead of an acceleration [m/s^2]."""
     keeps_C: bool = False
     """Whether the stage never changes C; sums of its work then need not read C."""
     by_run: bool = False

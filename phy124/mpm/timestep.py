@@ -47,7 +47,8 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Raise the extremes to at least the speed `speed` and the decayed earlier stiffness.
+        """Return the extremes, with the speed at least `speed` and at least the decayed old
+        stiffness.
 
         Args:
             before: Extremes measured `substeps` earlier.

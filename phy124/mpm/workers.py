@@ -80,7 +80,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return those of some indices that belong to the part's particles."""
+        """Select the indices that belong to the part's particles."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]

@@ -122,7 +122,7 @@ def points_of(cells: Particles, points: Particles) -> Particles:
 
 
 def repeat_for_points(values: NDArray | None) -> NDArray | None:
-    """Repeat the values of cells [C] for the points of each cell [8C]; None stays None."""
+    """Repeat each cell's value [C] for the cell's eight points [8C]; return None for None."""
     return None if values is None else np.repeat(values, PER_CELL, axis=0)
 
 

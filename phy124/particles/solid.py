@@ -9,7 +9,7 @@ interior is found in four steps:
   width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
   stay open. Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
-  inside if axis-parallel rays from it meet the shell in at least five of the six directions.
+  inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
 - Only the fraction of a surface voxel below the local surface is part of the solid. The local
   surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Filled
   fractions make volumes accurate below the voxel size.

@@ -23,7 +23,7 @@ from phy124.runtime.startup import start
 def compile_missing(
     kernels: Iterable[Any], device: str = "cpu", progress: Progress = silent
 ) -> int:
-    """Compile and load those modules of kernels that are missing in Warp's cache.
+    """Compile and load the modules of kernels that are missing in Warp's cache.
 
     Args:
         kernels: The kernels of the run.

@@ -42,9 +42,7 @@ class RunContext:
 
     @classmethod
     def of(cls, context: RunContext | None, **options: Unpack[ContextOptions]) -> RunContext:
-        """Return a copy of the context with the named fields replaced; without a context, create
-        one.
-        """
+        """Return a copy of a context (or of the default) with some fields replaced."""
         return replace(context or cls(), **options)
 
     @classmethod

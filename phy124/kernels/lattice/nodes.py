@@ -208,10 +208,10 @@ def make_pin(real: Any):
     """Kernel over pairs of a clamped and a free node: stops the motion at the clamp's surface.
 
     The interpolated velocity relative to the clamp vanishes at the clamp's surface if the clamped
-    node's relative velocity is `ratio` times that of the free node. Momenta are projected onto
-    motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If another clamp
-    fixes the free node, only the clamped node's velocity changes; if another clamp fixes the
-    clamped node, neither velocity changes.
+    node's relative velocity is `ratio` times the free node's relative velocity. Momenta are
+    projected onto motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If
+    another clamp fixes the free node, only the clamped node's velocity changes; if another clamp
+    fixes the clamped node, neither velocity changes.
     """
     t = types(real)
 

@@ -130,8 +130,8 @@ def make_contact_work(real: Any):
     The three kinds are the work of the wall's motion, of the normal component of the impulses, and
     of friction.
 
-    `gap` holds the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act on
-    nodes whose `inverse` is zero.
+    `gap` contains the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act
+    on nodes whose `inverse` is zero.
     """
     t = types(real)
 

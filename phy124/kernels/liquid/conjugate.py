@@ -19,7 +19,7 @@ of the diagonal.
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 """Rows in the table of sums: largest residual, largest right-hand side, and s A s.
 
-Rows 0 and 1 contain r M r of the present and the previous iteration, in turn.
+Rows 0 and 1 alternately contain r M r of the present and the previous iteration.
 """
 RIGID = wp.constant(5)
 """First of the six rows of each solid: the force and the moment J^T s on the solid due to a vector

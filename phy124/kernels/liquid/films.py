@@ -23,8 +23,8 @@ from phy124.kernels.liquid.walls import centre_of, point, solid_face
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` contains the open fraction of each face, without bodies. The signs of the areas are
-    those of the rows of `make_jumps`.
+    `still` contains the open fraction of each face, without bodies. The areas have the signs of the
+    rows of `make_jumps`.
     """
     t = types(real)
 

@@ -197,8 +197,8 @@ def make_kick(real: Any):
     """Single-thread kernel: applies gravity to a freely moving solid; writes motion, mobility and
     centre.
 
-    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and the matrix scale
-    times inverse inertia.
+    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of the matrix scale
+    I^-1 for the inertia I.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
@@ -245,8 +245,7 @@ def make_push(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes the predicted motion of each solid, before the pressure acts on
-    it.
+    """Kernel over solids: writes the predicted motion of each solid, without the pressure.
 
     The predicted motion is the solid's motion without the liquid, plus the response to the sums of
     `make_lift`.

@@ -41,8 +41,8 @@ def wall_link(
     """Return the index of the wall next to a face, sum g, and the sum of g times the wall's
     velocity.
 
-    Every wall stops the velocity component perpendicular to it. Only a sticky wall stops the
-    tangential components.
+    Every wall stops the normal velocity component. Only a sticky wall stops the tangential
+    components.
     """
     zero = type(open[n][0])(0.0)
     size = window[1]

@@ -37,7 +37,7 @@ def blend_pixels(
     image_out: wp.array(dtype=wp.vec3),
     alpha_out: wp.array(dtype=float),
 ):
-    """Blend the splats with one thread per pixel; 256 consecutive threads share a tile, from tile
+    """Blend the splats with one thread per pixel; 256 consecutive threads process a tile, from tile
     `first` on.
     """
     thread = wp.tid()

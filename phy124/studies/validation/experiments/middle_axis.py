@@ -109,7 +109,7 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
 def _spin(solver: Solver) -> tuple[NDArray[np.float64], float]:
     """Return the angular velocity in the body's axes [3], rad/s, and twice the rotational energy.
 
-    The energy is that of particles of unit mass, since only ratios of energies are used.
+    The energy is computed for unit masses, since only ratios of energies are used.
     """
     x, v = (a.numpy().astype(float) for a in (solver.state.x, solver.state.v))
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest

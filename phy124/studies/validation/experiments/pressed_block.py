@@ -45,7 +45,7 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 def publish() -> tuple[Quantity, ...]:
     """Return Poisson's ratio, and the exact stress / (E strain).
 
-    The block has, in turn, free sides, fixed sides, and hydrostatic pressure.
+    The three cases are free sides, fixed sides, and hydrostatic pressure.
     """
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)

@@ -29,8 +29,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 }
 """Scenes that are refused if the time budget is less than the estimated time."""
 TOO_LONG = 2.5
-"""Multiple of the stable substep that makes a run unstable; users cannot choose this value.
-"""
+"""Multiple of the stable substep that makes a run unstable; users cannot choose this value."""
 
 
 def advice(setting: Setting) -> list[Check]:
@@ -87,7 +86,7 @@ def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
     """Check that a run exceeds its time budget, and that each suggested remedy helps.
 
-    A remedy must reduce the number of substeps, or increase the budget until the run can finish.
+    A remedy must reduce the number of substeps, or increase the budget so that the run can finish.
     """
     name, stopped = "outruns its time budget", _run(scene, setting)
     stopped.run()

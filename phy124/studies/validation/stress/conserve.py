@@ -144,10 +144,9 @@ def slow_drift(setting: Setting) -> list[Check]:
 
 
 FLAT = (0.01, 0.01, 1e-4)
-"""Scales of a flat Gaussian with an aspect ratio of 100 [m]."""
+"""Scales [m] of a flat Gaussian with an aspect ratio of 100."""
 APART = 0.05
-"""Two axes have defined directions if their lengths differ by at least this fraction.
-"""
+"""Two axes have defined directions if their lengths differ by at least this fraction."""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
