@@ -109,15 +109,15 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
     Each thread handles a segment of a row with `each` nodes. The thread of a column's first node
-    handles all three nodes of the column. Some nodes respond alone if their signed distance is
-    below `reach` [m]: nodes further behind the wall, and nodes in columns without material in front
-    of the wall. Nodes also respond alone in columns that extend beyond `span`, the layers first <=
-    i < last that this launch may change. While the track of a moving shape is active, the shape is
-    displaced by the track's value, and the wall moves at the track's rate. `lightest` is the mass
-    of a fully covered node in the lightest of several materials [kg], or infinite. `full` is the
-    fraction of the expected mass above which material counts as touching the wall. In columns that
-    the wall does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
-    changes `grid_out`, other walls change `changes_out` (see `make_settle`).
+    handles all three nodes of the column. A node with a signed distance below `reach` [m] responds
+    alone if it is further behind the wall, or if its column has no material in front of the wall.
+    Nodes also respond alone in columns that extend beyond `span`, the layers first <= i < last that
+    this launch may change. While the track of a moving shape is active, the shape is displaced by
+    the track's value, and the wall moves at the track's rate. `lightest` is the mass of a fully
+    covered node in the lightest of several materials [kg], or infinite. `full` is the fraction of
+    the expected mass above which material counts as touching the wall. In columns that the wall
+    does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall changes
+    `grid_out`, other walls change `changes_out` (see `make_settle`).
 
     If `updating` is set, one kernel performs both a flat wall and the grid update: it reads momenta
     from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle the

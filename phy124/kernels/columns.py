@@ -14,9 +14,8 @@ material has reached it. This is determined from the masses of the nodes on both
 (see `coverage`).
 
 The surface of a clamp's region is treated like a wall. The nodes inside the region are fixed. The
-velocity of the node next to the surface is set from the node in front of it, so that the
-interpolated velocity is zero at the surface of the region. The ratios are g = (1, -w0 / w1, 0),
-where w are the weights of the nodes at the surface.
+velocity of the node next to the surface is chosen so that the interpolated velocity is zero at the
+surface. The ratios are g = (1, -w0 / w1, 0), where w are the weights of the nodes at the surface.
 
 A single node responds by `sticky`, `slip` or `separate`. For a column, `all_of_it`, `none_of_it`
 and `coulomb` return the fraction of the tangential motion that the wall stops.
@@ -83,9 +82,8 @@ NARROWING = wp.constant(1.55)
 to 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""A node whose signed distance from a wall is below this value [cells] gets no mass from a body in
-front of the wall; negative distances are behind the wall. The body's nearest particles are a
-quarter of a cell in front of the wall.
+"""A node further behind a wall than this [cells; negative] gets no mass from a body in front of the
+wall. The body's nearest particles are a quarter of a cell in front of the wall.
 """
 
 
@@ -125,7 +123,7 @@ def narrow(m: Any, farther: Any, u: Any):
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
     the next node away from the wall. For a body of constant cross-section, the ratio of these
     masses is the ratio of their `coverage`. If the cross-section grows with a power of the distance
-    from the wall, the ratio is smaller by some factor f, and the next ratio towards the wall is
+    from the wall, the ratio is smaller by a factor f. The next ratio towards the wall is then
     smaller by about f to the power of `NARROWING`.
     """
     unit = type(u)(1.0)
@@ -140,17 +138,17 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
     wall.
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
-    whatever the density and width of the body. If there is a gap, the nearer node has less mass.
-    With irregular particles the ratio varies from column to column, so contact requires only the
-    fraction `full` of the expected mass. Otherwise the body would rest on the few columns with most
-    mass. Since heavier material may lie on the body, the mass of the farther node is limited to the
-    mass of a full node of the `lightest` material.
+    which does not depend on the body's density and width. If there is a gap, the nearer node has
+    less mass. With irregular particles the ratio varies from column to column, so contact requires
+    only the fraction `full` of the expected mass. Otherwise the body would rest on the few columns
+    with most mass. Since heavier material may lie on the body, the mass of the farther node is
+    limited to the mass of a full node of the `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
     narrowing of a tip is estimated one node farther from the wall. The narrowing at the third node
     is estimated from the first two nodes. If a body at the wall does not reach the third node, the
-    narrowing is estimated from the first node and the node in front of the first (mass `above`). If
-    there is mass behind the three nodes (`beyond`), material has passed through the wall.
+    first node and the node in front of it (mass `above`) are used instead. If there is mass behind
+    the three nodes (`beyond`), material has passed through the wall.
     """
     zero = type(above)(0.0)
     if m[1] <= zero:

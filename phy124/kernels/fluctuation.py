@@ -8,10 +8,10 @@ XPIC(m) restores the whole fluctuation except D^m (v, C), which is only noise. I
 the round trip together with v, so that the round trip changes neither momentum nor angular
 momentum.
 
-RPIC lets the symmetric part of C decay, but not the skew part, which is the spin. PhysGaussian's
-`rpic_damping` r scatters (1 - r) C + r/2 (C - C^T) in each substep, so that r = 1 is RPIC (Jiang et
-al. 2015, section 5.1) and the damping depends on the substep. In phy124, the damping of RPIC is a
-rate [1/s] and does not depend on the substep.
+RPIC lets the symmetric part of C decay, but not the skew part, which is the spin. With
+PhysGaussian's `rpic_damping` r, (1 - r) C + r/2 (C - C^T) is scattered in each substep, and r = 1
+is RPIC (Jiang et al. 2015, section 5.1). This damping depends on the substep. In phy124, the
+damping of RPIC is a rate [1/s] and does not depend on the substep.
 """
 
 from typing import Any

@@ -70,8 +70,7 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
     allowed and acts as cohesion. Since j = min(J, 1), an expanded fluid keeps its viscosity per
-    unit mass, which limits the substep, instead of its viscosity per unit volume. zeta damps sound
-    where the fluid is compressed.
+    unit mass, which limits the substep. zeta damps sound where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)

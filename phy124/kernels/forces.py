@@ -70,8 +70,8 @@ def make_drag(real: Any):
     The uniform acceleration a acts after the drag, on the grid, and adds kick * a. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
     this kernel makes this change without the part kick * a. If drag and acceleration acted one
-    after the other, the terminal velocity of an object falling through a stream would be too high
-    by the fraction rate kick / 2.
+    after the other, an object's terminal velocity in a stream would be too high by the fraction
+    rate kick / 2.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)
@@ -89,7 +89,7 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick * g d / r to v; g is linear inside `radius`, and falls as 1 / d^2 outside."""
+    """Kernel: adds kick * g d / r to v; g is linear inside `radius`, 1 / d^2 outside."""
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)

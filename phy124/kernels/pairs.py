@@ -10,9 +10,9 @@ fraction of a body around a node therefore determines the distance of the body's
 node. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance by a
 regression over the particles.) The fraction is the ratio of the body's mass at the node to its mass
 in the interior; this accounts for the body's edges, density and compression. Three nodes in a row,
-along the axis closest to the normal, are either all in contact or all not in contact, as determined
-by the node with the largest overlap of both bodies. At the rim of a contact, where the gap is
-curved, the mean of the gap around a node is larger than the gap at the node.
+along the axis closest to the normal, are either all in contact or all not in contact. The node with
+the largest overlap of both bodies decides. At the rim of a contact, where the gap is curved, the
+mean of the gap around a node is larger than the gap at the node.
 """
 
 from typing import Any
@@ -187,8 +187,8 @@ def is_closed(gap: Any, more: Any):
     """Return whether the gap between two bodies at a node counts as closed.
 
     The gap is averaged over more than one cell. At the edge of the contact area, the mean includes
-    the wider gap outside this area, so a gap up to `ROUNDING` times `more` counts as closed; `more`
-    is the sum of the neighbours' gaps, each minus the node's gap.
+    the wider gap outside this area. A gap up to `ROUNDING` times `more` therefore counts as closed,
+    where `more` is the sum of the neighbours' gaps, each minus the node's gap.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
@@ -235,7 +235,7 @@ def make_pair(real: Any):
     """Kernel over the common nodes of two bodies: applies equal and opposite impulses to the
     bodies.
 
-    `low` is the first of the common nodes, `fill` the volume fraction per mass of each body, and
+    `low` is the first of the common nodes, and `fill` the volume fraction per mass of each body.
     `yields` is 1 for a body that can move and 0 for a body that never moves. A sticky pair has one
     velocity at each node at which both have mass. `sums_out` sums the impulses of the first body on
     the second, and their moments about the origin of the world. A thread reads only the masses of

@@ -2,8 +2,8 @@
 
 A wall needs its current position and speed. A force is averaged over the interval of its kick, from
 half a substep ago to half a substep ahead. The intervals of successive kicks cover time without
-gaps, so the total impulse of a force is exact for any sequence of substeps. If the period of a
-profile is shorter than a substep, means include all periods within the substep, and the speed of a
+gaps, so the total impulse of a force is exact for any sequence of substeps. The period of a profile
+may be shorter than a substep. Means then include all periods within the substep, and the speed of a
 wall is its displacement divided by the substep.
 """
 

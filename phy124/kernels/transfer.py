@@ -16,8 +16,8 @@ By default, stress and strain are computed with the affine velocity C of a parti
 gradient of the velocities that move the positions, so F drifts from the gradient of the motion. For
 example, a beam with a thickness of two cells, and two particles per cell and axis, bends by a
 quarter more than its F indicates. The option "spline" uses `scatter_with_stress` and
-`gather_slopes`: F follows grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau grad
-w_i, so that energy is balanced (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
+`gather_slopes`. F then follows grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau
+grad w_i. These two balance energy (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
 
 The functions of all laws have these arguments: F, the deformation gradient; C, the velocity
 gradient [1/s]; h, the history variables of the particle; theta, the parameters of the law; dt, the

@@ -70,8 +70,8 @@ class RestLattice:
     """Weights of all nodes in the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
     """Weights with which pushes on other nodes are added to the push on each node [N,N]. A push on
-    a tied node, or on mass that was moved to another node, then acts on the node that has the mass,
-    and a uniform push accelerates all nodes equally.
+    a tied node, or on mass that was moved to another node, then acts on the node with the mass. A
+    uniform push therefore accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
@@ -416,9 +416,9 @@ def _tie(
     """Return the nodes lighter than `least` [kg], and the weights that extrapolate their motion.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
-    of at least `giving` [kg]. Nodes in a common cell with the light node are preferred: other nodes
-    may belong to another part of the body, such as a leaf near a stem, and would glue the light
-    node to this part. A light node without a heavy node nearby is not tied.
+    of at least `giving` [kg]. Nodes in a common cell with the light node are preferred. Other nodes
+    may belong to another part of the body, such as a leaf near a stem, to which the light node
+    would then be glued. A light node without a heavy node nearby is not tied.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)

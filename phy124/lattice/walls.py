@@ -50,7 +50,7 @@ AHEAD, CLOSE = 2.0, 0.1
 STEP = 0.5
 """Increment of the distance up to which points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Gain of the speed at which points inside a wall are moved out, in units of (pi / 2 H)^2 / dt, for
+"""Gain of the speed at which points inside a wall are moved out. Its unit is (pi / 2 H)^2 / dt for
 a body of H cells and substeps dt at rest. A body that stands on the wall has the slowest angular
 frequency pi c / 2 H. Bodies that stick to a wall also rock and shear, at lower frequencies.
 """

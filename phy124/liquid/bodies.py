@@ -76,8 +76,8 @@ class Bodies:
         self._films = np.zeros((every, 2, 3))
         """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
-        """Centre of mass of each solid and body [m], and the force [N] and torque [N m] in the last
-        step, without the liquid's force and the weight.
+        """Centre of mass of each solid and body [m]; force [N] and torque [N m] in the last step,
+        except those due to liquid and weight.
         """
         self._impulses = np.zeros((every, 2, 3))
         """Impulse of the liquid on each solid and body in the last step, and moment about the

@@ -1,8 +1,8 @@
 """Runs a scene frame by frame while inputs act on it.
 
-If the watchdog rejects a frame, or a frame needs too many substeps, the run stores a note, drops
-the inputs, and continues from the last valid frame, from an earlier frame, or from the start. The
-run ends only if a frame fails although no input has acted since the start.
+A frame fails if the watchdog rejects it or if it needs too many substeps. The run then stores a
+note, drops the inputs, and continues from the last valid frame, from an earlier frame, or from the
+start. The run ends only if a frame fails although no input has acted since the start.
 """
 
 from __future__ import annotations

@@ -32,8 +32,7 @@ class Material(Section):
 
     device_law: ClassVar[Law]
     scaled: ClassVar[int] = 0
-    """Number of leading parameters in `theta` that are proportional to E; 0 if E cannot vary.
-    """
+    """Number of leading parameters in `theta` that are proportional to E; 0 if E cannot vary."""
     particles_per_axis: ClassVar[float] = 2.0
     """Default number of particles per cell and axis. With fewer than 2, elastic material tears
     sooner.
@@ -81,8 +80,8 @@ class Material(Section):
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
-        This default is for the fixed corotated law, which stiffens more than other elastic laws: by
-        the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
+        This default is for the fixed corotated law, which stiffens more than other elastic laws.
+        Its stiffness grows by the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
 
         Args:
             growth: Largest ratio (above 1) of the stiffest particle's stiffness after and before

@@ -99,9 +99,9 @@ class LatticeWatchdog(Watchdog):
 class LatticeWork(MeanWork):
     """Computes the external impulse and work from the solver's sums for walls and forces on points.
 
-    If there are other forces, the work of a constant acceleration is also summed in every substep,
-    because acceleration times displacement refers to the time of the positions. In a wind against
-    gravity, in a frame of two substeps, the difference was 32 % of the energy.
+    If there are other forces, the work of a constant acceleration is summed in every substep as
+    well. The product of acceleration and displacement would refer to the time of the positions. In
+    a wind against gravity, in a frame of two substeps, the difference was 32 % of the energy.
     """
 
     @classmethod

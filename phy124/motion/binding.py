@@ -21,8 +21,9 @@ PER_CELL, MOST_CELLS = 2, 256
 particles' bounding box, and largest number of cells per axis.
 """
 FARTHEST = 4.0
-"""If a Gaussian is farther away than this, in mean particle distances, only the nearest particle
-carries the Gaussian, because the grid does not connect material so far apart.
+"""Largest distance, in mean particle distances, at which several particles carry a Gaussian. A
+Gaussian that is farther away follows only the nearest particle, because the grid does not connect
+material so far apart.
 """
 
 

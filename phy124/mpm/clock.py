@@ -103,9 +103,9 @@ class Clock:
     def complete(self, calm_strain: float) -> bool:
         """Return whether the next measurement must include stiffness and positions.
 
-        A measurement of only the speeds suffices under two conditions: no particle can have been
-        strained by more than `calm_strain`, which would change the stiffness, and no particle can
-        have left the margin of its window.
+        A measurement of only the speeds suffices under two conditions. No particle can have been
+        strained by more than `calm_strain`, which would change the stiffness. No particle can have
+        left the margin of its window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured

@@ -1,9 +1,9 @@
 """Outliers: particles far from all others, which move in free flight without a grid.
 
 The window grows with the particles, but a single particle that leaves at high speed must not make
-the window grow without bound. If the window would have more than `MAX_NODES` nodes, or more than
-`GROWTH` times the nodes of the initial window, the grid is therefore restricted to a box around the
-centre of the particles. Particles outside the box are counted, and only the uniform acceleration
+the window grow without bound. The grid is therefore restricted to a box around the centre of the
+particles in two cases: if the window would have more than `MAX_NODES` nodes, or more than `GROWTH`
+times the initial number. Particles outside the box are counted, and only the uniform acceleration
 acts on them. A particle that returns to the box takes part in the transfers again.
 """
 

@@ -1,8 +1,8 @@
 """Solver: explicit MLS-MPM substeps of stable length.
 
-The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated: by one
-thread, by several threads, each for a part of the particles (phy124/mpm/workers.py), or by a CUDA
-device without the host (phy124/mpm/graph.py).
+The launches of a substep are recorded once (phy124/mpm/substep.py) and then repeated. Several
+threads repeat them for parts of the particles (phy124/mpm/workers.py), or a CUDA device repeats
+them without the host (phy124/mpm/graph.py).
 """
 
 from __future__ import annotations

@@ -209,8 +209,8 @@ class Track:
         """Return whether the value may change from `start` to `end` [s].
 
         A change exactly at `end` is excluded, since it acts only after `end`. A live run does not
-        know before `end` about a push that begins at `end`, but must take the same substeps as a
-        repetition that knows about the push.
+        know before `end` about a push that begins at `end`. A repetition of this run, which knows
+        about the push, must take the same substeps.
         """
         begins_or_ends = start <= self.start < end or start <= self.end < end
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))

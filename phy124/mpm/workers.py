@@ -5,7 +5,7 @@ private nodes, and then gathers. A single worker has all particles and scatters 
 phy124/mpm/threads.py runs several workers in parallel.
 
 With several workers, the particles of each group are divided into slabs with equal numbers of
-particles; the particles are sorted in layers along the longest axis (phy124/simulation/setup.py). A
+particles. The particles are sorted in layers along the longest axis (phy124/simulation/setup.py). A
 slab has the nodes that its particles can use until the next measurement: the nodes of the slab's
 layers, and a margin on each side. When the object rotates or flows, slabs begin to overlap. If the
 slabs have too many nodes in total, the particles are divided again by their current positions.

@@ -36,8 +36,8 @@ least twice as large.
 SLIVER = 0.15
 """A cell is a sliver if its filled fraction is less than this factor times the square of the
 fraction of the fullest cell around it. Slivers are merged with a neighbour. In rods and plates that
-are thinner than a cell, all cells have a small filled fraction; merging such cells would make rods
-bend up to 3.1 times too far.
+are thinner than a cell, all cells have a small filled fraction. If such cells were merged, rods
+would bend up to 3.1 times too far.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""

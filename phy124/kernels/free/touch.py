@@ -14,8 +14,8 @@ from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, o
 
 NARROWEST = wp.constant(0.2)
 """Fraction of a cell's volume above which a cell counts as the interior of a body. With a smaller
-limit, a light box would hover one cell above jelly, because the jelly's thin rim next to the lower
-edge of the box would count as interior.
+limit, the jelly's thin rim next to the lower edge of a box would count as interior, and a light box
+would hover one cell above the jelly.
 """
 THINNEST = wp.constant(0.015)
 """Volume fraction that the solid must fill around a node for the node to be in contact. At a

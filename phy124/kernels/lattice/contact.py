@@ -10,12 +10,12 @@ w_i^2 / m_i) J.
 
 Impulses that are applied again and then corrected neither create nor sustain vibrations. The pass
 over all points, forwards and backwards, is a symmetric positive operator E on velocities. With C =
-E^-1 - 1, the impulses of the last substep equal the impulses of springs C / dt^2 that are
-integrated implicitly: (1 + C) v' = v - (K + C) x, which is stable for every stiffness K that is
-stable without walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is
-an integral gain. A gain above omega^2 dt would excite the body's slowest vibration (angular
-frequency omega). The gain does not grow if substeps become shorter, because hard squeezing would
-then throw the body out.
+E^-1 - 1, the impulses of the last substep equal the impulses of implicitly integrated springs C /
+dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is stable without
+walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is an integral
+gain. A gain above omega^2 dt would excite the body's slowest vibration (angular frequency omega).
+The gain does not grow if substeps become shorter, because hard squeezing would then throw the body
+out.
 
 The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """
@@ -122,7 +122,7 @@ def make_yields(real: Any, rows: Rows):
     [1/kg].
 
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
-    `whole` is not), since an impulse would move the few other nodes violently.
+    `whole` is not). Otherwise, an impulse would move the few other nodes violently.
     """
     t = types(real)
     yielding = rows.yielding
@@ -229,12 +229,12 @@ def make_meet(real: Any, rows: Rows):
     walls.
 
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
-    the weights of the opposite position, so that `rest_out` and the nodes give the vector from the
-    opposite position to the point. The opposite position follows the point along the surface, so
-    that the pair's impulses have no moment. When the opposite position moves along the surface, its
-    weights change by `slopes` times its displacement in the body at rest, which is `back` times the
-    displacement along the surface. If a position moves farther than `far`, the pair is ignored, as
-    are pairs farther apart than `reach`.
+    the weights of the opposite position. With these weights, `rest_out` and the nodes give the
+    vector from the opposite position to the point. The opposite position follows the point along
+    the surface, so that the pair's impulses have no moment. When the opposite position moves along
+    the surface, its weights change by `slopes` times its displacement in the body at rest, which is
+    `back` times the displacement along the surface. If a position moves farther than `far`, the
+    pair is ignored, as are pairs farther apart than `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

@@ -1,10 +1,10 @@
 """Couples solids to a liquid: the pressure accelerates both the liquid and the solids.
 
 Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
-velocity w. The pressure's impulse on the solid is rho dx^3 J^T q, so the pressure equation becomes
-(A + rho dx^3 J M^-1 J^T) q = b, with the solid's mass and inertia M (Batty, Bertails and Bridson
-2007). Each solid adds a matrix of rank six. Each iteration of conjugate gradients therefore sums
-J^T s and applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to only one solid.
+velocity w. The pressure's impulse on the solid is rho dx^3 J^T q. With the solid's mass and inertia
+M, the pressure equation becomes (A + rho dx^3 J M^-1 J^T) q = b (Batty, Bertails and Bridson 2007).
+Each solid adds a matrix of rank six. Each iteration of conjugate gradients therefore sums J^T s and
+applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to only one solid.
 
 The pressure of a cell refers to the cell's centre, so the weight of the liquid between the centre
 and the solid's surface is added. Otherwise the buoyancy would jump when the bottom of the solid

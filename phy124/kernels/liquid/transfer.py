@@ -2,8 +2,8 @@
 
 The components of the velocity are stored at different points, so each component has separate
 weights. A particle reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centres differ
-only by a shift of half a cell, so some of the four weights are zero (Jiang et al. 2015, "The affine
-particle-in-cell method"). The scalar code in this file is used on GPUs and in float64;
+only by a shift of half a cell, so some of the four weights are zero. See Jiang et al. 2015, "The
+affine particle-in-cell method". The scalar code in this file is used on GPUs and in float64;
 native/liquid.h is used in float32 on CPUs.
 """
 

@@ -80,10 +80,9 @@ def disturb(
         setting: Device and precision.
         count: Number of substeps.
 
-    Returns:
-        The number of substeps for which all values stay finite; and the largest strain in the
-        second half of the substeps divided by the largest strain in the first half, infinite if
-        unstable.
+    Returns: The number of substeps for which all values stay finite. The largest strain in the
+    second half of the substeps, divided by the largest strain in the first half; infinite if
+    unstable.
     """
     material = NeoHookean(E=1e4, nu=nu)
     dt = fraction * DX * math.sqrt(material.density) / _stiffness(material)
