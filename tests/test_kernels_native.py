@@ -79,6 +79,6 @@ def test_module_hash_follows_the_text(folder):
 @pytest.mark.parametrize("path", sorted(native.FOLDER.glob("*.h")), ids=lambda path: path.stem)
 def test_header_names_its_plain_form_and_its_test(path):
     head = path.read_text("utf-8")
-    assert re.search(r"^// Plain form: .*\.$", head, re.M)
+    assert re.search(r"^// Python version: .*\.$", head, re.M)
     file, name = re.search(r"^// Test: (\S+\.py), (\w+)\.$", head, re.M).groups()
     assert f"def {name}(" in (ROOT / file).read_text("utf-8")

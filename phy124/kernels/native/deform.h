@@ -1,6 +1,6 @@
-// Deforms eight Gaussians in float64. Unusual Gaussians (of torn material, with axes of zero
-// length, or with axes that change order) are left unchanged, and a bit is set for each of them.
-// Plain form: `shape_of` of deform.py.
+// Deforms eight Gaussians in float64. Gaussians of torn material, with axes of zero length, or with
+// axes that change order are not changed; a bit is set for each such Gaussian.
+// Python version: `shape_of` of deform.py.
 // Test: tests/test_deform.py, test_eight_at_a_time_are_deformed_as_one_by_one.
 
 enum { N = 8 };
@@ -59,7 +59,7 @@ for (int i = 0; i < N; ++i) {
 }
 
 
-// Makes columns m and n of A W orthogonal; returns the number of Gaussians whose columns were not.
+// Makes columns m and n of A W orthogonal; returns the number of Gaussians that were changed.
 const auto rotated = [&](int m, int n) {
     double turning = 0.0;
 #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
@@ -170,7 +170,7 @@ for (int i = 0; i < N; ++i) {
         + quat[2][i] * last[2][i] + quat[3][i] * last[3][i];
     const double side = facing < 0.0 ? -1.0 : 1.0;
     for (int k = 0; k < 4; ++k) quat[k][i] *= side;
-    // Axes of Gaussians of plastic and fluid material.
+    // Axes of Gaussians in plastic and fluid material.
     const double shortest = smaller(smaller(l0, l1), l2);
     const double thin = larger(shortest, TINY * longest);
     const double middle = l0 + l1 + l2 - longest - shortest;

@@ -1,9 +1,9 @@
 // Elementary functions for vectorised loops.
-// Plain form: wp.exp and wp.log.
+// Python version: wp.exp and wp.log.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
-// Returns 2^power for -126 < power < 127. Adding 1.5 2^23 rounds to the nearest whole number, whose
-// bits are then added to the exponent. The polynomial is Taylor's, with |rest| <= 1/2.
+// Returns 2^power for -126 < power < 127. Adding 1.5 2^23 rounds to the nearest integer; its bits
+// are then added to the exponent. The polynomial is a Taylor series, with |rest| <= 1/2.
 const auto power_of_2 = [](float power) {
     const float shifted = power + 12582912.0f;
     const float rest = power - (shifted - 12582912.0f);
@@ -29,7 +29,7 @@ const auto logarithm = [](float x) {
 //: sixteen
 // Sixteen Gaussians that are consecutive in memory. If fewer than sixteen remain at the end, the
 // rest is filled with zeros.
-// Plain form: the arrays of Gaussians.
+// Python version: the arrays of Gaussians.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
 const int begin = 16 * thread, total = means.shape[0];

@@ -1,9 +1,9 @@
-// Stress of neo-Hookean bodies on their lattice, sixteen cells at a time: one AVX-512, two AVX2 or
-// four NEON registers hold a number for each cell. The forces of a cell's eight points on the
+// Stress of neo-Hookean bodies on lattices, for sixteen cells at a time: one AVX-512, two AVX2 or
+// four NEON registers contain one number per cell. The forces of a cell's eight points on the
 // cell's 27 nodes are added up before they are written. `order` lists the cells of each block, full
 // cells first. In a full cell the points are a product of two points per axis, so that values and
 // slopes are interpolated along one axis after another. Speeds are measured at the cells' centres.
-// Plain form: `lattice_stress` and `lattice_measure` of lattice/stress.py.
+// Python version: `lattice_stress` and `lattice_measure` of lattice/stress.py.
 // Test: tests/test_lattice_kernels.py, test_simd_and_plain_stress_agree.
 
 typedef float Lanes __attribute__((vector_size(64)));
@@ -15,8 +15,8 @@ const int* const row = (const int*)rows.data;
 const float* const place = (const float*)packed.data + 512L * thread;
 const bool full = thread < full_blocks;
 const float per_dx = 1.0f / dx;
-// Exchanges lanes so that eight registers with two rows of eight each become eight columns of
-// sixteen; applied to columns it returns the rows.
+// Transposes eight registers with two rows of eight each to eight columns of sixteen; applied to
+// the columns, it returns the rows.
 const auto transpose = [](Lanes* m) {
     for (int k = 0; k < 8; k += 2) {
         const Lanes a = m[k], b = m[k + 1];
@@ -37,7 +37,7 @@ const auto transpose = [](Lanes* m) {
 };
 // Along an axis, the value at a distance t from a cell's centre is (a + 4 t (b + t c)) / 8, and its
 // slope is (b + 2 t c) / 2. `expand` replaces the values at three nodes by a, b and c; `contract`
-// is its transpose.
+// is the transpose of `expand`.
 const auto each_triple = [](Lanes* values, auto change) {
     for (int i = 0; i < 27; i += 9)
         for (int d = 0; d < 3; ++d) {
@@ -65,8 +65,8 @@ const auto contract = [&](Lanes* values) {
         c = sum + rise;
     });
 };
-// Values of the cells' nodes: three components of three nodes of nine rows. They are expanded unless
-// the cells are full.
+// Values of the cells' nodes: three components of three nodes of nine rows. The values are expanded
+// unless the cells are full.
 const auto collect = [&](const float* values, Lanes* out) {
     for (int r = 0; r < 9; ++r) {
         Lanes m[8];
@@ -316,7 +316,7 @@ for (int point = 0; point < 8; ++point) {
 REPORT
 
 //: shock
-// Plain form: `lattice_shock` of lattice/stress.py. Test: test_simd_and_plain_shock_agree.
+// Python version: `lattice_shock` of lattice/stress.py. Test: test_simd_and_plain_shock_agree.
 for (int point = 0; point < 8; ++point) {
     Lanes c[9], m;
     const Lanes J = cofactors(F_all[point], c), per_J = 1.0f / larger(J, Lanes{} + FLOOR);

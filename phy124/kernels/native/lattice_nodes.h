@@ -1,10 +1,10 @@
 // Kicks and drifts of 256 nodes of a lattice.
-// Plain form: `kick` and `drift` of lattice/nodes.py.
+// Python version: `kick` and `drift` of lattice/nodes.py.
 // Test: tests/test_lattice_kernels.py, test_simd_and_plain_contact_agree.
 
 //: kick
-// Plain form: `kick` of lattice/nodes.py, for one node. The uniform acceleration also acts on tied
-// nodes, but these take the velocity of their donors when they drift.
+// Python version: `kick` of lattice/nodes.py, for one node. The uniform acceleration also acts on
+// tied nodes, but tied nodes take the velocity of their donors in `drift`.
 const long first = start + 256L * thread, last = first + 256 < stop ? first + 256 : stop;
 float* const to = (float*)v_out.data;
 const float* const uniform = (const float*)values.data;
@@ -35,7 +35,7 @@ for (int w = 0; w < low.shape[0]; ++w) {
 }
 
 //: drift
-// Plain form: `drift` of lattice/nodes.py, for one node.
+// Python version: `drift` of lattice/nodes.py, for one node.
 const long first = start + 256L * thread, last = first + 256 < stop ? first + 256 : stop;
 float *const v = (float*)v_out.data, *const u = (float*)u_out.data;
 float *const residue = (float*)residue_out.data, *const lagging = (float*)lagging_out.data;

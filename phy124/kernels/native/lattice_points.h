@@ -1,5 +1,5 @@
 // Quantities computed from the strains and strain rates of sixteen cells, which lattice.h computes.
-// Plain form: `lattice_measure` of lattice/stress.py, `follow` and `locate` of lattice/points.py.
+// Python version: `lattice_measure` of lattice/stress.py; `follow`, `locate` of lattice/points.py.
 // Test: tests/test_lattice_kernels.py, test_simd_and_plain_points_agree.
 
 //: measure
@@ -12,13 +12,13 @@ for (int point = 0; point < 8; ++point) {
 report();
 
 //: totals
-// Elastic energy, power of the stress, range of J and unsound points. In double: the energy of a
-// small strain is a small difference of large numbers.
-// Plain form: `totals` of diagnostics.py. Test: test_simd_and_plain_totals_agree.
+// Elastic energy, power of the stress, range of J and invalid points. In double precision, because
+// the energy of a small strain is a small difference of large numbers.
+// Python version: `totals` of diagnostics.py. Test: test_simd_and_plain_totals_agree.
 typedef double Doubles __attribute__((vector_size(128)));
 typedef long long Longs __attribute__((vector_size(128)));
 const auto wide = [](Lanes a) { return __builtin_convertvector(a, Doubles); };
-// log x for x > 0, like `logarithm`, to rounding.
+// log x for x > 0, like `logarithm`, but exact up to rounding.
 const auto wide_logarithm = [](Doubles x) {
     const Longs bits = (Longs)x, exponent = (bits - 0x3fe6a09e667f3bcd) >> 52;
     const Doubles m = (Doubles)(bits - (exponent << 52)), t = (m - 1.0) / (m + 1.0), t2 = t * t;

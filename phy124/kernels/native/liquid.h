@@ -1,7 +1,7 @@
-// Transfers of a liquid in float32. Rows of four cells along z fill one AVX-512 or two AVX2
-// registers with the three low faces and the centre of each cell; sums of eight numbers per cell
-// fill twice as many. The weights of faces and centres differ only by a shift of half a cell.
-// Plain form: `scatter`, `scatter_volume`, `gather` and `flow` of liquid/transfer.py.
+// Transfers of a liquid in float32. Rows of four cells along z, with three low faces and the centre
+// of each cell, fill one AVX-512 or two AVX2 registers. Sums of eight numbers per cell fill twice
+// as many registers. The weights of faces and centres differ only by a shift of half a cell.
+// Python version: `scatter`, `scatter_volume`, `gather` and `flow` of liquid/transfer.py.
 // Test: tests/test_liquid.py, test_simd_and_plain_transfers_agree.
 
 typedef float Row __attribute__((vector_size(64), aligned(4)));

@@ -1,5 +1,5 @@
 // Projects sixteen Gaussians; view-dependent colours are computed later.
-// Plain form: `project` of splat/project.py.
+// Python version: `project` of splat/project.py.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
 const float LARGEST = 3e38f;

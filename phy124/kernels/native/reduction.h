@@ -1,5 +1,5 @@
-// Sums, maxima and stores that a GPU does once per warp, or in one transaction.
-// Plain form: the lines outside `#if`.
+// Sums, maxima and stores that a GPU performs once per warp, or in one transaction.
+// Python version: the lines outside `#if`.
 // Test: tests/test_kernels_cuda.py, test_a_warp_reduces_before_it_writes.
 
 //: add
@@ -12,10 +12,10 @@ wp::atomic_add(grid, node, value);
 #endif
 
 //: run
-// Particles of neighbouring threads often touch the same nodes. Threads of a warp with equal `node`
-// form a run; the first thread of the run adds the sum of the run. The result packs three values:
-// the number of threads that follow in the run, the largest such number in the warp, and whether
-// the thread is not the first of its run.
+// Particles of neighbouring threads often touch the same nodes. Consecutive threads of a warp with
+// equal `node` form a run; the first thread of a run adds the run's sum. The result contains three
+// packed values: the number of threads that follow in the run, the largest such number in the warp,
+// and whether the thread is not the first of its run.
 #if defined(__CUDA_ARCH__)
 const unsigned all = 0xffffffffu;
 if (__activemask() != all) return 0;
@@ -81,7 +81,7 @@ if (whole != 0.0) wp::atomic_add(sums, index, whole);
 // A block reduces all maxima in shared memory; then one thread per maximum writes. Floats are
 // compared as integers with the same bits: a maximum of positive floats is the maximum of signed
 // integers, a maximum of negative floats the minimum of unsigned integers. All threads of a block
-// take part.
+// must call this function.
 enum { MAXIMA = sizeof(values.c) / sizeof(values.c[0]) };
 #if defined(__CUDA_ARCH__)
 enum { WARPS = 8 };  // warps in a block: every launch of phy124 has blocks of 256 threads
@@ -120,7 +120,7 @@ for (int i = 0; i < MAXIMA; ++i)
 #endif
 
 //: raise_to
-// Comparing first avoids most of the atomic operations.
+// A comparison first avoids most of the atomic operations.
 if (whole > wp::index(maxima, index)) wp::atomic_max(maxima, index, whole);
 
 //: lower_to
@@ -168,7 +168,7 @@ return sums;
 
 //: meet
 // A barrier for CPU threads: arrive once, then check whether the others have arrived.
-// Plain form: none, since Warp has no atomic loads with acquire order.
+// Python version: none, since Warp has no atomic loads with acquire order.
 // Test: tests/test_mpm_threads.py, test_nobody_leaves_a_barrier_before_all_have_come.
 
 int* shared = counter_out.data;
@@ -190,8 +190,8 @@ for (int i = 0; i < spins; ++i)
     }
 
 //: fastest
-// Largest |v|^2 and |C|^2 of some particles, and the number of non-finite ones; C++ as for
-// `change`.
+// Largest |v|^2 and |C|^2 of some particles, and the number of non-finite particles; C++ for the
+// same reason as `change`.
 decltype(v.data[0].c[0] + 0) fast = 0, rate = 0, broken = 0;
 for (int k = 0; k < each; ++k) {
     const int i = first + k * stride;
@@ -207,9 +207,10 @@ for (int k = 0; k < each; ++k) {
 return {fast, rate, broken};
 
 //: copy_row
-// Rows of nodes in loops that a CPU vectorises; on a GPU each thread has one node, handled before
-// the loop. Plain form: a loop over nodes. Test: tests/test_rows.py,
-// test_wall_momentum_is_summed_over_changed_nodes.
+// Loops over rows of nodes, which a CPU vectorises; on a GPU each thread has one node, which is
+// processed before the loop.
+// Python version: a loop over nodes.
+// Test: tests/test_rows.py, test_wall_momentum_is_summed_over_changed_nodes.
 if (count > 0) wp::array_store(nodes, at, wp::index(others, start));
 for (int k = 1; k < count; ++k) nodes.data[at + k] = others.data[start + k];
 

@@ -1,6 +1,6 @@
 // Sums over the nodes of a surface point in float32. The nine numbers of three nodes in a row are
 // consecutive in memory: eight of them fill the lanes of a register, and one remains.
-// Plain form: `moved_by`, `yielding` and `strike` of lattice/rows.py.
+// Python version: `moved_by`, `yielding` and `strike` of lattice/rows.py.
 // Test: tests/test_lattice_kernels.py, test_simd_and_plain_contact_agree.
 
 typedef float Eight __attribute__((vector_size(32), aligned(4)));

@@ -1,5 +1,5 @@
 // Adds sixteen Gaussians to the layers of a shadow, sixteen cells of a row at a time.
-// Plain form: `cover` of splat/shadow.py.
+// Python version: `cover` of splat/shadow.py.
 // Test: tests/test_stage_shadow.py, test_both_forms_of_the_kernel_cover_the_same_cells.
 
 const int cells_x = layers_out.shape[1], cells_y = layers_out.shape[2];

@@ -1,7 +1,7 @@
 // Draws the surroundings of a tile around its Gaussians, before the Gaussians are stored. If the
-// corners of a tile see the same two faces of a box, away from the box's edges, the whole tile sees
-// them, because faces are convex. The box then has one opacity over the tile.
-// Plain form: `draw_setting` and `tint_splats` of splat/stage.py.
+// same two faces of a box are visible at all corners of a tile, away from the box's edges, they are
+// visible in the whole tile, because faces are convex. The box then has one opacity over the tile.
+// Python version: `draw_setting` and `tint_splats` of splat/stage.py.
 // Test: tests/test_stage.py, test_every_form_of_the_renderer_draws_the_same_stage.
 
 typedef float Row __attribute__((vector_size(64), aligned(4)));
@@ -77,7 +77,7 @@ const int cells = setting.cells;
 const float last = (float)(cells - 1), nearer = 1.0f / setting.reach;
 const float scale = 0.5f * (float)cells * nearer, middle = 0.5f * last;
 const float ex = view.eye[0] - setting.middle[0], ey = view.eye[1] - setting.middle[1];
-// All shade is between the centres of these cells, which have no shade.
+// The shadow lies between the centres of these cells, which have no shadow.
 const float first_i = (float)setting.shaded[0] - 1.0f, end_i = (float)setting.shaded[1] + 1.0f;
 const float first_j = (float)setting.shaded[2] - 1.0f, end_j = (float)setting.shaded[3] + 1.0f;
 // Directions of a row's rays, without the term from the row's height.
@@ -93,8 +93,8 @@ const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict
         const bool inside = u >= 0.0f && v >= 0.0f && u < last && v < last;
         const int i = inside ? (int)u : 0, j = inside ? (int)v : 0, cell = i * cells + j;
         const float a = u - (float)i, b = v - (float)j;
-        // Two neighbouring cells are read at once, since reading takes most of the time in this
-        // loop.
+        // Two neighbouring cells are read in one access, since reading takes most of the time in
+        // this loop.
         const unsigned near = *(const Pair*)(shades + cell);
         const unsigned far = *(const Pair*)(shades + (cell + cells));
         const float p = (float)(int)(near & 0xffff), q = (float)(int)(near >> 16);
@@ -103,7 +103,7 @@ const auto look_up = [&](const float* at_i, const float* at_j, float* __restrict
         light[x] = inside ? 1.0f - (one + b * (two - one)) * (1.0f / 65535.0f) : 1.0f;
     }
 };
-// Fraction of the backdrop's light left by the floor's shadow, and the pool of light it adds.
+// Fraction of the backdrop's light after the floor's shadow, and light spot on the floor.
 const auto shine = [&](float at, Row& light, Row& pool) {
     const float v = (at - view.centre[1]) * step;
     const Row z = along_z + turn[1][2] * v;
@@ -200,9 +200,9 @@ for (int i = 0; i < count && glazed; ++i)
         }
 
 //: veil
-// The opacity of a glass solid for sixteen rays at once. Rays that miss are computed as well, so
-// that no loop over rays has a branch.
-// Plain form: `veil` of splat/glass.py.
+// The opacity of a glass solid for sixteen rays. Rays that miss are computed as well, so that no
+// loop over rays has a branch.
+// Python version: `veil` of splat/glass.py.
 // Test: tests/test_stage.py, test_every_form_of_the_renderer_draws_the_same_stage.
 
 struct Rays {

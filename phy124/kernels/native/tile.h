@@ -1,7 +1,7 @@
 // A tile of 16 x 16 pixels, with three numbers R, G, B for each pixel. A row of a tile is 16
 // floats: one AVX-512, two AVX2 or four NEON registers. The loop over a row has no branch; a
 // finished pixel (T < 0) and a skipped splat contribute with weight zero instead.
-// Plain form: `blend_tiles` of splat/blend.py.
+// Python version: `blend_tiles` of splat/blend.py.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
 const int tile = first + thread;
@@ -23,9 +23,10 @@ for (int j = 0; j < 256; ++j) {
 #define AFTER_SPLAT
 
 //: splats
-// Loops over the splats from front to back, until all pixels are finished. Macros define the work:
-// ON_SPLAT for splat `index`; ON_ROW for each row within the splat's reach, with first pixel `at`;
-// ON_PIXEL for each pixel `x` of the row, with the splat's `weight`; AFTER_SPLAT after the splat.
+// Loops over the splats from front to back, until all pixels are finished. Macros define what is
+// done: ON_SPLAT for splat `index`; ON_ROW for each row within the splat's reach, with first pixel
+// `at`; ON_PIXEL for each pixel `x` of the row, with the splat's `weight`; AFTER_SPLAT after the
+// splat.
 {
     alignas(64) float centres[16];
     for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
@@ -35,7 +36,8 @@ for (int j = 0; j < 256; ++j) {
     const int begin = starts.data[tile], end = ends.data[tile];
 
     for (int k = begin; k < end; ++k) {
-        // Splats of a tile are scattered in memory: prefetch one that is needed soon.
+        // Splats of a tile are scattered in memory, so the splats that are needed next are
+        // prefetched.
         if (k + 6 < end) __builtin_prefetch(&splats.data[pairs.data[k + 6]]);
         const int index = pairs.data[k];
         const auto& splat = splats.data[index];
@@ -107,7 +109,7 @@ for (int y = 0; y < rows; ++y) {
 
 //: gather
 // The adjoint of blending: adds the pixels' values to each splat, weighted by its contribution.
-// Plain form: `gather_pixels` of splat/blend.py.
+// Python version: `gather_pixels` of splat/blend.py.
 // Test: tests/test_compose.py, test_both_forms_of_the_sums_agree_gaussian_by_gaussian.
 
 for (int y = 0; y < rows; ++y)
@@ -140,7 +142,7 @@ const auto add = [&](int index) {
 
 //: bin
 // Appends every splat, front to back, to the lists of the tiles that it touches.
-// Plain form: `bin_parallel` of splat/project.py, whose lists are then sorted.
+// Python version: `bin_parallel` of splat/project.py, whose lists are then sorted.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
 int* __restrict slots = ends_out.data;

@@ -1,7 +1,7 @@
 // Scatter and gather in float32, one 64-byte row of three nodes at a time. Three nodes of four
 // floats, and a fourth node of weight zero, fill one AVX-512 or two AVX2 registers. The grid is one
 // node longer than its window, so that the last row can be read completely.
-// Plain form: `scatter` and `gather` of transfer.py.
+// Python version: `scatter` and `gather` of transfer.py.
 // Test: tests/test_mpm.py, test_simd_rows_and_plain_loops_are_one_algorithm.
 
 typedef float Row __attribute__((vector_size(64), aligned(4)));
