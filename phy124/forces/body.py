@@ -23,7 +23,7 @@ class Gravity(Force):
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration of the run, or accelerate only the chosen particles."""
+        """Add the acceleration to the uniform acceleration, or only to chosen particles."""
         return accelerate(self, self.g, model, state, tracks)
 
 
@@ -36,7 +36,7 @@ class Acceleration(Force):
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add to the uniform acceleration of the run, or accelerate only the chosen particles."""
+        """Add the acceleration to the uniform acceleration, or only to chosen particles."""
         return accelerate(self, self.a, model, state, tracks)
 
 

@@ -65,7 +65,7 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
 
 @wp.func
 def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
-    """Return the gradient of a body's mass at a node [kg per 32 cells], added to `zero`.
+    """Add the gradient of a body's mass at a node [kg per 32 cells] to `zero`; return the sum.
 
     The gradient along each axis is a mean of nine differences. Otherwise a surface roughness of a
     hundredth of a cell would brake sliding objects.
@@ -81,7 +81,7 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """Return the weight of a body in the contact normal, which is larger if the body never
+    """Return a body's weight in the contact normal; the weight is larger for a body that never
     moves.
     """
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields

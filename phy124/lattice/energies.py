@@ -84,7 +84,7 @@ class Energies:
         self._solver.record()
 
     def attach(self) -> None:
-        """Let the contact sum its work, as soon as the contact's launches are recorded again."""
+        """Let contact sum its work, after the launches of contact have been recorded again."""
         solver = self._solver
         self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls

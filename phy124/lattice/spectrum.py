@@ -152,8 +152,8 @@ class Spectrum:
         Args:
             share: Factor with which the accelerations are added to the shape.
             rounds: Number of iterations.
-            velocities: Velocities of the nodes, which are changed instead of the displacements, so
-                that the result is the largest rate of damping [1/s]; None: the displacements.
+            velocities: Velocities of the nodes. If given, velocities are changed instead of
+                displacements, and the result is the largest rate of damping [1/s].
         """
         square, peak = 0.0, self._peak()
         for _ in range(rounds):

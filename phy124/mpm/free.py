@@ -379,7 +379,7 @@ class FreeBodies:
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction coefficient for each kind of contact, if fixed; a solid may leave even a sticky wall."""
+"""Friction coefficients of those kinds of contact that have a fixed value."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:

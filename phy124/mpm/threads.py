@@ -1,4 +1,5 @@
-"""A team of threads that run one task after another in parallel, with a barrier between tasks.
+"""A team of threads. All threads run a task in parallel, and wait at a barrier before the next
+task.
 
 Warp's CPU kernels release Python's global lock, so several threads can run kernels at the same
 time. The barrier spins inside a kernel, since putting a thread to sleep would take longer than a

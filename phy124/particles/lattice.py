@@ -24,8 +24,8 @@ from phy124.particles.solid import Solid
 PER_CELL = 8
 """Number of integration points in a cell."""
 SMALLEST, FULLEST = 1e-3, 0.1
-"""Smallest filled fraction of a cell with integration points. If it is less, the limit is `FULLEST`
-times the filled fraction of the fullest cell, for bodies of needles.
+"""Smallest filled fraction of a cell with integration points. In bodies of needles, the limit is
+lower: `FULLEST` times the filled fraction of the fullest cell.
 """
 HAZE = 0.005
 """A cell with a smaller filled fraction contains only stray Gaussians and has no surface points."""

@@ -25,7 +25,7 @@ Version = tuple[int, int]
 LIBRARIES = ("libcuda.so.1", "nvcuda.dll")
 """File names of the NVIDIA driver's library on Linux and on Windows."""
 RELEASES = {12: 525, 13: 580}
-"""First release of the NVIDIA driver that supports a CUDA version, by major version."""
+"""For each major version of CUDA, the first release of the NVIDIA driver that supports it."""
 
 
 def pick_device(name: str) -> str:

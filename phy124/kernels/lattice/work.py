@@ -1,7 +1,7 @@
 """Sums the work of forces on nodes and the work of contact, for each cause separately.
 
 The work of an impulse is the impulse times the mean of the velocities before and after the substep.
-The works of all impulses then add up to the change of the nodes' kinetic energy, in every substep.
+In every substep, the work of all impulses then adds up to the change of the nodes' kinetic energy.
 """
 
 from typing import Any

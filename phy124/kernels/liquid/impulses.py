@@ -34,8 +34,8 @@ def way_to_wall(
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
     The wall lies where the signed distance, interpolated linearly between the centre and the face,
-    is zero. Of nine parallel lines, the line that ends deepest in the solid is used; this matters
-    at edges of solids.
+    is zero. At edges of solids, nine parallel lines differ; the line that ends deepest in the solid
+    is used.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]

@@ -53,7 +53,7 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
 def corner_on_screen(view: View, solid: Solid, corner: int) -> wp.vec3:
     """Return a corner of a solid's box: its position on the screen [px] and its depth [m].
 
-    Each bit of the corner's index gives the side of the centre along one axis.
+    Each bit of the corner's index tells on which side of the centre the corner lies along one axis.
     """
     away = solid.half + wp.vec3(solid.radius, solid.radius, solid.radius)
     for axis in range(3):
