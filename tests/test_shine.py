@@ -159,13 +159,24 @@ def test_a_film_of_particles_in_rows_has_no_stripes():
     x = np.stack(points, axis=-1).reshape(-1, 3)
     floor = Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
     drawn = Liquid(x, 2 * CELL, 0.5, floor).shape(still(x), floor)
-    seen = drawn.opacities > 0
-    means, scale = drawn.means[seen], drawn.scales[seen, :1]
-    line = np.linspace(0.35, 0.65, 61)
-    away = (0.5 - means[:, :1]) ** 2 + (line - means[:, 1:2]) ** 2
-    depths = -np.log1p(-drawn.opacities[seen])[:, None] * np.exp(-away / (2 * scale**2))
-    depth = depths.sum(axis=0)
+    depth = depths(drawn, np.column_stack([np.full(61, 0.5), np.linspace(0.35, 0.65, 61)]))
     assert depth.std() < 0.12 * depth.mean()
+
+
+def test_a_stretched_liquid_has_no_stripes(solid):
+    liquid = Liquid(solid, 2 * CELL, 0.5)
+    for stretch in (2.8, 3.2):
+        drawn = liquid.shape(still(solid * [stretch, 1, 1 / stretch]))
+        depth = depths(drawn, np.column_stack([np.linspace(-0.2, 0.2, 81), np.zeros(81)]))
+        assert depth.std() < 0.12 * depth.mean()
+
+
+def depths(drawn, line):
+    """Return the optical depth of discs, seen from above, along a line [M,2]."""
+    seen = drawn.opacities > 0
+    means, scale = drawn.means[seen, None, :2], drawn.scales[seen, :1]
+    away = ((line - means) ** 2).sum(axis=-1)
+    return (-np.log1p(-drawn.opacities[seen])[:, None] * np.exp(-away / (2 * scale**2))).sum(axis=0)
 
 
 @pytest.mark.parametrize(("law", "colours"), [("fluid", 1), ("neo_hookean", 600)])

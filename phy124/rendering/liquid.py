@@ -48,6 +48,10 @@ OVERLAP, NARROW, BROAD, WIDEST, FLAT = 0.95, 0.4, 0.55, 0.7, 0.3
 """Sizes of discs: the radius relative to the distance between discs; the lower bound of the radius,
 the lower bound for a film on a wall, and the upper bound, all in cells; the thickness relative to
 the radius."""
+EVEN, CLOSED = 0.3, 0.5
+"""Both relative to the distance between rows of Gaussians, which a liquid that is stretched evenly
+has: the largest distance of a Gaussian from the middle between its two neighbours, and the smallest
+radius of discs."""
 TOUCH, FILM, EDGE = 0.75, (1.5, 2.5), 0.5
 """All in cells: the largest distance from a wall at which Gaussians are drawn on the wall; two
 thicknesses of a film on a wall, between which the film's face on the wall fades in; the smallest
@@ -237,6 +241,7 @@ class Liquid:
             volumes = np.full(len(x), field.cell**3 / max(float(density), 2.0))
         # Thin parts have few particles and would not be drawn without additional volume.
         here = np.maximum(field.sample(field.fill(volumes)), 1e-6)
+        self._rows = _find_rows(x, float(np.cbrt(np.max(volumes))))
         self._volumes = volumes = volumes * np.clip(LEVEL / here, 1, THICKER)
         self._spread = _measure_spread(field, field.fill(volumes))
 
@@ -246,7 +251,40 @@ class Liquid:
         phi = field.fill(self._volumes)
         spread = _measure_spread(field, phi)
         torn = (spread < TORN) & (spread < THINNER * self._spread) & (field.gap > TOUCH)
-        return _shape(part, field, phi, self._volumes / field.cell**3, torn, self._visibility)
+        apart = _measure_rows(part.means, self._rows) / field.cell
+        return _shape(
+            part, field, phi, self._volumes / field.cell**3, torn, apart, self._visibility
+        )
+
+
+def _find_rows(x: NDArray, spacing: float) -> NDArray[np.int64]:
+    """Return the neighbours of points [N,3] m on both sides along each axis [3,2,N].
+
+    If a point does not have both neighbours on a lattice of this spacing, its neighbours are the
+    point itself.
+    """
+    tree, itself = scipy.spatial.cKDTree(x), np.arange(len(x))
+    rows = np.empty((3, 2, len(x)), np.int64)
+    for axis, step in enumerate(spacing * np.eye(3)):
+        for side, away in enumerate((-step, step)):
+            rows[axis, side] = tree.query(x + away, distance_upper_bound=spacing / 4)[1]
+        alone = (rows[axis] == len(x)).any(axis=0)
+        rows[axis] = np.where(alone, itself, rows[axis])
+    return rows
+
+
+def _measure_rows(x: NDArray, rows: NDArray) -> NDArray[np.float32]:
+    """Return the largest distance from points [N,3] to their neighbours in `rows` [N], m.
+
+    Neighbours count only while the point is still between them, so that the liquid has been
+    stretched evenly there.
+    """
+    apart = np.zeros(len(x), np.float32)
+    for before, after in x[rows]:
+        along = np.linalg.norm(after - before, axis=1) / 2
+        even = np.linalg.norm((after + before) / 2 - x, axis=1) < EVEN * along
+        apart = np.maximum(apart, np.where(even, along, 0))
+    return apart
 
 
 def _measure_spread(field: Field, phi: NDArray) -> NDArray[np.float32]:
@@ -263,6 +301,7 @@ def _shape(
     phi: NDArray,
     volumes: NDArray,
     torn: NDArray,
+    apart: NDArray,
     visibility: float | None,
 ) -> Surface:
     """Return a liquid's Gaussians, shaped for rendering.
@@ -274,6 +313,7 @@ def _shape(
         volumes: Volumes of the Gaussians [N], in cells.
         torn: Mask of the Gaussians in jets. Some of these Gaussians are drawn as drops, and the
             others are not drawn.
+        apart: Distances between neighbouring rows of Gaussians [N], in cells.
         visibility: Distance over which the liquid dims light to 1/e, m. None means that the liquid
             is opaque.
     """
@@ -311,7 +351,7 @@ def _shape(
     # of the filter's Gaussian.
     around = field.sample(field.blur(field.sum(fade[on], on)), on)
     layer = around * np.sqrt(2 * np.pi) * BLUR
-    narrow = BROAD + lower[on] * (NARROW - BROAD)
+    narrow = np.clip(CLOSED * apart[on], BROAD + lower[on] * (NARROW - BROAD), WIDEST)
     radius = np.clip(OVERLAP / np.sqrt(np.maximum(layer, 1e-6)), narrow, WIDEST)
     scales[on] = (radius * cell)[:, None] * np.array([1, 1, FLAT])
     per_cell = cell / visibility if visibility else np.inf
