@@ -263,7 +263,7 @@ def _find_rows(x: NDArray, spacing: float) -> NDArray[np.int64]:
     If a point does not have both neighbours on a lattice of this spacing, its neighbours are the
     point itself.
     """
-    tree, itself = scipy.spatial.cKDTree(x), np.arange(len(x))
+    tree, itself = scipy.spatial.KDTree(x, balanced_tree=False), np.arange(len(x))
     rows = np.empty((3, 2, len(x)), np.int64)
     for axis, step in enumerate(spacing * np.eye(3)):
         for side, away in enumerate((-step, step)):
@@ -280,7 +280,8 @@ def _measure_rows(x: NDArray, rows: NDArray) -> NDArray[np.float32]:
     stretched evenly there.
     """
     apart = np.zeros(len(x), np.float32)
-    for before, after in x[rows]:
+    for pair in rows:
+        before, after = x[pair]
         along = np.linalg.norm(after - before, axis=1) / 2
         even = np.linalg.norm((after + before) / 2 - x, axis=1) < EVEN * along
         apart = np.maximum(apart, np.where(even, along, 0))
