@@ -27,8 +27,7 @@ class Properties(Section):
     file: FileName = Field(
         examples=["materials.npz"],
         description="A .ply file with points and columns, a .npz file with arrays per Gaussian, "
-        "point or voxel, or a "
-        ".npy file with a fraction of E per Gaussian.",
+        "point or voxel, or a .npy file with a fraction of E per Gaussian.",
     )
     sampling: Literal["nearest", "trilinear"] = Field(
         default="nearest",
@@ -38,8 +37,7 @@ class Properties(Section):
     front: Axis | None = Field(
         default=None,
         description="Axis of the file's coordinates towards which the object faces. Default: as "
-        "for "
-        "a .ply file with the same up axis.",
+        "for a .ply file with the same up axis.",
     )
 
     def laws(self) -> frozenset[str]:
@@ -98,8 +96,7 @@ class Properties(Section):
                 f"the object has {len(means):,} "
                 "Gaussians.",
                 "Add x, y, z to the file, or write one value per Gaussian of the gaussians.ply "
-                "that a "
-                "run writes.",
+                "that a run writes.",
             )
         turned = orientation(self.up, self.front).T
         points = table.points @ turned
