@@ -40,8 +40,8 @@ sum. The curvature of a gap between two splines would give 1/4; the larger value
 measurements with balls (docs/lab/contact-force.md).
 """
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
-"""`STEEPER`: the larger this exponent, the more the steeper of two slopes determines the normal.
-`TRUSTED`: factor on the squared slope of a body that never moves.
+"""`STEEPER`: the larger this value, the faster the normal changes from the mean of two slopes to
+the steeper slope. `TRUSTED`: factor on the squared slope of a body that never moves.
 """
 
 

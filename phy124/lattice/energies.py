@@ -192,5 +192,5 @@ class Energies:
 
 
 def _rename(launches: Sequence[Named]) -> list[Named]:
-    """Rename the launches, so that their time counts as time for summing work."""
+    """Rename the launches, so that reports count their time as time for summing work."""
     return [(STAGE, launch) for _, launch in launches]

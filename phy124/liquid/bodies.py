@@ -1,4 +1,4 @@
-"""Couples bodies of other materials, which another solver moves, to a liquid.
+"""Couples a liquid to bodies of other materials, which another solver moves.
 
 For the liquid, a body is a wall; its shape is computed from the particles of the body. The bodies
 move in substeps between the steps of the liquid. During these substeps, the liquid's pressure acts

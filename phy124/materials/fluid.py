@@ -27,9 +27,9 @@ again.
 class Fluid(Material):
     """Weakly compressible fluid: Tait pressure and Newtonian viscosity.
 
-    Real water has a bulk modulus of 2e9 Pa, but its tiny compression looks no different from a
-    compression of a few per cent. `bulk_modulus` (K) is therefore chosen for the scene; at the
-    depth h, the compression is rho g h / K.
+    Real water has a bulk modulus of 2e9 Pa. A much lower value, with a compression of a few per
+    cent, gives the same visible motion. `bulk_modulus` (K) is therefore chosen for the scene; at
+    the depth h, the compression is rho g h / K.
     """
 
     law: Literal["fluid"] = "fluid"

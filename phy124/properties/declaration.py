@@ -60,8 +60,8 @@ class Properties(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of all Gaussians at rest [N,3], m.
-            survivors: Mask over all Gaussians before cleaning, of the Gaussians that cleaning kept;
-                None: all were kept.
+            survivors: For each Gaussian before cleaning, whether cleaning kept it; None: all were
+                kept.
             is_object: Mask [N] of the Gaussians that belong to the object, not to its surroundings;
                 None: all.
 

@@ -22,7 +22,7 @@ UNUSED = {
     **{f"numpy.{name}": () for name in ("char", "ctypeslib", "f2py", "polynomial", "testing")},
     "unittest.mock": ("Mock", "patch"),
 }
-"""Classes that other modules import from modules that are not imported, by module name."""
+"""For each module that is not imported, the classes that other modules import from it."""
 TYPED_ONLY = "pydantic_core.core_schema"
 """Name of the module with typed dictionaries that only type checkers read."""
 SCIPY = ("scipy.ndimage", "scipy.sparse.linalg", "scipy.spatial", "scipy.fft")

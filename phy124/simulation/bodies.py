@@ -83,7 +83,7 @@ class Body(NamedTuple):
     """Visible Gaussians of the object, and its particles."""
     materials: Sequence[AnyMaterial]
     stiffness: NDArray | None
-    """Factor on the material's E for each particle [P]; None if all factors are 1."""
+    """Factor on Young's modulus of the material for each particle [P]; None if all are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
     """Interior, without surroundings, and longest side [m] of each moving object."""
     placed: Placed | None = None

@@ -67,7 +67,7 @@ class Setup:
     materials: Sequence[AnyMaterial]
     """Materials of the particles."""
     stiffness: NDArray[np.float64] | None
-    """Factor on the material's E for each particle [P]; None if all factors are 1."""
+    """Factor on Young's modulus of the material for each particle [P]; None if all are 1."""
     free: tuple[FreeBody, ...]
     """Props (objects without deformation) that are freely moving rigid solids."""
     scenery: Scenery

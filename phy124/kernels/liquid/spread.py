@@ -107,8 +107,8 @@ def make_slide(real: Any):
 
     `frictions` contains two numbers for each wall: the coefficient of friction, and 1 if the wall
     is sticky. The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass
-    [kg] of a full cell of liquid with the relative density 1. If `rubs` is 2, the viscosity
-    (`viscous`) makes the liquid stick, and this kernel acts only inside walls.
+    [kg] of a full cell of liquid with the relative density 1. If `rubs` is 2, the liquid sticks to
+    walls by viscosity (`viscous`), and this kernel acts only inside walls.
     """
     t = types(real)
 
