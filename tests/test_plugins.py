@@ -289,7 +289,7 @@ def test_swirl_of_the_docs_is_filmed_from_python(monkeypatch, tmp_path, capsys):
     turn = np.angle(np.exp(1j * (turned - start)))
     assert np.median(turn) == pytest.approx(20 * t**2 / 2, rel=0.1), "angular acceleration of 20"
     report = json.loads(Path("out/swirl/report.json").read_text())
-    assert "Swirl is defined by your program only" in " ".join(report["notes"])
+    assert "Swirl is defined only in your program" in " ".join(report["notes"])
     assert {"front.mp4", "clip.safetensors", "scene.toml"} <= set(report["files"])
     film = ["render", "out/swirl/clip.safetensors", "--out", "again", "--device", "cpu"]
     assert main(film) == 0
