@@ -391,6 +391,7 @@ def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, la
     if late == "comparison":
         monkeypatch.setattr(study_of, "difference", fail)
     command = ["accuracy", "drop", "--levels", "6", "8", "10", "--frames", "2", "--json"]
+    command += ["--set", "view.size=32", "accuracy.solver=mpm"]
     assert main([*command, "--device", "cpu", "--out", str(tmp_path / "o")]) == 1
     said = capsys.readouterr()
     assert "there is not enough memory" in said.err and KEPT in said.err

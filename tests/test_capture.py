@@ -301,7 +301,8 @@ def test_a_capture_at_an_accuracy_that_is_looked_for(tmp_path, capsys):
 def test_a_study_reads_captures_as_a_simulation_does(tmp_path, capsys):
     path = saved(tmp_path, captured(8, floor=600))
     (tmp_path / "s.toml").write_text(
-        'accuracy = {cells = 6}\ntime = {frames = 2}\nview = {size = 32, views = ["front"]}\n'
+        'accuracy = {cells = 6, solver = "mpm"}\ntime = {frames = 2}\n'
+        'view = {size = 32, views = ["front"]}\n'
     )
     out = str(tmp_path / "o")
     study = ["accuracy", str(tmp_path / "s.toml"), "--device", "cpu", "--out", out]

@@ -14,6 +14,13 @@ import warp as wp
 from phy124.__main__ import main
 from phy124.studies.validation.stress import CASES, Setting, examine
 from phy124.studies.validation.stress.bodies import alike
+from phy124.studies.validation.stress.tips import (
+    PIERCED,
+    check_depth,
+    depth_in_body,
+    needle,
+    solvers,
+)
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
@@ -21,15 +28,36 @@ PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 DEVICES = ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)]
 
 
+LONG = (33, 34)
+"""Cases with many shapes; the tests of tips below run a few of them."""
+MARKED = [
+    pytest.param(
+        case, marks=[pytest.mark.slow] * (case.number in LONG), id=f"{case.number}-{case.name}"
+    )
+    for case in CASES
+]
+
+
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.number}-{case.name}")
+@pytest.mark.parametrize("case", MARKED)
 def test_hard_case_holds(case, device, precision):
     """The bounds hold; SABOTAGE below names for each case what makes it fail."""
     if device != "cpu" and not wp.is_cuda_available():
         pytest.skip("this machine has no CUDA device")
     row, checks = examine(case, Setting(device, precision))
     assert row.verdict == "pass", [check.bound for check in checks if not check.holds] or row
+
+
+@pytest.mark.parametrize("solver", solvers(Setting()))
+def test_a_needle_stays_above_the_floor(solver):
+    """One of the ten runs of case 33, for each solver."""
+    assert check_depth(needle, 0.3, "draft", Setting(), solver).holds
+
+
+def test_a_needle_stays_out_of_another_body():
+    """One of the four runs of case 34."""
+    assert depth_in_body(needle, "draft", Setting(), "mpm") <= PIERCED
 
 
 @pytest.mark.slow
@@ -140,6 +168,13 @@ import phy124
 assert phy124.__file__.startswith(sys.argv[1]), phy124.__file__
 from phy124.studies.validation.stress import CASES, Setting, examine
 from phy124.studies.validation.stress.bodies import alike
+from phy124.studies.validation.stress.tips import (
+    PIERCED,
+    check_depth,
+    depth_in_body,
+    needle,
+    solvers,
+)
 print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 """
 
