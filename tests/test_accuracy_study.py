@@ -148,7 +148,8 @@ def test_levels_run_with_default_particles(name):
 
 
 def test_levels_alone_are_run_where_nothing_else_is_asked():
-    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
+    quick = {**PARTICLES, "time.frames": 3, "view.size": 32, "binding": "lattice"}
+    scene = Scene.named("drop").replaced(quick)
     messages = []
     report = Study(
         ball(300),
@@ -163,7 +164,8 @@ def test_levels_alone_are_run_where_nothing_else_is_asked():
 
 
 def test_a_level_that_is_stopped_is_left_out():
-    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32, "binding": "lattice"})
+    quick = {**PARTICLES, "time.frames": 3, "view.size": 32, "binding": "lattice"}
+    scene = Scene.named("drop").replaced(quick)
 
     def progress(stage: str, done: int, total: int) -> None:
         if (stage, done) == ("study", 1):
@@ -366,7 +368,7 @@ def test_levels_that_are_done_survive_an_interrupt():
             raise Cancelled
 
     options = {"levels": (6, 8), "context": RunContext(progress=cancel)}
-    scene = Scene.named("drop").replaced({"time.frames": 3, "view.size": 32})
+    scene = Scene.named("drop").replaced({**PARTICLES, "time.frames": 3, "view.size": 32})
     report = Study(ball(300), scene, keep=True, **options).run()
     assert report.interrupted and [row.name for row in report.rows] == ["D/6"]
     assert report.skipped[-4] == "D/8 was not run: interrupted." and len(report.skipped) >= 4

@@ -21,6 +21,8 @@ from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
+BY_PARTICLES = ["--set", "accuracy.solver=mpm"]
+"""For tests of what is said, not of lattices, whose set-up takes a second per grid."""
 
 
 @pytest.fixture
@@ -37,9 +39,11 @@ def test_both_commands_share_their_options():
 def test_a_dry_run_says_what_would_run_and_writes_nothing(file, tmp_path, capsys):
     out = tmp_path / "o"
     arguments = ["simulate", str(file), "--out", str(out), *SMALL, "--accuracy", "draft"]
+    arguments += BY_PARTICLES
     assert main([*arguments, "--dry-run"]) == 0
     said = capsys.readouterr().out
-    scene = Scene.named("press").replaced({"accuracy": "draft", "time.frames": 2})
+    draft = Scene.named("press").replaced({"accuracy": "draft", "time.frames": 2})
+    scene = draft.replaced({"accuracy.solver": "mpm"})
     promised = promise(scene, proportions_of(ball(100), scene))
     for words in ("scene: neo_hookean (", "particles, ", "s, likely ", promised.sentence):
         assert words in said
@@ -60,7 +64,16 @@ def test_a_dry_run_refuses_an_output_folder_that_is_a_file(command, source, file
 
 def test_forecast_omits_the_own_error_like_the_run(file, capsys, monkeypatch):
     monkeypatch.setattr(companion, "AFFORDABLE", 1e9)
-    arguments = ["simulate", str(file), *SMALL[2:], "--frames", "3", "--dry-run", "--json"]
+    arguments = [
+        "simulate",
+        str(file),
+        *SMALL[2:],
+        "--frames",
+        "3",
+        "--dry-run",
+        "--json",
+        *BY_PARTICLES,
+    ]
     stages = []
     for more in ([], ["--no-error"]):
         assert main([*arguments, "--accuracy", "draft", *more]) == 0
@@ -91,7 +104,8 @@ def test_study_command_has_every_object_and_option():
 def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
     monkeypatch.setattr("phy124.accuracy.choose.START", 8)
-    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, "--dry-run"]
+    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, *BY_PARTICLES]
+    arguments += ["--dry-run"]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
     assert main([*arguments, "--max-error", "2%"]) == 2
@@ -101,7 +115,7 @@ def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, m
 def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10))
     monkeypatch.setattr("phy124.accuracy.choose.START", 8)
-    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL]
+    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, *BY_PARTICLES]
     assert main([*arguments, "--max-seconds", "1000"]) == 0
     assert "asked for at most 1000 s: D/" in capsys.readouterr().out
     assert json.loads((tmp_path / "o/report.json").read_text())["goal"]["cells"] in (8, 10)
@@ -124,7 +138,7 @@ def test_a_run_with_an_error_goal_names_one_error(file, tmp_path, capsys, monkey
 
 
 def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):
-    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL]
+    arguments = ["simulate", str(file), "--out", str(tmp_path / "o"), *SMALL, *BY_PARTICLES]
     assert main([*arguments, "--max-seconds", "0.01"]) == 2
     said = capsys.readouterr().err
     assert "the coarsest grid, D/8, takes about " in said
