@@ -18,8 +18,8 @@ from phy124.studies.validation.stress.tips import (
     PIERCED,
     check_depth,
     depth_in_body,
+    hairs,
     needle,
-    solvers,
 )
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
@@ -49,10 +49,10 @@ def test_hard_case_holds(case, device, precision):
     assert row.verdict == "pass", [check.bound for check in checks if not check.holds] or row
 
 
-@pytest.mark.parametrize("solver", solvers(Setting()))
-def test_a_needle_stays_above_the_floor(solver):
-    """One of the ten runs of case 33, for each solver."""
-    assert check_depth(needle, 0.3, "draft", Setting(), solver).holds
+@pytest.mark.parametrize(("inside", "solver"), [(hairs, "mpm"), (needle, "lattice")])
+def test_hairs_and_a_needle_stay_above_the_floor(inside, solver):
+    """Two of the ten runs of case 33, one for each solver."""
+    assert check_depth(inside, 0.3, "draft", Setting(), solver).holds
 
 
 def test_a_needle_stays_out_of_another_body():
@@ -172,8 +172,8 @@ from phy124.studies.validation.stress.tips import (
     PIERCED,
     check_depth,
     depth_in_body,
+    hairs,
     needle,
-    solvers,
 )
 print(examine(CASES[int(sys.argv[2]) - 1], Setting())[0].verdict)
 """
