@@ -64,8 +64,6 @@ class Worker:
     """
     trials: list[Named] = field(default_factory=list)
     """Launches that compute `trial`."""
-    follows: list[Named] = field(default_factory=list)
-    """Launches that update the state of the worker's points."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, task: int) -> None:
