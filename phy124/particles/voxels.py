@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from phy124.runtime.cores import cores
@@ -72,16 +73,20 @@ def find_voxels(filled: NDArray) -> Voxels:
     """
     padded = np.pad(filled.astype(np.float64), len(FAR[0]) - 1)
     index = np.argwhere(filled > 0)
-    around = _gather(padded, index, NEAR)
-    fraction, normal = around[:, len(NEAR) // 2].copy(), -around @ SLOPES
+    fraction, normal = _gather(padded, index, np.zeros((1, 3), int))[:, 0], np.zeros(index.shape)
+    # The gradient is zero among full voxels.
+    within = scipy.ndimage.minimum_filter(filled, 3, mode="constant")[tuple(index.T)] >= 1
+    outer = np.flatnonzero(~within)
+    around = _gather(padded, index[outer], NEAR)
+    normal[outer] = -around @ SLOPES
     length = np.linalg.norm(normal, axis=1)
     normal[length < SHEET] = 0
     normal /= np.maximum(length, SHEET)[:, None]
     shift, spread = np.zeros((len(index), 3)), np.tile(np.eye(3) / 12, (len(index), 1, 1))
-    cut = np.flatnonzero(fraction < 1)
-    number, across, offset = _find_sheets(
-        padded, index[cut], around[cut], np.logical_not(normal[cut].any(axis=1))
-    )
+    part = fraction[outer] < 1
+    cut, around = outer[part], around[part]
+    parts = _Parts(padded, index[cut], around, np.logical_not(normal[cut].any(axis=1)))
+    number, across, offset = _find_sheets(parts)
     normals, offsets, sheet = normal[cut], np.zeros(len(cut)), np.zeros(len(cut), bool)
     normals[number], offsets[number], sheet[number] = across, offset, True
 
@@ -91,7 +96,7 @@ def find_voxels(filled: NDArray) -> Voxels:
         return height, np.abs(normals[some]).sum(axis=1)[:, None]
 
     shift[cut], spread[cut] = _part_moments(from_planes, fraction[cut], SAMPLES)
-    number, axis, middle = _find_rods(padded, index[cut], around[cut])
+    number, axis, middle = _find_rods(parts)
 
     def from_axes(some: NDArray[np.int64], points: NDArray) -> tuple[NDArray, NDArray]:
         arm = points - middle[some][:, None]
@@ -110,69 +115,71 @@ def _gather(padded: NDArray, index: NDArray, steps: NDArray) -> NDArray[np.float
     return padded.ravel()[((index + 2) @ strides)[:, None] + steps @ strides]
 
 
-def _find_sheets(
-    padded: NDArray, index: NDArray, around: NDArray, no_normal: NDArray
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Find the thin sheets, and the voxels that belong to them.
+class _Parts:
+    """Partly filled voxels that may belong to sheets or rods, with moments of what is around them.
 
     Args:
         padded: Filled fractions, padded by 2 voxels.
         index: Indices of the voxels [V,3].
         around: Filled fractions of the 27 voxels around each voxel [V,27].
         no_normal: Mask of voxels that must be part of a sheet [V].
+    """
+
+    def __init__(
+        self, padded: NDArray, index: NDArray, around: NDArray, no_normal: NDArray
+    ) -> None:
+        total = around.sum(axis=1)
+        layers = np.where(around.max(axis=1) < FULL, total / 9, np.inf)
+        # The thickness of a sheet is `layers` times the largest component of the normal, at least
+        # 1 / sqrt(3). A rod crosses three layers of voxels, or more if it is slanted.
+        most = max(math.sqrt(3) * THIN, math.sqrt(3) * ROUND / 3)
+        self.number = np.flatnonzero((layers < most) | no_normal)
+        """Numbers of the K voxels among the V voxels [K]."""
+        self.around, self.total = around[self.number], total[self.number]
+        self.layers, self.no_normal = layers[self.number], no_normal[self.number]
+        # With only two layers of voxels, a sheet's normal could not be distinguished from a
+        # direction across the sheet's rim.
+        weight = _gather(padded, index[self.number], FAR)
+        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+        self.middle = weight @ FAR
+        """Centres of the filled parts of the surrounding 125 voxels [K,3]."""
+        second = (weight @ (FAR[:, :, None] * FAR[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
+        second -= self.middle[:, :, None] * self.middle[:, None, :]
+        self.moment, self.axes = np.linalg.eigh(second)
+        """Second moments of these parts, in ascending order [K,3], and their axes [K,3,3]."""
+
+
+def _find_sheets(
+    parts: _Parts,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Find the voxels that belong to thin sheets.
 
     Returns:
         Numbers of the K voxels [K]; normals [K,3], along which the filled parts of the surrounding
         125 voxels are thinnest; and distances of the sheets from the voxels' middles [K].
     """
-    total = around.sum(axis=1)
-    layers = np.where(around.max(axis=1) < FULL, total / 9, np.inf)
-    # The thickness is `layers` times the largest component of the normal, at least 1 / sqrt(3).
-    near = np.flatnonzero((layers < math.sqrt(3) * THIN) | no_normal)
-    # With only two layers of voxels, a sheet's normal could not be distinguished from a direction
-    # across the sheet's rim.
-    weight = _gather(padded, index[near], FAR)
-    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-    middle = weight @ FAR
-    second = weight @ (FAR[:, :, None] * FAR[:, None, :]).reshape(-1, 9)
-    _, axes = np.linalg.eigh(second.reshape(-1, 3, 3) - middle[:, :, None] * middle[:, None, :])
-    normal = axes[:, :, 0]
-    thin = (layers[near] * np.abs(normal).max(axis=1) < THIN) | no_normal[near]
-    near, normal = near[thin], normal[thin]
-    centre = around[near] @ NEAR / np.maximum(total[near], 1e-9)[:, None]
-    return near, normal, np.einsum("vi,vi->v", centre, normal)
+    normal = parts.axes[:, :, 0]
+    thin = (parts.layers * np.abs(normal).max(axis=1) < THIN) | parts.no_normal
+    normal, around = normal[thin], parts.around[thin]
+    centre = around @ NEAR / np.maximum(parts.total[thin], 1e-9)[:, None]
+    return parts.number[thin], normal, np.einsum("vi,vi->v", centre, normal)
 
 
 def _find_rods(
-    padded: NDArray, index: NDArray, around: NDArray
+    parts: _Parts,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Find the voxels of rods, such as stems, that are too thin to have full voxels.
-
-    Args:
-        padded: Filled fractions, padded by 2 voxels.
-        index: Indices of the voxels [V,3].
-        around: Filled fractions of the 27 voxels around each voxel [V,27].
 
     Returns:
         Numbers of the K voxels [K]; directions of the rods [K,3]; and positions on the rods' axes,
         relative to the voxels' middles [K,3].
     """
-    total = around.sum(axis=1)
-    # A rod crosses three layers of voxels, or more if it is slanted.
-    near = np.flatnonzero((around.max(axis=1) < FULL) & (total < 3 * math.sqrt(3) * ROUND))
-    weight = _gather(padded, index[near], FAR)
-    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
-    middle = weight @ FAR
-    second = weight @ (FAR[:, :, None] * FAR[:, None, :]).reshape(-1, 9)
-    moment, axes = np.linalg.eigh(
-        second.reshape(-1, 3, 3) - middle[:, :, None] * middle[:, None, :]
-    )
-    axis = axes[:, :, 2]
-    area = total[near] * np.abs(axis).max(axis=1) / 3
+    moment, axis = parts.moment, parts.axes[:, :, 2]
+    area = 3 * parts.layers * np.abs(axis).max(axis=1)
     narrow = (moment[:, 1] < WIDE) & (moment[:, 2] > LONG * moment[:, 1]) & (area < ROUND)
     strip = (area > SINGLE) & (moment[:, 1] > 0.1) & (moment[:, 0] < 0.03)
     chosen = narrow & ~strip & (moment[:, 2] > WIDE)
-    return near[chosen], axis[chosen], middle[chosen]
+    return parts.number[chosen], axis[chosen], parts.middle[chosen]
 
 
 def _part_moments(
