@@ -127,12 +127,14 @@ class Field:
         extent = high - low + 2 * spare
         self.cell = cell = max(cell, float(np.prod(extent) / MOST) ** (1 / 3))
         self._size: Any = tuple(int(side) + 1 for side in np.ceil(extent / cell))
-        self._at = ((x - low + spare) / cell).T
-        nearest = np.rint(self._at).astype(int)
-        inside = np.clip(nearest, 0, np.array(self._size)[:, None] - 1)
+        corner = np.asarray(low - spare, np.float32)
+        self._at = np.ascontiguousarray(((x - corner) / np.float32(cell)).T)
+        nearest = np.rint(self._at).astype(np.int32)
+        inside = np.clip(nearest, 0, np.array(self._size, np.int32)[:, None] - 1)
         self._flat: Any = np.ravel_multi_index(tuple(inside), self._size)
+        self._weights = self._weigh(self._at)
         self.gap, self.facing = _touch(x, planes, cell)
-        self.open, self._room = self._before(planes, low - spare)
+        self.open, self._room = self._before(planes, corner)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
         """Return the fraction of each cell in front of all walls, before and after smoothing.
@@ -174,40 +176,63 @@ class Field:
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
         """Return the smoothed fraction phi of each cell that points of volumes [N] m^3 fill.
 
-        The fraction is at most 1, because points lie closer together where a liquid is compressed.
+        Each point is distributed among 8 cells. The fraction is at most 1, because points lie
+        closer together where a liquid is compressed.
         """
-        return self.smooth(np.minimum(self._spread(volumes) / self.cell**3, 1))
-
-    def _spread(self, volumes: NDArray) -> NDArray[np.float64]:
-        """Return the volume in each cell [m^3], after distributing each point among 8 cells."""
-        first = np.clip(np.floor(self._at).astype(int), 0, np.array(self._size)[:, None] - 2)
-        upper = np.clip(self._at - first, 0, 1)
-        flat: Any = np.ravel_multi_index(tuple(first), self._size)
-        total = np.zeros(int(np.prod(self._size)))
-        for corner in np.ndindex(2, 2, 2):
-            share = np.prod([u if c else 1 - u for u, c in zip(upper, corner, strict=True)], axis=0)
-            there = flat + np.ravel_multi_index(corner, self._size)
-            total += np.bincount(there, share * volumes, minlength=len(total))
-        return total.reshape(self._size)
+        filled = self._weights.T @ (volumes / self.cell**3).astype(np.float32)
+        return self.smooth(np.minimum(filled, 1).reshape(self._size))
 
     def nearest(self, field: NDArray, chosen: NDArray | slice = slice(None)) -> NDArray[np.float32]:
         """Return the values of a field in the cells that contain the chosen points."""
         return field.reshape(-1)[self._flat[chosen]]
 
     def sample(
-        self, field: NDArray, chosen: NDArray | slice = slice(None), away: NDArray | float = 0.0
+        self, fields: NDArray, chosen: NDArray | None = None, away: NDArray | None = None
     ) -> NDArray[np.float32]:
-        """Interpolate a field at chosen points, or at positions `away` [3,n] cells from them."""
-        at = self._at[:, chosen] + away
-        values: Any = scipy.ndimage.map_coordinates(field, at, order=1, mode="nearest")
-        return np.asarray(values, np.float32)
+        """Interpolate fields linearly at chosen points, or at positions `away` from these points.
+
+        Args:
+            fields: One field, or several fields of F values per cell.
+            chosen: Indices of n points. None means all points.
+            away: Distances of the positions from the points [3,n], in cells.
+
+        Returns:
+            The values [n] or [n,F].
+        """
+        weights = self._weights
+        if away is not None:
+            weights = self._weigh((self._at if chosen is None else self._at[:, chosen]) + away)
+        elif chosen is not None:
+            weights = weights[chosen]
+        values = weights @ fields.reshape(weights.shape[1], -1)
+        return values.reshape(-1, *fields.shape[3:])
+
+    def _weigh(self, at: NDArray) -> Any:
+        """Return a sparse matrix that interpolates linearly at positions [3,n], in cells.
+
+        It has a row for each position and a column for each cell. Outside the grid, the values at
+        the grid's boundary are used.
+        """
+        size = np.array(self._size, np.int32)[:, None]
+        at = np.clip(at, 0, size - 1)
+        first = np.minimum(at.astype(np.int32), size - 2)
+        upper = (at - first).astype(np.float32)
+        x, y, z = np.stack([1 - upper, upper], axis=1)
+        shares = (x[:, None, None] * y[None, :, None] * z[None, None]).reshape(8, -1)
+        corners = tuple(np.indices((2, 2, 2)).reshape(3, -1))
+        steps = np.asarray(np.ravel_multi_index(corners, self._size), np.int32)
+        flat = np.asarray(np.ravel_multi_index(tuple(first), self._size), np.int32)
+        cells = (flat[:, None] + steps).ravel()
+        rows = 8 * np.arange(len(flat) + 1, dtype=np.int32)
+        shape = (len(flat), int(np.prod(self._size)))
+        return scipy.sparse.csr_matrix((shares.T.ravel(), cells, rows), shape)
 
 
 def _touch(x: NDArray, planes: Planes, cell: float) -> tuple[NDArray, NDArray]:
     """Return the distances of points [N,3] m from the nearest wall, in cells, and its normals."""
     gap, facing = np.full(len(x), np.inf, np.float32), np.zeros((len(x), 3), np.float32)
     for normal, offset in zip(*planes, strict=True):
-        away = ((x @ normal - offset) / cell).astype(np.float32)
+        away = (x @ normal.astype(np.float32) - np.float32(offset)) / np.float32(cell)
         nearer = away < gap
         gap[nearer], facing[nearer] = away[nearer], normal
     return gap, facing
@@ -247,7 +272,7 @@ class Liquid:
 
     def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
         """Return the liquid's Gaussians, shaped for rendering next to flat walls."""
-        field = Field(part.means.astype(np.float64), self._cell, planes)
+        field = Field(part.means, self._cell, planes)
         phi = field.fill(self._volumes)
         spread = _measure_spread(field, phi)
         torn = (spread < TORN) & (spread < THINNER * self._spread) & (field.gap > TOUCH)
@@ -282,8 +307,8 @@ def _measure_rows(x: NDArray, rows: NDArray) -> NDArray[np.float32]:
     apart = np.zeros(len(x), np.float32)
     for pair in rows:
         before, after = x[pair]
-        along = np.linalg.norm(after - before, axis=1) / 2
-        even = np.linalg.norm((after + before) / 2 - x, axis=1) < EVEN * along
+        along = _lengths(after - before) / 2
+        even = _lengths((after + before) / 2 - x) < EVEN * along
         apart = np.maximum(apart, np.where(even, along, 0))
     return apart
 
@@ -318,20 +343,19 @@ def _shape(
         visibility: Distance over which the liquid dims light to 1/e, m. None means that the liquid
             is opaque.
     """
-    x, n, cell = part.means.astype(np.float64), len(part), field.cell
+    x, n, cell = part.means, len(part), field.cell
     here = field.sample(phi)
     close = field.gap < TOUCH
     near = np.flatnonzero((here < 0.98) | close)
     inside = phi * field.open
     gradient = np.zeros((n, 3), np.float32)
-    for axis in range(3):
-        gradient[near, axis] = field.sample(np.gradient(phi, axis=axis), near)
-    steep = np.linalg.norm(gradient, axis=1)
+    gradient[near] = field.sample(np.stack(list(np.gradient(phi)), axis=-1), near)
+    steep = _lengths(gradient)
     normals = -gradient / np.maximum(steep, 1e-9)[:, None]
     ahead = here.copy()
     ahead[near] = field.sample(inside, near, AHEAD * normals[near].T)
     depth = AHEAD * (here - LEVEL) / np.maximum(here - ahead, 1e-6)
-    upright = np.sum(normals * field.facing, axis=1)
+    upright = np.einsum("ni,ni->n", normals, field.facing)
     # The fraction of the face on the wall that is drawn. Sheets in the air have two faces.
     lower = np.where(upright > 0.5, smoothstep(field.gap + depth, *FILM), 1)
     thin = close & (lower == 0)
@@ -425,7 +449,13 @@ def _rotations(normals: NDArray) -> NDArray:
     """Return the shortest rotations [N,4] from the z axis to normals; for -z, rotate about x."""
     x, y, z = normals.T
     quats = np.stack([1 + z, np.where(z > -0.9999, -y, 1), x, 0 * z], axis=1)
-    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    return quats / _lengths(quats)[:, None]
+
+
+def _lengths(vectors: NDArray) -> NDArray:
+    """Return the lengths of vectors [N,D]."""
+    # NumPy's norm is several times slower for many short vectors.
+    return np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
 
 
 def smoothstep(x: NDArray, low: float, high: float) -> NDArray:
