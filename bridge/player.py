@@ -69,9 +69,9 @@ class Player:
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
-        self.shown = self.dropped = self.skipped = 0
-        """Numbers of frames that were shown, dropped because late, and skipped because of
-        `rate`."""
+        self.shown = self.dropped = self.skipped = self.loops = 0
+        """Numbers of frames that were shown, dropped because late, and skipped because of `rate`,
+        and number of loops started."""
         self.finished = False
         self._next = 0
         self._peek = True  # whether to show the next frame even while paused
@@ -128,6 +128,13 @@ class Player:
         """Pause; the last frame shown remains visible."""
         del now
         self.paused = True
+
+    def toggle(self, now: float) -> None:
+        """Play if paused or finished, otherwise pause."""
+        if self.paused or self.finished:
+            self.play(now)
+        else:
+            self.pause(now)
 
     def next(self, now: float) -> None:
         """Show the next frame while playback is paused.
@@ -229,6 +236,7 @@ class Player:
         # Whole loops that passed during a long delay are counted as dropped.
         missed = max(int((now - again) * self.speed // period), 0)
         self.dropped += missed * len(self.times)
+        self.loops += 1 + missed
         self._stamp = self._offset + last + missed * period
         self._splice(first)
         self._next = 0

@@ -203,6 +203,17 @@ def test_next_ends_at_the_last_frame():
         player.next(1.0)
 
 
+def test_toggle():
+    player = Player(TIMES)
+    run(player, 1)
+    player.toggle(300.0)
+    assert (player.due(300.0).index, player.paused) == (0, False)
+    player.toggle(300.05)
+    assert player.paused
+    player.toggle(301.0)
+    assert not player.paused
+
+
 def test_the_stamp_runs_on_between_frames_and_never_back():
     player, stamps, shown, now = Player(TIMES, loop=True), [], [], 0.0
     rng = np.random.default_rng(2)
@@ -211,7 +222,7 @@ def test_the_stamp_runs_on_between_frames_and_never_back():
         if rng.random() < 0.01:
             player.seek(rng.uniform(0, 0.9), now)
         if rng.random() < 0.02:
-            (player.play if player.paused else player.pause)(now)
+            player.toggle(now)
         tick = player.due(now)
         stamps.append(player.stamp_at(now))
         if tick:
