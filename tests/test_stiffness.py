@@ -112,8 +112,8 @@ def test_the_soft_end_gives_way_more_and_the_report_says_so():
     [
         ({"material": {"law": "fluid"}}, "fluid has no Young's modulus that may vary"),
         ({"material": {"law": "rigid"}}, "rigid has no Young's modulus that may vary"),
-        ({"material": {"law": "plasticine", "softening": 5e4}}, "plasticine cannot be that soft"),
-        ({"material": {"law": "neo_hookean", "E": 5.0}}, "neo_hookean cannot be that soft"),
+        ({"material": {"law": "plasticine", "softening": 5e4}}, "plasticine cannot be so soft"),
+        ({"material": {"law": "neo_hookean", "E": 5.0}}, "neo_hookean cannot be so soft"),
     ],
 )
 def test_refusals(changes, message):
