@@ -212,8 +212,8 @@ class Play:
 
 @dataclass(frozen=True)
 class Steer:
-    """Simulate an object in a live run that other programs can push, hold, pause and step over ROS
-    2.
+    """Simulate an object live. Over ROS 2, other programs can push and hold the object, and pause
+    and step the run.
     """
 
     source: tyro.conf.Positional[Path]

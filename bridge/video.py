@@ -1,7 +1,7 @@
 """H.264 video as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
-ffmpeg encodes without look-ahead. Its output is an AVI stream. Since the chunks of the stream state
-their length, the bytes of a picture are complete before the next picture is sent.
+ffmpeg encodes without look-ahead. Its output is an AVI stream. Each chunk of the stream states its
+length. It is therefore known when a picture is complete, before the next picture is sent.
 """
 
 from __future__ import annotations

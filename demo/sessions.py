@@ -66,7 +66,11 @@ class _Origin:
 
 
 class Sessions(StateHolder):
-    """Sessions by name; limited per address, and kept while their visitor is known."""
+    """Sessions by name.
+
+    The number of sessions per address is limited, and a session is kept as long as its visitor is
+    known.
+    """
 
     def __init__(self, blocks: Any, visitors: Visitors) -> None:
         super().__init__()

@@ -92,7 +92,7 @@ class Visitor:
         self.seen = time.time()
 
     def share(self, path: Path) -> str:
-        """Return the token, which cannot be guessed, of the link to a file."""
+        """Return the unguessable token in the link to a file."""
         for token, known in self.shared.items():
             if known == path:
                 return token

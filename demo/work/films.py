@@ -1,4 +1,6 @@
-"""Render a clip: videos, the player's pack, an animated picture, the video in the photograph."""
+"""Render a clip as videos, as data for the player, as an animated picture, and as a video inside
+the photograph.
+"""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class LoadMeter:
     """
 
     def __init__(self, device: str = "cpu") -> None:
-        """Create the meter without measuring.
+        """Create the meter; the first measurement is taken later.
 
         Args:
             device: Warp device of the runs.

@@ -397,7 +397,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
 
 @build_once
 def make_collider(shape: str, response: str, moving: bool, real: Any):
-    """Kernel over the nodes of a sub-box: nodes inside a shape respond to its wall.
+    """Kernel over the nodes of a sub-box that applies a wall's response to the nodes inside the
+    wall's shape.
 
     A node counts as inside if its signed distance is below `reach` [m]. A moving shape is displaced
     by the value of its track, and its wall moves at the track's rate, while the track is active.

@@ -121,8 +121,8 @@ def narrow(m: Any, farther: Any, u: Any):
     narrows.
 
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
-    the next node away from the wall. For a body of constant cross-section, the ratio of these
-    masses is the ratio of their `coverage`. If the cross-section grows with a power of the distance
+    the next node away from the wall. For a body of constant cross-section, these masses have the
+    same ratio as the values of `coverage`. If the cross-section grows with a power of the distance
     from the wall, the ratio is smaller by a factor f. The next ratio towards the wall is then
     smaller by about f to the power of `NARROWING`.
     """

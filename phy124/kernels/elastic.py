@@ -31,7 +31,7 @@ def polar_miss(s: wp.float32):
 
 @wp.func
 def polar_miss(s: wp.float64):  # noqa: F811
-    """Return the largest |R|^2 - 3 that is accepted in float64."""
+    """Return the largest error |R|^2 - 3 of a rotation R that is accepted in float64."""
     return wp.float64(1.0e-12)
 
 

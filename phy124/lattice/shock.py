@@ -90,7 +90,7 @@ class LatticeClock(Clock):
         return limit
 
     def may_crush(self, speed: float, drift: float) -> bool:
-        """Return whether the motion must be measured before a substep of length `drift`.
+        """Return whether the motion must be measured again before a substep of length `drift`.
 
         Args:
             speed: Largest speed relative to a wall [m/s].

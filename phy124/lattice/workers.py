@@ -484,7 +484,7 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 
 def _sections(group: Group, model: Model) -> list[Any]:
-    """Return the materials with the law of a group."""
+    """Return the materials that have a group's constitutive law."""
     return [section for section in model.materials if section.device_law.name == group.law.name]
 
 

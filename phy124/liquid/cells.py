@@ -56,7 +56,8 @@ class Region:
 class OverActive:
     """A launch on the CPU with one thread per active cell of a worker at the time of the launch.
 
-    More threads would waste time: an idle thread takes as long as a cheap kernel does for a cell.
+    More threads would waste time, because an idle thread takes as long as the work of a cheap
+    kernel on one cell.
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:

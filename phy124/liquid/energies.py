@@ -41,7 +41,7 @@ class Works(NamedTuple):
 
 
 class Energies:
-    """Records launches that sum work; sums nothing until `start` is called."""
+    """Records the launches that sum mechanical work. Nothing is summed until `start` is called."""
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
         """Store the particles and cells of a run.
@@ -105,8 +105,8 @@ class Energies:
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return the launch with which a worker sums the work of displacements; `sign` is -1 before
-        particles are displaced, and 1 afterwards.
+        """Return the launch in which a worker sums the work done by displacements. `sign` is -1
+        before the particles are displaced, and 1 afterwards.
         """
         if not self.on:
             return []

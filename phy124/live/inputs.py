@@ -164,6 +164,6 @@ def _cut_push(push: WrenchForce, now: float) -> list[WrenchForce]:
 
 
 def is_movable(scene: Scene, index: int) -> bool:
-    """Return whether a boundary of the scene can be moved by hand."""
+    """Return whether the user can move a boundary of the scene during the run."""
     wall = scene.boundaries[index]
     return isinstance(wall, Movable) and wall.motion is None

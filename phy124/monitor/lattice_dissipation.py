@@ -34,7 +34,7 @@ class LatticeDissipation(LiquidDissipation):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the row of the effects report for the work of each cause."""
+        """Return, for each cause, the row of the effects report that shows its work."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 

@@ -2,9 +2,9 @@
 
 A point is in the picture if it lies between four planes through the camera. The planes are moved
 until they touch the outermost Gaussians. The two vertical planes then intersect in one line, and
-the two horizontal planes in another line. The more distant line determines the distance of the
-camera, and both lines determine the target. From this distance, an object that is much longer along
-the view than across, such as a sword, would look distorted and blurred. For such objects, the
+the two horizontal planes in another line. The more distant of the two lines determines the camera's
+distance. The target is computed from both lines. From this distance, an object that is much longer
+along the view than across, such as a sword, would look distorted and blurred. For such objects, the
 camera is farther away and has a narrower field of view, so that the object has the same size in the
 picture.
 """

@@ -33,7 +33,7 @@ def rename_keys(data: Any) -> Any:
 
 
 def rename_item(key: str, value: Any) -> tuple[str, Any]:
-    """Return the current names of a key (or dotted path) and of its value."""
+    """Return a key (or dotted path) and its value, under their current names if renamed."""
     if key == "stiffness" and _is_array(value):
         _note("stiffness of kind array", "properties")
         return "properties", {"file": value.get("file")}

@@ -124,7 +124,10 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return the mask of the particles whose own or nearest Gaussian is in a span."""
+    """Return the mask of the particles whose Gaussian is in a span.
+
+    A particle without a Gaussian counts by the nearest one.
+    """
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
     if means is not None and not bound.any():

@@ -142,7 +142,7 @@ def _rotations(packed: NDArray) -> NDArray[np.float32]:
 
 
 def _harmonics(first: NDArray, table: NDArray[Any] | None) -> NDArray[np.float32]:
-    """Return the colours [N,K,3] of degree 0, and of higher degrees if the file contains them."""
+    """Return the spherical harmonics [N,K,3] of the colours, up to the file's degree."""
     if table is None or not table.dtype.names:
         return first[:, None].astype(np.float32)
     count = len(table.dtype.names)

@@ -51,7 +51,9 @@ def may_meet(
     a: int,
     b: int,
 ):
-    """Return whether two points may touch: they are on different bodies or separate parts."""
+    """Return whether two points may touch, because they lie on different bodies or on separate
+    parts of a body.
+    """
     if between:
         return body[a] != body[b]
     if apart(side, a, b):

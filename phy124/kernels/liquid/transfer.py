@@ -241,7 +241,9 @@ def counted(x: Any):
 
 @wp.func
 def lowest(here: wp.vec3i, size: wp.vec3i):
-    """Return the index of the lowest of the 64 cells around the cell `here`."""
+    """Return the index of the first of the 4 x 4 x 4 cells around the cell `here`; all its
+    indices are the lowest.
+    """
     return number(here - wp.vec3i(1, 1, 1), size)
 
 

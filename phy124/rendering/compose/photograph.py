@@ -123,7 +123,7 @@ def match(
 def likeness(
     renderer: Renderer, gaussians: Gaussians, camera: Camera, photograph: Photograph
 ) -> float:
-    """Return the PSNR of a rendered picture inside the object, compared with the photograph [dB].
+    """Return the PSNR [dB] between a rendered picture and the photograph, inside the object.
 
     Args:
         renderer: The renderer that renders the picture.

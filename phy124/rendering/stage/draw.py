@@ -39,7 +39,7 @@ class Uploaded:
 
 
 class Surroundings:
-    """The stage on a device; a renderer uses one instance for all pictures."""
+    """The studio stage on a device. A renderer uses the same instance for all its pictures."""
 
     among: int
     """Number of solids that are neither behind nor in front of all Gaussians."""

@@ -228,7 +228,10 @@ class Study:
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _conclude(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Return the report with the error of each setting; torn levels are ignored."""
+        """Return the report with the error of each setting.
+
+        Grids on which the object tore are ignored.
+        """
         levels = [row for row in rows if row.level and not row.torn]
         size = self.scene.object.size
         if not levels:
