@@ -39,7 +39,7 @@ class Room:
 
     @property
     def runs(self) -> float:
-        """Largest size of all uploads, runs and exports [bytes]; the rest is left for new visitors."""
+        """Largest size of uploads, runs and exports [bytes]; the rest is left for new visitors."""
         return 0.9 * self.all
 
     @property

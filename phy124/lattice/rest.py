@@ -41,7 +41,7 @@ STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).r
 
 @dataclass(frozen=True, eq=False)
 class RestLattice:
-    """Nodes of bodies at rest, sorted by body, then x, y, z; and the points' weights of these nodes."""
+    """Nodes of bodies at rest, sorted by body, then x, y, z; and their weights at points."""
 
     dx: float
     """Side of a cell [m]."""
