@@ -121,7 +121,7 @@ class Energies:
         return _rename(filled)
 
     def _multiply(self, index: int, forces: Sequence[int]) -> list[Named]:
-        """Return the launches with which a worker sums the work of forces on the worker's nodes."""
+        """Return the launches that sum the work done by forces on a worker's nodes."""
         solver, crew = self._solver, self._solver.crew
         known = solver.tracks, cast("wp.array", self._sums[index])
         worker, works = solver.workers[index], []

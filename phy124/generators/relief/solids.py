@@ -134,7 +134,7 @@ def flat_topped(inside: NDArray[np.bool_]) -> Field:
 
 
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
-    """Return smooth squared half thicknesses that are close to `wanted` and exactly 0 on the rim.
+    """Return a smooth field of the squared half thickness, close to `wanted` and 0 on the rim.
 
     The solution u of -Laplace(u) = 4 is smooth, and 0 on the rim. For a disc, u describes a ball.
     The result is u times the smoothed ratio of the desired squared half thickness to u.

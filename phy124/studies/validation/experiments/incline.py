@@ -24,7 +24,7 @@ SAMPLES = 41
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """Return the exact acceleration relative to gravity, max(0, sin - mu cos)."""
+    """Return the exact acceleration in units of g: max(0, sin a - mu cos a) for a slope a."""
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 
