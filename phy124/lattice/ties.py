@@ -122,9 +122,8 @@ def _tie(
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
     weight, complete = _extrapolate(index, light, donors, distance)
     alone = np.flatnonzero(~complete)
-    if (
-        len(alone) and len(np.unique(index, axis=0)) < count
-    ):  # The nearest node may be on another piece.
+    if len(alone) and len(np.unique(index, axis=0)) < count:
+        # The nearest node may belong to another piece.
         donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
         weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
     elif len(alone):
