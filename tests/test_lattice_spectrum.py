@@ -28,7 +28,7 @@ def test_frequency_follows_a_squeezed_body():
     at_rest = solver.spectrum.square
     for _ in range(30):
         solver.workers[0].run(0)
-        solver._measure_frequency()
+        solver.limits.measure_frequency()
     # dP/ds of mu (s - 1/s) + lam log(J) / s along each axis, with J = s^3.
     lam, mu = 0.3 / (1.3 * 0.4), 1 / 2.6
     stiffer = mu * (1 + 1 / squeezed**2) + lam * (1 - math.log(squeezed**3)) / squeezed**2
@@ -61,7 +61,7 @@ def test_a_stiffer_body_takes_shorter_substeps_at_once():
     for factor in (1.0, 25.0, 0.1):
         solver.softened = factor
         solver.clock.expire()
-        solver.measure_if_due()
+        solver.limits.measure_if_due()
         limits.append(solver.spectrum.substep_at_rest)
         assert solver.clock.stable().dt <= solver.clock.cfl * limits[-1] * (1 + 1e-9)
     assert limits == pytest.approx([limits[0], limits[0] / 5, limits[0]])
@@ -78,7 +78,7 @@ def test_slow_motion_of_flat_material_is_no_shock(damping, speed, shock):
     rate = speed * SOFT.wave_speed() / DX
     solver.nodes_state.u.assign(solver.lattice.x @ flat)
     solver.nodes_state.v.assign(solver.lattice.x * [0, 0, -rate])
-    solver.measure_if_due()
+    solver.limits.measure_if_due()
     assert solver.clock.in_shock == shock
 
 
@@ -101,7 +101,7 @@ def test_only_the_frequency_of_a_damped_body_is_called_steady(damping):
     for squeezed in (1.0, 1.0, 0.8, 0.8):
         solver.nodes_state.u.assign((squeezed - 1) * solver.lattice.x)
         solver.workers[0].run(0)
-        solver._measure_frequency()
+        solver.limits.measure_frequency()
         known.append(solver.spectrum.steady)
     expected = [True, True, False, True] if damping else [False] * 4
     assert known == expected

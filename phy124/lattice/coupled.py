@@ -211,7 +211,7 @@ class CoupledSolver(Solver):
         """
         lattice = self.lattice
         lattice.rejection.begin(self.clock.time, until)
-        lattice.measure_if_due()
+        lattice.limits.measure_if_due()
         before = [material.sums.numpy().copy() for material in self.materials]
         super().advance(until, after=after, each=each)
         lattice.clock.time, lattice.clock.last_dt = self.clock.time, self.clock.last_dt
@@ -237,7 +237,7 @@ class CoupledSolver(Solver):
 
     def _stable_step(self, until: float) -> None:
         """Take one substep, of a length that is stable for all bodies."""
-        if self.lattice.measure_if_due():
+        if self.lattice.limits.measure_if_due():
             for material in self.materials:
                 material.due = True
         super()._stable_step(until)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -19,13 +18,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.lattice.energies import Energies
+from phy124.lattice.limits import Limits
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.shock import (
-    COLLAPSED,
-    FORGET,
-    STALLED,
     LatticeClock,
     in_shock_only,
     largest_calm_rate,
@@ -34,9 +31,9 @@ from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Walls
-from phy124.lattice.workers import MEASURE, TRIAL, Crew
+from phy124.lattice.workers import TRIAL, Crew
 from phy124.mpm.free import FreeBody
-from phy124.mpm.grid import Grid, Unstable
+from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
@@ -44,21 +41,9 @@ from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.runner import Runner
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
-from phy124.mpm.timestep import MEASURE_EVERY, STRAIN_PER_STEP
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_launches, run_timed, usable_workers
 
-SLOWEST = 16
-"""Largest number of substeps between two measurements of the limits."""
-STRAIN, WAY = 0.25, 0.25
-"""`STRAIN`: largest strain between two measurements of the largest frequency; twice as large while
-the frequency is steady. `WAY`: largest displacement of a point [cells] between two measurements of
-its distance from walls.
-"""
-TRAVEL = 3.0
-"""Largest approach of points to walls before distances are measured again [cells]."""
-VIOLENT = 0.35
-"""If strain rate times substep length is larger, the limits are measured before every substep."""
 KEPT = ("u", "residue", "v", "lagging")
 """Names of the node arrays that belong to the state."""
 PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
@@ -143,16 +128,8 @@ class LatticeSolver:
         """The largest frequency of the bodies, which limits the substep."""
         self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
         """Length of a substep of the undeformed bodies [s]."""
-        self._probing = False
-        """Whether the next substep measures the largest frequency."""
-        self._strain, self._probed = math.inf, 0
-        """Upper bound of the strain since the last measurement of the frequency, and the substep of
-        this measurement.
-        """
-        self._travel, self._measured = 0.0, 0.0
-        """Upper bound of the displacements of points and walls since points near walls were listed
-        [m]; time of the last measurement [s].
-        """
+        self.limits = Limits(self)
+        """Measured values that limit the substep."""
         self.bind(forces, boundaries, accumulators, planes)
 
     def bind(
@@ -196,9 +173,9 @@ class LatticeSolver:
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, accumulators)
         self.record()
-        measured = self._measured
-        self._look()
-        self._measured = measured
+        measured = self.limits.measured
+        self.limits.look()
+        self.limits.measured = measured
 
     def keep_pushes(self, sums: wp.array) -> None:
         """From now on, sum the impulse and the work of forces on points, in one row per worker."""
@@ -279,10 +256,10 @@ class LatticeSolver:
         """
         del each
         self.rejection.begin(self.clock.time, until)
-        self.clock.interval = min(self.clock.interval, self._interval())
+        self.clock.interval = min(self.clock.interval, self.limits.interval())
         if len(self.workers) > 1:
             # Loading kernels is not thread-safe, so the measurement's kernels are loaded here.
-            self.measure_if_due()
+            self.limits.measure_if_due()
         with self.runner.on_threads():
             while self.clock.time < until:
                 self._stable_step(until)
@@ -317,13 +294,13 @@ class LatticeSolver:
         self.walls.forget()
         self.meetings.way = math.inf
         self.crew.stray.zero_()
-        self._look()
+        self.limits.look()
         self.clock.expire()
         self.follow()
 
     def _stable_step(self, until: float) -> None:
         """Take one substep; stable substeps of this length divide the remaining time evenly."""
-        self.measure_if_due()
+        self.limits.measure_if_due()
         clock = self.clock
         limit = run_timed(self.timings, SCHEDULE, clock.stable)
         rest = until - clock.time
@@ -345,44 +322,25 @@ class LatticeSolver:
         would be squeezed too much.
         """
         self.start_step(kick, drift)
-        if self.clock.may_crush(self._fastest(), drift):
-            drift = self._shorten(drift)
+        if self.clock.may_crush(self.limits.fastest(), drift):
+            drift = self.limits.shorten(drift)
             self.clock.begin(kick, drift)
         self.end_step(drift)
         return drift
-
-    def _shorten(self, drift: float) -> float:
-        """Return a duration of at most `drift` [s] in which no point is squeezed too much."""
-        self.runner.join()
-        self.runner.complete(MEASURE)
-        # The maxima are not reset, because the end of the substep also reads them if the stress
-        # kernels measure.
-        speed, gradient, self.clock.closing = self.crew.maxima()
-        self.clock.extremes = self.clock.extremes._replace(speed=speed, gradient=gradient)
-        self.clock.seen = self.clock.time
-        longest = STRAIN_PER_STEP / max(gradient, 1e-30)
-        # If the stress kernels measure, they also do so in the next substeps.
-        if longest < drift or self.clock.in_shock or not self.crew.measuring:
-            self.clock.expire()
-        return min(drift, longest)
-
-    def _fastest(self) -> float:
-        """Return the largest speed [m/s] of all points, walls and freely moving solids."""
-        return max(self.clock.extremes.speed, self.rejection.wall, self.free.fastest())
 
     def start_step(self, kick: float, drift: float) -> None:
         """Change the velocities of the nodes by forces and contact: all of a substep but the
         motion.
         """
-        self.measure_if_due()
+        self.limits.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock
         if self.tracks.vary:
             run_timed(self.timings, "tracks", self._sample.launch)
         for phase in range(len(self.workers[0].phases) - 1):
             self.runner.run(phase)
-            if self._probing and phase == self._summed:
-                self._measure_frequency()
+            if self.limits.probing and phase == self._summed:
+                self.limits.measure_frequency()
 
     def end_step(self, drift: float) -> None:
         """Move the nodes for the time `drift` [s]."""
@@ -390,124 +348,13 @@ class LatticeSolver:
         self.runner.join()
         self.clock.finish(drift)
         if self.crew.measuring:
-            self._read(drift)
+            self.limits.read(drift)
             # The stress was computed before the nodes moved.
             self.clock.seen = max(self.clock.seen, self.clock.time - drift)
 
     def _run_task(self, member: int, task: int) -> None:
         """Run a phase or another task of a worker."""
         self.workers[member].run(task)
-
-    def _threads(self) -> AbstractContextManager[None]:
-        """Return a context within which each worker runs on a separate thread."""
-        if len(self.workers) > 1:
-            # Loading kernels is not thread-safe, so the measurement's kernels are loaded here.
-            self.measure_if_due()
-        return self.runner.on_threads()
-
-    def measure_if_due(self) -> bool:
-        """Measure the limits of the substep if necessary; return whether they were measured."""
-        due = self.clock.due
-        if due:
-            self._measure()
-        return due
-
-    def _measure(self) -> None:
-        """Measure the limits of the substep; raises Unstable."""
-        if not self.crew.measuring or not self.clock.substeps:
-            self.runner.complete(MEASURE)
-            self._read(self.clock.time - self._measured)
-            self._measured = self.clock.seen = self.clock.time
-        clock = self.clock
-        measured = clock.extremes._replace(stiffness=self.spectrum.stiffen(self.softened))
-        passed = FORGET * clock.since_complete
-        clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
-        clock.interval = self._interval()
-        # Until the next measurement, the strain grows at the present rate.
-        ahead = clock.interval * clock.extremes.gradient * clock.stable().dt
-        late = clock.substeps + clock.interval > self._probed + SLOWEST
-        enough = 2 * STRAIN if self.spectrum.steady else STRAIN
-        self._probing = late or not self._strain + ahead < enough
-        if self._travel > TRAVEL * self.model.dx:
-            self._look()
-        self._list_near()
-        run_timed(self.timings, "meetings", lambda: self.meetings.follow(self._step()))
-        run_timed(self.timings, "free", lambda: self.free.list_near(self._step()))
-
-    def _read(self, elapsed: float) -> None:
-        """Limit substeps by the largest speed and strain rate; raises Unstable.
-
-        Args:
-            elapsed: Time since the last measurement [s].
-        """
-        speed, gradient, self.clock.closing = self.crew.take_maxima()
-        self._refuse_collapse()
-        extremes, pull = self.clock.extremes, self.rejection.acceleration
-        fastest = max(speed, extremes.speed) + self.rejection.wall
-        way = elapsed * (fastest + elapsed * pull)
-        self._travel, self.meetings.way = self._travel + way, self.meetings.way + way
-        # While the last substep squeezes a point, the rate grows.
-        gradient /= max(0.1, 1 - gradient * self.clock.last_dt)
-        self._strain += gradient * elapsed
-        self.clock.extremes = extremes._replace(speed=speed, gradient=gradient)
-        if gradient * elapsed > VIOLENT:
-            self.clock.expire()
-
-    def _refuse_collapse(self) -> None:
-        """Raise Unstable if a value is not finite, or if substeps have become too short.
-
-        The next attempt then takes substeps of half the length at rest, because a run with the
-        current short substeps would never end.
-        """
-        clock, lost = self.clock, int(self.crew.stray.numpy()[0])
-        usual = min(self.substep_at_rest, clock.ceiling)
-        inverted = lost or clock.stable().dt < COLLAPSED * usual
-        if not inverted and not clock.stalls(usual):
-            return
-        clock.last_dt = self.substep_at_rest
-        what = f"{STALLED} substeps together lasted less than one of the undeformed body"
-        if inverted:
-            what = "it turned inside out" + (f" ({lost} points)" if lost else "")
-        raise Unstable(f"the body was squeezed so fast that {what}")
-
-    def _measure_frequency(self) -> None:
-        """Measure the largest frequency, after forces are summed and before they act."""
-        self._probing, self._strain, self._probed = False, 0.0, self.clock.substeps
-        self.runner.join()
-        run_timed(self.timings, "frequency", self.spectrum.follow)
-        extremes = self.clock.extremes
-        stiffness = max(self.spectrum.stiffness, extremes.stiffness)
-        self.clock.extremes = extremes._replace(stiffness=stiffness)
-
-    def _look(self) -> None:
-        """Measure the distances of all surface points from the walls."""
-        self._travel, self._measured = 0.0, self.clock.time
-        run_timed(self.timings, "near", self.walls.look)
-        self._list_near()
-
-    def _list_near(self) -> None:
-        """List the surface points that walls may touch before the next measurement."""
-        self.walls.list_near(self._travel + 2 * WAY * self.model.dx, self._step())
-
-    def _step(self) -> float:
-        """Return by how much a point may approach a wall in a substep [m]."""
-        dt = self.clock.stable().dt
-        speed = self.clock.extremes.speed + max(self.rejection.wall, self.free.fastest())
-        return speed * dt if math.isfinite(dt) else math.inf
-
-    def _interval(self) -> int:
-        """Return the number of substeps until the limits must be measured."""
-        clock, dx = self.clock, self.model.dx
-        dt = clock.stable().dt
-        if not math.isfinite(dt):
-            return 1
-        speed = self._fastest()
-        steps = [float(SLOWEST)]
-        steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
-        steps.append(WAY * dx / max(speed * dt, 1e-30))
-        steps.append(math.sqrt(2 * WAY * dx / max(self.rejection.acceleration, 1e-30)) / dt)
-        violent = clock.in_shock or clock.extremes.gradient * dt > VIOLENT
-        return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot from which `restore` continues bit for bit.
@@ -518,9 +365,7 @@ class LatticeSolver:
         return {
             "nodes": {name: wp.clone(getattr(nodes, name)) for name in KEPT},
             **{name: getattr(self, name).snapshot() for name in PARTS},
-            "measured": self._measured,
-            "probing": self._probing,
-            "probed": (self._strain, self._probed),
+            **self.limits.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -529,12 +374,11 @@ class LatticeSolver:
             getattr(self.nodes_state, name).assign(array)
         for name in PARTS:
             getattr(self, name).restore(snapshot[name])
-        self._strain, self._probed = snapshot["probed"]
         self.crew.stray.zero_()
         self.crew.take_maxima()
         # The distances from moving walls refer to the time of the snapshot.
         self.clock.begin(0.0, 0.0)
         self._sample.launch()
-        self._look()
-        self._measured, self._probing = snapshot["measured"], snapshot["probing"]
+        self.limits.look()
+        self.limits.restore(snapshot)
         self.follow()
