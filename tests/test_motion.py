@@ -148,9 +148,21 @@ def test_long_clips_keep_few_frames(saved, monkeypatch):
         assert [len(growing.row(index)) for index in range(3)] and list(growing._frames) == kept
 
 
-def test_rows_of_some_gaussians_are_those_of_frames(saved):
+@pytest.mark.parametrize("kept", [0, recorded.KEPT])
+def test_rows_of_some_gaussians_are_those_of_frames(saved, monkeypatch, kept):
+    monkeypatch.setattr(recorded, "KEPT", kept)
     clip, chosen = Clip.load(saved[1]), np.arange(0, 300, 7)
     for read in (clip, replace(clip, means=np.asarray(clip.means))):
         rows = list(read.rows_of(chosen))
         for name, values in zip(ARRAYS, zip(*rows, strict=True), strict=True):
             assert np.array_equal(values, getattr(clip, name)[:, chosen])
+
+
+def test_each_frame_of_a_short_clip_is_computed_once(saved, monkeypatch):
+    clip, advance, computed = Clip.load(saved[1]), recorded.Recorded._advance, []
+    monkeypatch.setattr(
+        recorded.Recorded, "_advance", lambda self: computed.append(self._next) or advance(self)
+    )
+    for _ in range(2):
+        assert len(list(clip.rows_of(np.arange(9)))) == len(list(clip.frames()))
+    assert computed == list(range(len(clip)))

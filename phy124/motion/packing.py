@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -159,7 +160,8 @@ class Steps:
         shape: tuple[int, ...],
     ) -> None:
         """Store the packed bytes, with the data for unpacking."""
-        self._data, self._step, self._base, self._order = data, step, base, order
+        self._data, self._step, self._order = data, step, order
+        self._base = np.ascontiguousarray(base[order].T)
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
 
@@ -176,16 +178,16 @@ class Steps:
         if self._chunk[0] != which:
             start, end = self._ends[which : which + 2]
             frames = min(FRAMES, self._count - which * FRAMES)
-            shape = (frames, len(self._base), self._base.shape[1])
-            steps = np.empty(shape, np.int64)
+            width, points = self._base.shape
             try:
-                steps[:, self._order] = _unpack_steps(self._data[start:end].tobytes(), shape)
+                steps = _unpack_steps(self._data[start:end].tobytes(), (width, frames, points))
             except (zstandard.ZstdError, ValueError) as error:
                 limit = f"its motion is damaged ({error})."
                 raise InputError("clip", f"frame {index}", limit, "Simulate it again.") from error
             self._chunk = which, steps
-        row = self._base + self._chunk[1][place] * self._step
-        return row.astype(np.float32).reshape(self._shape)
+        row = np.empty((len(self._order), len(self._base)), np.float32)
+        row[self._order] = (self._base + self._chunk[1][:, place] * self._step).T
+        return row.reshape(self._shape)
 
 
 def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -242,11 +244,13 @@ def _pack_steps(steps: NDArray[np.int32]) -> bytes:
     return _compress(_zigzag(np.diff(steps, axis=2, prepend=np.int32(0)), 4))
 
 
-def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int64]:
-    """Return the unpacked integers [T,P,K] of a given shape."""
-    count, points, width = shape
-    steps = _unzigzag(_decompress(data, 4)).astype(np.int64).reshape(width, count, points)
-    return np.cumsum(np.cumsum(steps.transpose(1, 2, 0), axis=1), axis=0)
+def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]:
+    """Return the unpacked integers [K,T,P] of a given shape."""
+    steps = _unzigzag(_decompress(data, 4)).reshape(shape)
+    np.cumsum(steps, axis=2, dtype=np.int32, out=steps)
+    for before, after in pairwise(range(shape[1])):
+        steps[:, after] += steps[:, before]
+    return steps
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:

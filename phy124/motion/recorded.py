@@ -145,6 +145,11 @@ class Recorded:
         return max(len(self), self._expected)
 
     @property
+    def _keeps_all(self) -> bool:
+        """Whether all computed frames are kept."""
+        return BYTES * self.count * self._length <= KEPT
+
+    @property
     def turns(self) -> bool:
         """Whether frames have rotations of the material."""
         return self.motion.gaussians.sh_degree > 0
@@ -170,7 +175,7 @@ class Recorded:
             row = self._advance()
             self._frames[index] = row
             # A larger clip is read frame by frame, so keeping earlier frames would not help.
-            while len(self._frames) > NEAR and BYTES * self.count * self._length > KEPT:
+            while len(self._frames) > NEAR and not self._keeps_all:
                 self._frames.popitem(last=False)
             return row
 
@@ -182,7 +187,13 @@ class Recorded:
         return [self._measured[index] for index in sorted(self._measured)]
 
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
-        """Yield the arrays of chosen Gaussians, frame by frame, without keeping frames."""
+        """Yield the arrays of chosen Gaussians, frame by frame.
+
+        The frames of a short clip are kept, because its Gaussians will be read again to be drawn.
+        """
+        if self._keeps_all:
+            rows = (self.row(index) for index in range(len(self)))
+            return ({name: array[chosen] for name, array in row.items()} for row in rows)
         part = Recorded(self.motion, chosen)
         return (part._advance() for _ in range(len(self)))
 
