@@ -9,7 +9,6 @@ from scipy.spatial import KDTree
 from phy124.lattice.surface import _inverses
 from phy124.particles.lattice import integration_points, surface_points
 from phy124.particles.solid import Solid
-from phy124.particles.voxels import HALVINGS, find_levels
 from phy124.studies.validation.bodies import fill_solid
 from support.lattices import DX, block, make, rod
 
@@ -45,21 +44,6 @@ def test_grids_of_which_one_is_twice_as_fine_share_their_voxels():
     assert rough.resample(0.1).voxels is rough.resample(0.05).voxels
     fresh = Solid(rough.first, rough.voxel, rough.fraction).resample(0.1)
     assert np.array_equal(fresh.voxels.spread, rough.resample(0.05).voxels.spread)
-
-
-def test_levels_of_voxels_are_those_of_double_precision():
-    rng = np.random.default_rng(0)
-    width, fraction = rng.uniform(0.17, 0.3, (300, 1)), rng.uniform(0, 1, (300, 1))
-    height = np.sort(rng.uniform(-0.8, 0.8, (300, 216)))
-    height[:100] = (height[:100] - height[:100, ::-1]) / 2  # A half is reached at the middle.
-    fraction[:100] = 0.5
-    low, high = height.min(axis=1) - width[:, 0], height.max(axis=1) + width[:, 0]
-    for _ in range(HALVINGS):
-        level = (low + high) / 2
-        share = np.clip((level[:, None] - height) / width + 0.5, 0, 1)
-        more = share.mean(axis=1) < fraction[:, 0]
-        low, high = np.where(more, level, low), np.where(more, high, level)
-    assert np.array_equal(find_levels(height, width, fraction)[:, 0], level)
 
 
 @pytest.mark.parametrize(("thick", "degrees"), [(0.5, 20), (0.5, 45), (1.0, 20), (1.0, 45)])

@@ -8,15 +8,15 @@ cylinder.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 import scipy
+import warp as wp
 from numpy.typing import NDArray
 
-from phy124.runtime.cores import cores
+from phy124.kernels.voxels import AT_ONCE, fill_voxels
+from phy124.runtime.compiling import compile_missing
 
 SHEET = 0.25
 """If the gradient of the filled fraction is shorter [1/voxel], a voxel belongs to a sheet and has
@@ -35,12 +35,6 @@ SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
 SAMPLES, FINER = 6, 10
 """Number of sample points along each axis of a partly filled voxel: in general, and in rods."""
-HALVINGS = 12
-"""Number of bisection steps for the position of the surface in a voxel."""
-ROUNDING = 1e-5
-"""Upper bound of the error of a mean filled fraction in single precision."""
-BLOCK = 500
-"""Number of voxels that a thread processes at a time."""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
 """Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
 steps."""
@@ -86,26 +80,13 @@ def find_voxels(filled: NDArray) -> Voxels:
     part = fraction[outer] < 1
     cut, around = outer[part], around[part]
     parts = _Parts(padded, index[cut], around, np.logical_not(normal[cut].any(axis=1)))
-    number, across, offset = _find_sheets(parts)
-    normals, offsets, sheet = normal[cut], np.zeros(len(cut)), np.zeros(len(cut), bool)
-    normals[number], offsets[number], sheet[number] = across, offset, True
-
-    def from_planes(some: NDArray[np.int64], points: NDArray) -> tuple[NDArray, NDArray]:
-        height, thin = normals[some] @ points.T, sheet[some]
-        height[thin] = np.abs(height[thin] - offsets[some][thin, None])
-        return height, np.abs(normals[some]).sum(axis=1)[:, None]
-
-    shift[cut], spread[cut] = _part_moments(from_planes, fraction[cut], SAMPLES)
+    number, across, middle = _find_sheets(parts)
+    planes = _Surfaces(np.zeros((len(cut), 3)), normal[cut], np.zeros(len(cut), bool))
+    planes.middles[number], planes.axes[number], planes.sheet[number] = middle, across, True
+    shift[cut], spread[cut] = _part_moments(fraction[cut], planes, SAMPLES)
     number, axis, middle = _find_rods(parts)
-
-    def from_axes(some: NDArray[np.int64], points: NDArray) -> tuple[NDArray, NDArray]:
-        arm = points - middle[some][:, None]
-        along = np.einsum("vsi,vi->vs", arm, axis[some])
-        square = (arm**2).sum(axis=2) - along**2
-        return np.sqrt(np.maximum(square, 0)), np.ones((len(some), 1))
-
-    rods = cut[number]
-    shift[rods], spread[rods] = _part_moments(from_axes, fraction[rods], FINER)
+    rods, surfaces = cut[number], _Surfaces(middle, axis, np.zeros(len(number), bool), rods=True)
+    shift[rods], spread[rods] = _part_moments(fraction[rods], surfaces, FINER)
     return Voxels(index, fraction, normal, shift, spread)
 
 
@@ -156,13 +137,13 @@ def _find_sheets(
 
     Returns:
         Numbers of the K voxels [K]; normals [K,3], along which the filled parts of the surrounding
-        125 voxels are thinnest; and distances of the sheets from the voxels' middles [K].
+        125 voxels are thinnest; and points in the sheets, relative to the voxels' middles [K,3].
     """
     normal = parts.axes[:, :, 0]
     thin = (parts.layers * np.abs(normal).max(axis=1) < THIN) | parts.no_normal
     normal, around = normal[thin], parts.around[thin]
     centre = around @ NEAR / np.maximum(parts.total[thin], 1e-9)[:, None]
-    return parts.number[thin], normal, np.einsum("vi,vi->v", centre, normal)
+    return parts.number[thin], normal, centre
 
 
 def _find_rods(
@@ -182,69 +163,47 @@ def _find_rods(
     return parts.number[chosen], axis[chosen], parts.middle[chosen]
 
 
-def _part_moments(
-    measure: Callable[[NDArray[np.int64], NDArray], tuple[NDArray, NDArray]],
-    fraction: NDArray,
-    samples: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return centres [V,3] and second moments [V,3,3] of the filled parts of voxels.
+class _Surfaces(NamedTuple):
+    """Surfaces in V voxels, with positions relative to the middles of the voxels."""
 
-    A sample point at the surface counts as a fraction.
+    middles: NDArray[np.float64]
+    """A point of each plane, or of each rod's axis [V,3]."""
+    axes: NDArray[np.float64]
+    """Normals of the planes, or directions of the rods [V,3]."""
+    sheet: NDArray[np.bool_]
+    """Whether two parallel planes have the same distance from the point [V]."""
+    rods: bool = False
+    """Whether the surfaces are cylinders around the axes instead of planes."""
+
+
+def _part_moments(
+    fraction: NDArray[np.float64], surfaces: _Surfaces, samples: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centres [V,3] and second moments [V,3,3] of the parts below the surfaces.
 
     Args:
-        measure: Function that returns, for the numbers of K voxels, heights of points [S,3] in each
-            voxel [K,S], and the extent of each voxel across the surface [K,1]. A voxel is filled
-            below a certain height.
-        fraction: Filled fractions [V].
+        fraction: Filled fractions of the voxels [V].
+        surfaces: The surfaces in the voxels.
         samples: Number of sample points along each axis.
     """
-    centre, spread = np.zeros((len(fraction), 3)), np.zeros((len(fraction), 3, 3))
     line = (np.arange(samples) + 0.5) / samples - 0.5
     points = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    products = (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
-
-    def fill(some: NDArray[np.int64]) -> None:
-        height, width = measure(some, points)
-        width = width / samples
-        level = find_levels(height, width, fraction[some, None])
-        share = _share_below(level, height, width)
-        share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-9)
-        centre[some] = share @ points
-        middle = centre[some][:, :, None] * centre[some][:, None, :]
-        of_sample = np.eye(3) / (12 * samples**2)
-        spread[some] = (share @ products).reshape(-1, 3, 3) - middle + of_sample
-
-    blocks = np.array_split(np.arange(len(fraction)), max(1, len(fraction) // BLOCK))
-    with ThreadPoolExecutor(min(cores(), len(blocks)), "voxels") as pool:
-        list(pool.map(fill, blocks))
+    width = np.ones(len(fraction)) if surfaces.rods else np.abs(surfaces.axes).sum(axis=1)
+    vectors = points, fraction, surfaces.middles, surfaces.axes
+    centre, spread = np.zeros((len(fraction), 3)), np.zeros((len(fraction), 3, 3))
+    compile_missing([fill_voxels])
+    wp.launch(
+        fill_voxels,
+        -(-len(fraction) // AT_ONCE),
+        [1 / samples, surfaces.rods, *map(_wrap, (*vectors, surfaces.sheet, width))],
+        [_wrap(centre), _wrap(spread)],
+        device="cpu",
+    )
     return centre, spread
 
 
-def find_levels(height: NDArray, width: NDArray, fraction: NDArray) -> NDArray[np.float64]:
-    """Return the heights (levels) [V,1] below which voxels are filled.
-
-    Sums in single precision are twice as fast. Sums close to the fraction are repeated in double
-    precision, so that the levels are as accurate as in double precision.
-
-    Args:
-        height: Heights of the sample points [V,S].
-        width: Extent of a sample across the surface [V,1].
-        fraction: Filled fractions [V,1].
-    """
-    rough = (height / width).astype(np.float32)
-    low, high = (end(axis=1, keepdims=True) for end in (height.min, height.max))
-    low, high, level = low - width, high + width, low
-    for _ in range(HALVINGS):
-        level = (low + high) / 2
-        share = (level / width + 0.5).astype(np.float32) - rough
-        total = np.clip(share, 0, 1, out=share).mean(axis=1, keepdims=True)
-        more, close = total < fraction, (np.abs(total - fraction) < ROUNDING)[:, 0]
-        exact = _share_below(level[close], height[close], width[close])
-        more[close] = exact.mean(axis=1, keepdims=True) < fraction[close]
-        low, high = np.where(more, level, low), np.where(more, high, level)
-    return level
-
-
-def _share_below(level: NDArray, height: NDArray, width: NDArray) -> NDArray[np.float64]:
-    """Return the fraction of each sample below a level [V,S]."""
-    return np.clip((level - height) / width + 0.5, 0, 1)
+def _wrap(values: NDArray) -> wp.array:
+    """Return an array of numbers, vectors or matrices in the same memory."""
+    kinds = {1: wp.float64, 2: wp.vec3d, 3: wp.mat33d}
+    kind = wp.bool if values.dtype == bool else kinds[values.ndim]
+    return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)

@@ -9,6 +9,7 @@ from phy124.generators.shapes import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.kernels.splat import shadow, stage
 from phy124.kernels.splat.arrange import arrange
+from phy124.kernels.voxels import fill_voxels
 from phy124.rendering.render import Renderer
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.context import RunContext
@@ -24,8 +25,10 @@ STAGE = {
 """One kernel from each module that draws a stage; compiling one kernel compiles its whole
 module.
 """
-RELIEF = (INFLATED.project, HULL.project, push)
-"""One kernel from each module that the generator `relief` uses; `relief` runs on the CPU."""
+SET_UP = (INFLATED.project, HULL.project, push, fill_voxels)
+"""One kernel from each module that the generator `relief` and the set-up of lattices use; both run
+on the CPU.
+"""
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
 """Changes of a scene that shorten its run. Precision and solver stay unchanged, because the kernels
 depend on both.
@@ -33,7 +36,7 @@ depend on both.
 
 
 def warm(scenes: Sequence[Scene], context: RunContext) -> int:
-    """Compile the kernels of `relief`, of the scenes, of the renderer and of the stage.
+    """Compile the kernels of `relief`, of set-ups, scenes, the renderer and the stage.
 
     Args:
         scenes: The scenes.
@@ -46,7 +49,7 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
     device, progress = context.device, context.progress
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]
     listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
-    compiled = compile_missing(RELIEF, "cpu", progress)
+    compiled = compile_missing(SET_UP, "cpu", progress)
     compiled += compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)
     # Forces and the second thread need small kernels that are not listed; trial runs compile them.

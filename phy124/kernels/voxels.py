@@ -1,0 +1,32 @@
+"""Fills partly filled voxels up to a surface, and finds the moments of the filled parts.
+
+A voxel is filled below a plane, between two parallel planes, or within a cylinder. The voxel is
+divided into equal samples; a sample at the surface counts as a fraction. A bisection finds the
+position of the surface from the filled fraction of the voxel. The unit of length is a voxel.
+"""
+
+import warp as wp
+
+from phy124.kernels.native import code, native_kernel
+
+HALVINGS = 12
+"""Number of bisection steps for the position of a surface."""
+AT_ONCE = 8
+"""Number of voxels that a thread fills."""
+
+
+@native_kernel("phy124_voxels", f"enum {{ HALVINGS = {HALVINGS} }};\n{code('voxels')}", seconds=0.3)
+def fill_voxels(
+    side: wp.float64,  # of a sample
+    rods: bool,  # whether the surfaces are cylinders instead of planes
+    samples: wp.array(dtype=wp.vec3d),  # middles of the samples, relative to the voxel's middle
+    fractions: wp.array(dtype=wp.float64),
+    middles: wp.array(dtype=wp.vec3d),  # a point of each plane or axis, as for the samples
+    axes: wp.array(dtype=wp.vec3d),  # normals of the planes, or directions of the cylinders
+    double_sided: wp.array(dtype=bool),  # whether two planes have equal distances from the point
+    widths: wp.array(dtype=wp.float64),  # extents of the voxels across the surfaces
+    # out: centres of the filled parts, and second moments about these centres, per volume
+    centres_out: wp.array(dtype=wp.vec3d),
+    spreads_out: wp.array(dtype=wp.mat33d),
+):
+    """Fill `AT_ONCE` voxels."""

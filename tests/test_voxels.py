@@ -1,0 +1,55 @@
+"""The filled parts of voxels: the kernel and its definition."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from phy124.kernels.voxels import HALVINGS
+from phy124.particles.voxels import _part_moments, _Surfaces
+
+COUNT, SAMPLES = 83, 6
+
+
+def fill(
+    fraction: NDArray, surfaces: _Surfaces, samples: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres [V,3] and second moments [V,3,3] of the filled parts."""
+    points = (np.array(list(np.ndindex(*3 * (samples,)))) + 0.5) / samples - 0.5
+    arm = points - surfaces.middles[:, None]
+    height = along = np.einsum("vsi,vi->vs", arm, surfaces.axes)
+    width = np.abs(surfaces.axes).sum(axis=1, keepdims=True) / samples
+    height = np.where(surfaces.sheet[:, None], np.abs(along), along)
+    if surfaces.rods:
+        height = np.sqrt(np.maximum((arm**2).sum(axis=2) - along**2, 0))
+        width = np.full((len(fraction), 1), 1 / samples)
+    low = height.min(axis=1, keepdims=True) - width
+    high = height.max(axis=1, keepdims=True) + width
+    share = height
+    for _ in range(HALVINGS):
+        level = (low + high) / 2
+        share = np.clip((level - height) / width + 0.5, 0, 1)
+        more = share.mean(axis=1, keepdims=True) < fraction[:, None]
+        low, high = np.where(more, level, low), np.where(more, high, level)
+    share /= share.sum(axis=1, keepdims=True)
+    centre = share @ points
+    arm = points - centre[:, None]
+    spread = np.einsum("vs,vsi,vsj->vij", share, arm, arm)
+    return centre, spread + np.eye(3) / (12 * samples**2)
+
+
+@pytest.mark.parametrize("kind", ["planes", "sheets", "rods"])
+def test_kernel_fills_voxels_as_defined(kind):
+    """The last thread fills only three voxels. Fractions are random, because a bisection that
+    passes exactly through the surface ends at either side of it.
+    """
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(COUNT, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    fraction = rng.uniform(0.01, 0.99, COUNT)
+    middles = 0.2 * rng.normal(size=(COUNT, 3))
+    sheet = np.full(COUNT, kind == "sheets") & (np.arange(COUNT) % 2 == 0)
+    surfaces = _Surfaces(middles, axes, sheet, rods=kind == "rods")
+    for result, expected in zip(
+        _part_moments(fraction, surfaces, SAMPLES), fill(fraction, surfaces, SAMPLES), strict=True
+    ):
+        np.testing.assert_allclose(result, expected, atol=1e-9)
