@@ -308,6 +308,10 @@ def test_a_budget_that_is_too_small_is_refused():
         (["points.csv", "--find", "material.E=1..2"], "no object is set"),
         (["gone.mp4", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "it does not exist"),
         (["points.csv", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "until 9 s"),
+        (
+            ["points.csv", "--object", "o.ply", "--find", "material.E=1..2", "--out", "o.ply"],
+            "out = o.ply: it is a file",
+        ),
     ],
 )
 def test_command_refuses_with_a_sentence(tmp_path, monkeypatch, capsys, words, sentence):

@@ -273,6 +273,7 @@ def test_scene_is_summarised_in_a_line():
     assert "viscosity 0 Pa s)" in fluid, "what changes only the look is left out"
     sand = summarise(Scene().replaced({"material.law": "sand"}))
     assert "repose" not in sand
+    assert "damping 100 Pa s)" in summarise(Scene().replaced({"material.damping": 100}))
     assert said.endswith(
         "1 m over 32 cells, 1.5 particles per cell and axis, float32, solver mpm, "
         "Gaussians on a lattice of particles; 22 frames at 24/s"

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phy124.errors import Cancelled, InputError
+from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.ply import write_ply
 from phy124.runtime.context import RunContext
+from phy124.runtime.failures import failure
 from phy124.scene import Scene
 from phy124.studies.sweep import (
     Dataset,
@@ -248,8 +249,16 @@ def test_a_full_disk_says_that_nothing_is_lost(balls, tmp_path, monkeypatch):
         yield
 
     monkeypatch.setattr(running, "in_turn", full)
-    with pytest.raises(OSError, match=r"no space is left at .* no finished clip is lost"):
+    with pytest.raises(Incomplete, match=r"no finished clip in .* is lost") as caught:
         run(Plan(declared(balls)), str(tmp_path), workers=0)
+    assert str(failure(caught.value)).count("Free some space") == 1
+
+
+def test_a_folder_that_is_a_file_is_refused(balls, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(InputError, match=r"out = .*: it is a file"):
+        run(Plan(declared(balls)), str(tmp_path / "out"), workers=0)
+    assert (tmp_path / "out").read_text() == "mine"
 
 
 def test_the_clips_are_read_one_by_one(made):

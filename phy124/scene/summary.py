@@ -50,7 +50,7 @@ def summarise(scene: Scene, cells: str = "") -> str:
 def _describe_material(material: AnyMaterial) -> str:
     values = []
     for name, info in type(material).model_fields.items():
-        unit = re.search(r"\[(.*)\]", info.description or "")
+        unit = re.search(r"\[(.*?)\]", info.description or "")
         number = getattr(material, name)
         # Tint and visibility change the appearance, not the motion.
         if name not in ("law", "tint", "visibility") and number is not None:

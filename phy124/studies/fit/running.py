@@ -61,9 +61,11 @@ def fit(
             Cancelled.
 
     Raises:
-        InputError: An input is invalid, a value cannot be determined, or the time budget is too
-            short.
+        InputError: An input is invalid, a value cannot be determined, the time budget is too
+            short, or the folder cannot be written.
     """
+    with staging(out):  # An unusable folder is refused before any run.
+        pass
     target = Target(declared)
     if target.film is not None:
         refuse_missing_encoder()

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
-from phy124.errors import InputError
+from phy124.errors import Incomplete, InputError
 from phy124.progress import Progress, silent
 from phy124.rendering.film import refuse_missing_writers
 from phy124.studies.sweep.cost import Remaining
@@ -19,10 +19,7 @@ from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Order, memory_of_gpu, needs_of, stops_all, write_row
 
-FULL = (
-    "no space is left at {}. Free some space; then the same command "
-    "continues, and no finished clip is lost"
-)
+FULL = "no finished clip in {} is lost, and the same command continues the sweep"
 
 
 @dataclass
@@ -70,7 +67,7 @@ def run(
 
     Raises:
         InputError: The folder is unusable, Ray is not installed, or the shard does not exist.
-        OSError: The storage is full; finished clips and frames are kept.
+        Incomplete: The storage is full; finished clips and frames are kept.
     """
     part, parts = shard
     if not 1 <= part <= parts:
@@ -82,6 +79,7 @@ def run(
         )
     storage, counts = Storage(out), counts or Counts()
     refuse_missing_tables()
+    storage.refuse_unusable()
     sweep_rows(storage)
     storage.write("sweep.json", plan.sweep.model_dump_json(indent=2, by_alias=True).encode())
     numbers = plan.share(part, parts)
@@ -106,7 +104,7 @@ def run(
         with suppress(OSError):  # the next run writes the manifest from the row files
             write_manifest(storage)
         if isinstance(error, OSError) and stops_all(error):
-            raise OSError(error.errno, FULL.format(out)) from error
+            raise Incomplete(FULL.format(out)) from error
         raise
     return counts
 

@@ -71,6 +71,12 @@ class Storage:
         with replacing(path) as temporary:
             temporary.write_bytes(content)
 
+    def refuse_unusable(self) -> None:
+        """Raise InputError if the storage is a folder on this machine that cannot be written."""
+        if self.here is not None:
+            with staging(self.here):
+                pass
+
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
         """Provide a local folder, from which files can be moved to the storage at any time.
