@@ -13,6 +13,8 @@ SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
 
 The file that an error names is then not the cause.
 """
+CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
+"""Control characters, which could change the colours or the title of a terminal, as escapes."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
@@ -37,7 +39,8 @@ class InputError(ValueError):
     ) -> None:
         self.field, self.value, self.limit, self.remedy = field, value, limit, remedy
         self.remedies = tuple(remedies)
-        super().__init__(f"{field} = {value}: {limit} {remedy}".rstrip())
+        said = f"{field} = {value}".translate(CONTROL)
+        super().__init__(f"{said}: {limit} {remedy}".rstrip())
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
         """Support pickle, which would otherwise pass the whole message to the constructor."""

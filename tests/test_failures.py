@@ -102,6 +102,11 @@ def refuse_broken(folder):
             json.loads(path.read_text())
 
 
+def test_control_characters_of_input_never_reach_the_terminal():
+    error = InputError("\x1b[31mred", "\x9b2Jä", "it is no key.", "Remove it.")
+    assert str(error) == r"\x1b[31mred = \x9b2Jä: it is no key. Remove it."
+
+
 def test_errors_of_warp_are_named_after_it():
     with pytest.raises(ValueError) as caught:
         wp.get_device("cuda:99")

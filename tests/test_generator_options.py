@@ -63,6 +63,22 @@ def test_an_option_that_a_generator_does_not_have_is_refused(chosen, options, me
     assert message in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"options": {"steps": 7}}, "steps = 7: relief does not have this option"),
+        ({"options": {"steps": "many"}}, "steps = many: it must be a whole number from 1 to 500"),
+        ({"depth": {"depht": "off"}}, "depht = off: there is no such key. Did you mean depth?"),
+        ({"views": {"thickness": -1}}, "thickness = -1: it must be"),
+        ({"reading": {"up": "z"}}, "generator = relief: --up is for a file"),
+    ],
+)
+def test_options_may_be_plain_data(picture, options, message):
+    with pytest.raises(InputError) as refusal:
+        make_gaussians(picture, **options)
+    assert message in str(refusal.value)
+
+
 def test_a_factory_gets_the_options_and_the_device_that_it_names(monkeypatch):
     def factory(*, device=None, steps=20):
         return (device, steps)

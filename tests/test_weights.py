@@ -138,6 +138,8 @@ def test_missing_weights_say_where_how_and_what_instead(tmp_path):
         "`relief`",
     ):
         assert part in message
+    with pytest.raises(InputError, match="weights fetch clip`, or use --clip-model none"):
+        require("clip", tmp_path)
     with pytest.raises(InputError, match=r"no set of weights with this name.*u2net, u2netp, lgm"):
         require("nothing")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,8 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation.bodies import errors_prefixed_with, refuse_ids
 
 PathLike = str | os.PathLike[str]
+Data = Mapping[str, Any]
+"""Options as plain data, by name."""
 SHARED = ("generator", "count", "on_cutout")
 """Options of the first object that also apply to the other objects."""
 CLIP = ".safetensors"
@@ -109,13 +111,13 @@ def make_object(
     context: RunContext,
     *,
     generator: str | Generator = "relief",
-    options: GeneratorOptions = UNCHANGED,
-    reading: Reading | None = None,
+    options: GeneratorOptions | Data = UNCHANGED,
+    reading: Reading | Data | None = None,
     method: str = "auto",
     mask: PathLike | None = None,
     pick: Point | None = None,
-    depth: DepthMap | None = None,
-    views: OtherViews | None = None,
+    depth: DepthMap | Data | None = None,
+    views: OtherViews | Data | None = None,
     on_cutout: Callable[[Cutout], object] = lambda cutout: None,
     on_estimate: Callable[[Effort], object] = lambda effort: None,
     preview_with_relief: bool = False,
@@ -144,6 +146,10 @@ def make_object(
         InputError: The picture or the options cannot be used.
     """
     watch, progress = context.watch, context.progress
+    options = GeneratorOptions.of(options)
+    reading = None if reading is None else Reading.of(reading)
+    depth = None if depth is None else DepthMap.of(depth)
+    views = None if views is None else OtherViews.of(views)
     name = generator if isinstance(generator, str) else type(generator).__name__
     make = with_count(make_generator(generator, reading, options, context.device), count)
     make = depth.bind(make, name) if depth else make

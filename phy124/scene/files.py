@@ -34,8 +34,9 @@ def read_toml(path: str | os.PathLike[str], field: str) -> dict[str, Any]:
         return tomllib.loads(Path(path).read_text("utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         preset = " or a preset name" if field == "scene" else ""
-        why = error.strerror if isinstance(error, OSError) else "it is not text in UTF-8"
-        limit, remedy = f"it cannot be read: {why}.", f"Give a TOML file{preset}."
+        limit, remedy = "it is not text in UTF-8.", "Save it again in this encoding."
+        if isinstance(error, OSError):
+            limit, remedy = f"it cannot be read: {error.strerror}.", f"Give a TOML file{preset}."
         if isinstance(error, FileNotFoundError):
             limit = "there is no such file."
     except RecursionError:

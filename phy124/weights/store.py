@@ -135,6 +135,8 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
 
 def _alternative(name: str) -> str:
     """Return the remedy for a missing set of weights, for use at the end of a sentence."""
+    if name == "clip":
+        return "use --clip-model none"
     about = ABOUT.get(name)
     if about is not None and ("--foreground" in about.brings or "--depth" in about.brings):
         return "remove the option"
