@@ -29,6 +29,7 @@ from phy124.pipeline.capture import capture
 from phy124.runtime.context import RunContext
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene, preset_names
+from phy124.schema.refusals import validate
 from phy124.simulation.bodies import errors_prefixed_with, refuse_ids
 
 PathLike = str | os.PathLike[str]
@@ -146,10 +147,10 @@ def make_object(
         InputError: The picture or the options cannot be used.
     """
     watch, progress = context.watch, context.progress
-    options = GeneratorOptions.of(options)
-    reading = None if reading is None else Reading.of(reading)
-    depth = None if depth is None else DepthMap.of(depth)
-    views = None if views is None else OtherViews.of(views)
+    options = validate(GeneratorOptions, options)
+    reading = None if reading is None else validate(Reading, reading)
+    depth = None if depth is None else validate(DepthMap, depth)
+    views = None if views is None else validate(OtherViews, views)
     name = generator if isinstance(generator, str) else type(generator).__name__
     make = with_count(make_generator(generator, reading, options, context.device), count)
     make = depth.bind(make, name) if depth else make

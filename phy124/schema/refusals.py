@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -11,6 +12,7 @@ from phy124.errors import InputError, did_you_mean
 from phy124.schema.declaration import Declaration, Node, format_number, read_declaration
 from phy124.schema.section import Section
 
+Options = TypeVar("Options", bound=Section)
 LONGEST = 60
 """Largest number of characters of a value in a message."""
 
@@ -54,6 +56,18 @@ def explain_options(error: ValidationError) -> InputError:
         kinds += kind.__subclasses__()
         sections[kind.__name__] = kind
     return explain(error, "options", sections[error.title])
+
+
+def validate(kind: type[Options], data: Options | Mapping[str, Any]) -> Options:
+    """Return options that may be plain data as an object of their class.
+
+    Raises:
+        InputError: A value is invalid, or there is no such option.
+    """
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise explain(error, "options", kind) from None
 
 
 def shorten(value: Any) -> str:

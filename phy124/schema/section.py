@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 OTHER = PydanticCustomError("another_type", "it is of another type")
 
@@ -37,20 +33,6 @@ class Section(BaseModel):
         if wrong:
             raise ValidationError.from_exception_data(cls.__name__, wrong)
         return data
-
-    @classmethod
-    def of(cls, options: Self | Mapping[str, Any]) -> Self:
-        """Return options that may be plain data as an object of this class.
-
-        Raises:
-            InputError: A value is invalid, or there is no such option.
-        """
-        try:
-            return cls.model_validate(options)
-        except ValidationError as error:
-            from phy124.schema.refusals import explain
-
-            raise explain(error, cls.__name__, cls) from None
 
 
 @cache
