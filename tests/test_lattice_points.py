@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from phy124.lattice.surface import _inverses
+from phy124.kernels.lattice.partners import OTHER
+from phy124.lattice.surface import FLAT, Lazy, _inverses
 from phy124.particles.lattice import integration_points, surface_points
 from phy124.particles.solid import Solid
 from phy124.studies.validation.bodies import fill_solid
@@ -137,8 +138,34 @@ def test_slopes_give_the_gradient_at_every_surface_point(rng):
     solver = make(block((0.4, 0.3, 0.2)))
     surface, gradient = solver.surface, rng.normal(size=(3, 3))
     u = solver.lattice.x @ gradient
-    slopes = np.swapaxes(u[surface.nodes], 1, 2) @ surface.slopes
+    slopes = np.swapaxes(u[surface.nodes], 1, 2) @ surface.slopes[np.arange(surface.count)]
     assert surface.count and np.allclose(slopes, gradient.T)
+
+
+def test_flat_points_are_found_alone_as_well_as_together():
+    surface = make(block((0.4, 0.3, 0.2))).surface
+    every = np.arange(surface.count)
+    near = np.linalg.norm(surface.x[:, None] - surface.x, axis=2) <= surface.dx
+    near &= surface.normal @ surface.normal.T > OTHER
+    length = np.linalg.norm(near @ surface.normal, axis=1)
+    expected = length > FLAT * near.sum(axis=1)
+    assert expected.any() and not expected.all()
+    assert np.array_equal(surface.flat[every[:5]], expected[:5])
+    assert np.array_equal(surface.flat[every], expected)
+
+
+def test_lazy_values_are_computed_once(rng):
+    asked = []
+
+    def compute(points):
+        asked.extend(points)
+        return 10 * points
+
+    lazy = Lazy(np.zeros(9, int), compute)
+    for points in ([4, 2], [2, 7, 4], [], [0]):
+        chosen = np.array(points, int)
+        assert np.array_equal(lazy[chosen], 10 * chosen)
+    assert asked == [4, 2, 7, 0]
 
 
 def test_inverses_of_moments_leave_out_axes_without_an_extent(rng):

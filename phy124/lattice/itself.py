@@ -13,6 +13,8 @@ else is computed.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -29,7 +31,7 @@ from phy124.lattice.partners import REACH, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.lattice.work import ContactWork
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, put
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
@@ -227,7 +229,7 @@ class Meeting:
             x: Current positions of the sampled points [K,3], m.
         """
         self._seen, self._away = x, False
-        flagged = self._partners.flag(self._sample, x, between=self._between)
+        flagged = self._flag(x)
         if not flagged.any():
             self._points, self._flagged = self._points[:0], flagged
             return
@@ -236,6 +238,11 @@ class Meeting:
         if self._between or slid or (flagged & ~self._flagged).any():
             self._flagged = flagged
             self._list(self._mine[flagged[self._nearest]])
+
+    @cached_property
+    def _flag(self) -> Callable[[NDArray], NDArray[np.bool_]]:
+        """Function that returns the sampled points near which contact is possible."""
+        return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
         """Determine the pairs of some points; points that have a partner already keep their contact
@@ -277,7 +284,7 @@ class Meeting:
             self._reserve(min(len(self._mine), 2 * len(points)))
         if len(points):
             for name, array in self._pairs.items():
-                array[: len(points)].assign(pairs[name])
+                put(array, pairs[name])
             for launch, place in self._launches:
                 launch.set_param_at_index(place, len(points))
 

@@ -21,7 +21,7 @@ from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, put
 from phy124.mpm.pairs import Pair
 
 
@@ -138,8 +138,7 @@ class Material:
             self.force.assign(kept)
             self._near = near.astype(np.int32)
             self.most = max(self.most, len(near))
-            if len(near):
-                self._list[: len(near)].assign(self._near)
+            put(self._list, self._near)
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot: the contact forces and the sums of impulses."""
@@ -151,8 +150,7 @@ class Material:
         self.force.assign(snapshot["force"])
         self.sums.assign(snapshot["sums"])
         self._near = np.array(snapshot["near"], np.int32)
-        if len(self._near):
-            self._list[: len(self._near)].assign(self._near)
+        put(self._list, self._near)
 
 
 def kernels_of(real: Any, device: str) -> Iterator[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +14,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, put
 
 FAR = 3.0
 """If two sampled points are closer than this [cells], the surfaces around the points may touch."""
@@ -25,6 +26,8 @@ LEAST = 0.05
 """Smallest volume ratio for mapping displacements on the surface to the body at rest."""
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
+SEARCHED = "body", "side", "rest", "normal"
+"""Names of the arrays that the search for partners reads, in the kernel's order."""
 
 
 class Partners:
@@ -40,24 +43,30 @@ class Partners:
         """
         self._surface, self._model, self._nodes = surface, model, nodes
 
-    def flag(
-        self, sample: NDArray[np.int64], x: NDArray[np.float64], *, between: bool
-    ) -> NDArray[np.bool_]:
-        """Return the indices of the sampled points that may touch another part or body [K].
+    def flagger(
+        self, sample: NDArray[np.int64], *, between: bool
+    ) -> Callable[[NDArray], NDArray[np.bool_]]:
+        """Return a function that flags the sampled points that may touch another part or body [K],
+        from their current positions [K,3], m.
 
         Args:
             sample: Indices of the sampled points [K].
-            x: Current positions of the sampled points [K,3], m.
             between: Whether the other part is a different body.
         """
-        model, arrays = self._model, self._arrays
-        places = model.array(x, types(model.real).vec3)
-        flagged = self._zeros(int, len(x))
-        inputs = [self._bucket(places, FAR), between, FAR * model.dx, model.dx]
-        inputs += [self._numbers(sample), places]
+        model, arrays, grid, far = self._model, self._arrays, self._grid, FAR * self._model.dx
+        x, flagged = self._zeros(types(model.real).vec3, len(sample)), self._zeros(int, len(sample))
+        inputs = [grid.id, between, far, model.dx, self._numbers(sample), x]
         inputs += [arrays[name] for name in ("rest", "normal", "body", "side")]
-        self._launch(make_flag(model.real), len(x), inputs, [flagged])
-        return np.asarray(flagged.numpy() > 0)
+        launch = model.launch(make_flag(model.real), len(sample), inputs, [flagged])
+
+        def flag(at: NDArray) -> NDArray[np.bool_]:
+            if launch is not None:
+                put(x, at)
+                grid.build(x, far)
+                launch.launch()
+            return np.asarray(flagged.numpy() > 0)
+
+        return flag
 
     def find(self, points: NDArray[np.int64], *, between: bool) -> dict[str, NDArray[Any]]:
         """Return the points that have a partner, and the partners.
@@ -76,16 +85,13 @@ class Partners:
         chosen = self._numbers(points)
         x, normal, direction = (self._zeros(t.vec3, count) for _ in range(3))
         turned, J, partner = (self._zeros(kind, count) for kind in (t.mat33, model.real, int))
-        names = ("nodes", "weights", "slopes", "rest", "normal")
-        inputs = [chosen, *(arrays[name] for name in names), self._nodes.u]
+        slopes, flat = self._surface.slopes[points], self._surface.flat[points]
+        inputs = [chosen, arrays["nodes"], arrays["weights"], model.array(slopes, t.vec3)]
+        inputs += [arrays["rest"], arrays["normal"], self._nodes.u]
         expose = make_expose(model.real, self._nodes.rows)
         self._launch(expose, count, inputs, [x, normal, turned, J])
         inputs = [self._bucket(x, reach), between, reach * model.dx, model.dx, chosen]
-        inputs += [
-            *(arrays[name] for name in ("flat", "body", "side", "rest", "normal")),
-            x,
-            normal,
-        ]
+        inputs += [self._numbers(flat), *(arrays[name] for name in SEARCHED), x, normal]
         self._launch(make_partner(model.real), count, inputs, [partner, direction])
         results = partner.numpy(), direction.numpy(), turned.numpy(), J.numpy()
         numbers, normals, cofactors, ratios = (np.asarray(values) for values in results)
@@ -102,12 +108,10 @@ class Partners:
         return {
             "nodes": wp.array(surface.nodes, dtype=int, device=model.device),
             "weights": model.array(surface.weights, model.real),
-            "slopes": model.array(surface.slopes, t.vec3),
             "rest": model.array(surface.x, t.vec3),
             "normal": model.array(surface.normal, t.vec3),
             "body": self._numbers(surface.body),
             "side": self._numbers(surface.side),
-            "flat": self._numbers(surface.flat),
         }
 
     @cached_property

@@ -26,7 +26,7 @@ from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
 from phy124.lattice.work import ContactWork
 from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody, Plane
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, put
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
@@ -284,8 +284,7 @@ class _Touch:
                 force[gone] = 0
                 self.force.assign(force)
             self._near = near.astype(np.int32)
-            if len(near):
-                self._list[: len(near)].assign(self._near)
+            put(self._list, self._near)
         if len(near) and self._solids.all[self._index].shape == "box":
             self._turn(near)
         touch, resist, account = self._launches

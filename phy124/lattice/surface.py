@@ -10,8 +10,10 @@ order, the error after a Gauss-Seidel sweep is a tenth of the error after a swee
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,13 +70,16 @@ class Surface:
         return len(self.x)
 
     @cached_property
-    def slopes(self) -> NDArray[np.float64]:
+    def slopes(self) -> Lazy:
         """Weights of the nodes in the gradient at each point [S,27,3], 1/m."""
-        arm = self.of_nodes[self.nodes] - self.x[:, None]
-        arm *= (self.weights != 0)[:, :, None]
-        weighted = self.weights[:, :, None] * arm
-        slopes: NDArray[np.float64] = weighted @ _inverses(np.swapaxes(weighted, 1, 2) @ arm)
-        return slopes
+        return Lazy(np.zeros((self.count, 27, 3)), self._slopes_at)
+
+    @cached_property
+    def flat(self) -> Lazy:
+        """Whether each point is on a flat part of the surface, where neighbouring normals agree
+        [S].
+        """
+        return Lazy(np.zeros(self.count, bool), self._flat_at)
 
     def deform(
         self, points: NDArray[np.int64], u: NDArray
@@ -91,20 +96,52 @@ class Surface:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         return F, turned, normal
 
-    @cached_property
-    def flat(self) -> NDArray[np.bool_]:
-        """Whether each point is on a flat part of the surface, where neighbouring normals agree
-        [S].
-        """
-        near = KDTree(self.x).query_pairs(self.dx, output_type="ndarray")
-        a, b = np.concatenate([near, near[:, ::-1]]).T
+    def _slopes_at(self, points: NDArray[np.int64]) -> NDArray[np.float64]:
+        weights = self.weights[points]
+        arm = self.of_nodes[self.nodes[points]] - self.x[points, None]
+        arm *= (weights != 0)[:, :, None]
+        weighted = weights[:, :, None] * arm
+        slopes: NDArray[np.float64] = weighted @ _inverses(np.swapaxes(weighted, 1, 2) @ arm)
+        return slopes
+
+    def _flat_at(self, points: NDArray[np.int64]) -> NDArray[np.bool_]:
+        here = KDTree(self.x[points])
+        near = here.sparse_distance_matrix(self._tree, self.dx, output_type="ndarray")
+        a, b = near["i"], near["j"]
         # Points on the opposite side of a thin part are ignored.
-        same = (self.body[a] == self.body[b]) & ((self.normal[a] * self.normal[b]).sum(1) > OTHER)
+        aligned = (self.normal[points][a] * self.normal[b]).sum(axis=1) > OTHER
+        same = (b == points[a]) | (aligned & (self.body[b] == self.body[points][a]))
         a, b = a[same], b[same]
-        near_sum = [np.bincount(a, n, self.count) for n in self.normal[b].T]
-        total = np.linalg.norm(self.normal + np.transpose(near_sum), axis=1)
-        flat: NDArray[np.bool_] = total > FLAT * (1 + np.bincount(a, minlength=self.count))
+        total = [np.bincount(a, n, len(points)) for n in self.normal[b].T]
+        flat: NDArray[np.bool_] = np.linalg.norm(total, axis=0) > FLAT * np.bincount(a)
         return flat
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.x)
+
+
+class Lazy:
+    """One value for each surface point, computed when it is first needed."""
+
+    def __init__(
+        self, values: NDArray[Any], compute: Callable[[NDArray[np.int64]], NDArray]
+    ) -> None:
+        """Compute nothing yet.
+
+        Args:
+            values: Array for all values; its first axis is the points.
+            compute: Function that computes the values at the points with some indices.
+        """
+        self._values, self._compute = values, compute
+        self._known = np.zeros(len(values), bool)
+
+    def __getitem__(self, points: NDArray[np.int64]) -> NDArray[Any]:
+        """Return the values at the points with some indices."""
+        new = points[~self._known[points]]
+        if len(new):
+            self._values[new], self._known[new] = self._compute(new), True
+        return self._values[points]
 
 
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:

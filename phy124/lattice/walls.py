@@ -37,7 +37,7 @@ from phy124.lattice.impulses import Impulses
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
 from phy124.lattice.work import ContactWork
-from phy124.mpm.model import Model
+from phy124.mpm.model import Model, put
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
@@ -313,8 +313,7 @@ class _Contact:
         near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
             self._near = near.astype(np.int32)
-            if len(near):
-                self._list[: len(near)].assign(self._near)
+            put(self._list, self._near)
             self._count()
 
     def limit(self, reach: float) -> None:
@@ -352,8 +351,7 @@ class _Contact:
         # Responses of all points; they change only if clamps fix or release nodes.
         self._list.assign(np.arange(self._points.count, dtype=np.int32))
         yields.launch()
-        if len(self._near):
-            self._list[: len(self._near)].assign(self._near)
+        put(self._list, self._near)
         self._count()
         sums += works
         return [touch, lambda: second.launch() if len(self._near) else None, account]

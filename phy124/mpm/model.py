@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.kernels.launches import record
 from phy124.kernels.transfer import Law
 from phy124.materials import Material
 from phy124.mpm.timestep import CFL, beside_elastic
@@ -261,10 +262,7 @@ class Model:
             inputs: Arguments that the kernel reads.
             outputs: Arguments that the kernel writes, passed after the inputs.
         """
-        recorded = wp.launch(
-            kernel, dim, inputs=inputs, outputs=outputs, device=self.device, record_cmd=True
-        )
-        return cast("wp.Launch | None", recorded)
+        return record(kernel, dim, inputs, outputs, self.device)
 
 
 @dataclass
@@ -396,6 +394,14 @@ def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> li
         raise ValueError("particles must be sorted by constitutive law")
     first = np.flatnonzero(np.diff(law, prepend=-1) | np.diff(body, prepend=-1))
     return list(itertools.pairwise([*first.tolist(), len(law)]))
+
+
+def put(array: wp.array, values: NDArray) -> None:
+    """Copy values [K,...] to the first K elements of an array on the device."""
+    if array.device.is_cpu:
+        array.numpy()[: len(values)] = values
+    elif len(values):
+        array[: len(values)].assign(values)
 
 
 def _array(values: object, dtype: Any, precision: str, device: str) -> wp.array:

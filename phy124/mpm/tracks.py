@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.kernels.arguments import types
+from phy124.kernels.launches import record
 from phy124.kernels.profile import DRIFT, JOINS, KICK, LIMITED, MEAN, make_sampler
 from phy124.schema.bounds import LONGEST, SHORTEST, Factor, Instant
 from phy124.schema.region import Vector
@@ -312,14 +313,9 @@ class Tracks:
             outputs: Arrays for values and rates; None: `values` and `rates`.
         """
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]
-        launch = wp.launch(
-            make_sampler(self.real),
-            len(self.tracks),
-            inputs=[*tables, self.clock if clock is None else clock],
-            outputs=outputs or [self.values, self.rates],
-            device=self.device,
-            record_cmd=True,
-        )
+        inputs = [*tables, self.clock if clock is None else clock]
+        results = list(outputs or [self.values, self.rates])
+        launch = record(make_sampler(self.real), len(self.tracks), inputs, results, self.device)
         return cast("wp.Launch", launch)
 
 

@@ -115,6 +115,8 @@ def make_flag(real: Any):
 def make_expose(real: Any, rows: Rows):
     """Kernel over surface points: computes current positions, current normals, and the cofactors of
     F.
+
+    `slopes` contains only the points that `chosen` lists.
     """
     t = types(real)
     moved_by = rows.moved_by
@@ -138,7 +140,7 @@ def make_expose(real: Any, rows: Rows):
         x_out[i] = rest[s] + moved_by(u, nodes, weights, s)
         F = wp.identity(3, dtype=real)
         for k in range(wp.static(NODES)):
-            F += wp.outer(u[nodes[s, k]], slopes[s, k])
+            F += wp.outer(u[nodes[s, k]], slopes[i, k])
         turned = inverse_rows(F)
         out = turned * normal[s]
         normal_out[i] = out / wp.max(wp.length(out), real(1.0e-30))
@@ -153,8 +155,9 @@ def make_partner(real: Any):
     """Kernel over surface points: finds the position on the opposite surface that is nearest to
     each point.
 
-    `chosen` lists the points; `x` and `turned` contain their current positions and normals. At an
-    edge of the other part, the contact force is directed along the normal at the point.
+    `chosen` lists the points; `flat`, `x` and `turned` say whether they are on a flat part, and
+    contain their current positions and normals. At an edge of the other part, the contact force is
+    directed along the normal at the point.
     """
     t = types(real)
 
@@ -195,7 +198,7 @@ def make_partner(real: Any):
                 opposed = wp.dot(turned[i], n) < real(OTHER) or not (
                     wp.dot(turned[i], turned[i]) > zero
                 )
-                at_edge = flat[a] == 1 and flat[b] == 0 and plain
+                at_edge = flat[i] == 1 and flat[j] == 0 and plain
                 if at_edge:
                     n = -turned[i]
                 sideways = way - wp.dot(way, n) * n
