@@ -1,5 +1,6 @@
 """phy124.kernels.launches: recorded launches are repeated with their present arguments."""
 
+import numpy as np
 import pytest
 import warp as wp
 
@@ -48,5 +49,5 @@ def test_launches_without_threads_are_not_recorded():
 
 def test_put_copies_the_first_values():
     array = wp.zeros(4, dtype=wp.vec3, device="cpu")
-    put(array, [[1, 2, 3], [4, 5, 6]])
+    put(array, np.array([[1, 2, 3], [4, 5, 6]]))
     assert array.numpy().tolist() == [[1, 2, 3], [4, 5, 6], [0, 0, 0], [0, 0, 0]]
