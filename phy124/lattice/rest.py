@@ -151,12 +151,8 @@ class RestLattice:
         number = number.reshape(len(cell), 27)
         index = np.stack(np.unravel_index(nodes // room, tuple(size)), axis=1) + low
         offset = x - np.repeat(cell, PER_CELL, axis=0) + 0.5
-        weights = _weights(offset)
-        of_nodes = np.bincount(
-            np.repeat(number, PER_CELL, axis=0).ravel(),
-            (weights * mass[:, None]).ravel(),
-            len(nodes),
-        )
+        of_cells = (_weights(offset) * mass[:, None]).reshape(len(cell), PER_CELL, 27).sum(axis=1)
+        of_nodes = np.bincount(number.ravel(), of_cells.ravel(), len(nodes))
         density = float(mass.sum() / volume.sum())
         # In a body of needles or thin sheets, no node is as heavy as a node inside a body.
         whole = min(density * dx**3, of_nodes.max() / GIVING)
@@ -328,5 +324,6 @@ def splines(offset: NDArray) -> NDArray[np.float64]:
 def _weights(offset: NDArray) -> NDArray[np.float64]:
     """Return the weights of a cell's 27 nodes at points [P,27]."""
     x, y, z = np.moveaxis(splines(offset), 1, 0)
-    product: NDArray[np.float64] = np.einsum("pi,pj,pk->pijk", x, y, z)
+    across = (x[:, :, None] * y[:, None, :]).reshape(-1, ROW, 1)
+    product: NDArray[np.float64] = across * z[:, None, :]
     return product.reshape(len(offset), 27)

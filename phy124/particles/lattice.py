@@ -10,7 +10,9 @@ exact second moments, plates thinner than a cell are up to 12 % too stiff.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -66,7 +68,8 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
         limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
         raise InputError("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
     solid = _subdivide(solid, dx)
-    x, volume, copies = _points_of_pieces(solid, dx)
+    cells = _find_cells(solid, dx)
+    x, volume, copies = _points_of_pieces(solid, dx, cells)
     count = len(x)
     points = Particles(
         x=x.astype(np.float32),
@@ -76,7 +79,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
         gaussian=np.full(count, -1, np.int32),
         copies=copies,
     )
-    rows = surface_points(solid, dx)
+    rows = _surface_points(solid, dx, cells)
     return replace(points, surface=np.concatenate([rows, np.zeros((len(rows), 1))], axis=1))
 
 
@@ -103,11 +106,13 @@ def points_of(cells: Particles, points: Particles) -> Particles:
     """
     every = cells_of(points).x
     rows = np.concatenate([every, cells.x])
-    _, number = np.unique(rows, axis=0, return_inverse=True)
-    number = number.reshape(-1)
-    place = np.empty(number.max() + 1, np.int64)
-    place[number[: len(every)]] = np.arange(len(every))
-    cell = place[number[len(every) :]]
+    # Among equal rows, the row of `every` comes first.
+    order = np.lexsort(rows.T)
+    fresh = np.ones(len(rows), bool)
+    fresh[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    same = np.empty(len(rows), np.int64)
+    same[order] = order[np.flatnonzero(fresh)][np.cumsum(fresh) - 1]
+    cell = same[len(every) :]
     index = (PER_CELL * cell[:, None] + np.arange(PER_CELL)).reshape(-1)
     return Particles(
         x=points.x[index],
@@ -128,12 +133,33 @@ def repeat_for_points(values: NDArray | None) -> NDArray | None:
 
 def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the points of all cells [8C,3], m, and their volumes [8C], m^3; x varies slowest."""
-    x, volume, _ = _points_of_pieces(solid, dx)
+    x, volume, _ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
     return x, volume
 
 
+class _Cells(NamedTuple):
+    """The cells of the V voxels of a solid."""
+
+    place: NDArray[np.int64]
+    """Indices of the cells in which the voxels lie [V,3]."""
+    part: NDArray[np.float64]
+    """Filled volume of each voxel, relative to a cell [V]."""
+    number: NDArray[np.int64]
+    """Number of each voxel's cell after slivers are merged [V]; the x index varies slowest."""
+    clear: NDArray[np.bool_]
+    """Voxels with more than a trace of material [X,Y,Z]."""
+
+
+def _find_cells(solid: Solid, dx: float) -> _Cells:
+    """Return the cells of a solid's voxels."""
+    index, fraction = solid.voxels[:2]
+    place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
+    part = fraction * (solid.voxel / dx) ** 3
+    return _Cells(place, part, _merge_slivers(place, part), _clear(solid))
+
+
 def _points_of_pieces(
-    solid: Solid, dx: float
+    solid: Solid, dx: float, cells: _Cells
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
     """Return the points of all cells [8C,3], m, their volumes [8C], m^3, and copies of nodes.
 
@@ -143,10 +169,8 @@ def _points_of_pieces(
     index, fraction, _, shift, spread = solid.voxels
     side = solid.voxel
     middle = (index + solid.first + 0.5 + shift) * side
-    place = np.floor((index + solid.first) * (side / dx) + 1e-9).astype(np.int64)
-    part = fraction * (side / dx) ** 3
-    _, cell = _cells(_merge_slivers(place, part))
-    pieces = find_pieces(index, cell, part, _clear(solid)[tuple(index.T)], SLIVER)
+    place, part, cell, clear = cells
+    pieces = find_pieces(index, place, cell, part, clear[tuple(index.T)], SLIVER)
     piece = pieces.of_voxel
     count = int(piece.max()) + 1
     filled = np.bincount(piece, fraction, count)
@@ -166,8 +190,8 @@ def _points_of_pieces(
     x = centre[:, None] + np.einsum("qk,ck,cik->cqi", CORNERS, reach, axes)
     volume = filled * side**3
     # As in RestLattice, so that node indices agree.
-    cells = np.floor((x.astype(np.float32).astype(np.float64) / dx).mean(axis=1)).astype(np.int64)
-    copies = find_copies(pieces, cells, place, part)
+    used = np.floor((x.astype(np.float32).astype(np.float64) / dx).mean(axis=1)).astype(np.int64)
+    copies = find_copies(pieces, used, place, part)
     kept = volume >= min(SMALLEST * dx**3, FULLEST * volume.max())
     volume = volume[kept] * (solid.volume / volume[kept].sum())
     x = x[kept].reshape(-1, 3)
@@ -189,13 +213,15 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
 
     The normal is zero on sheets, which have no single outward side.
     """
+    return _surface_points(solid, dx, _find_cells(solid, dx))
+
+
+def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float64]:
+    """Return the rows of `surface_points`."""
     index, fraction, normal, _, _ = solid.voxels
-    filled = _clear(solid)
+    filled, cell = cells.clear, cells.number
     outside = (filled & ~scipy.ndimage.binary_erosion(filled))[tuple(index.T)]
-    place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
-    part = fraction * (solid.voxel / dx) ** 3
-    _, cell = _cells(_merge_slivers(place, part))
-    clear = outside & (np.bincount(cell, part) >= HAZE)[cell]
+    clear = outside & (np.bincount(cell, cells.part) >= HAZE)[cell]
     outside = (
         clear if clear.any() else outside
     )  # In a needle, all cells may have such a small fraction.
@@ -210,7 +236,7 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
 
 
 def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
-    """Return the cell of each voxel [V,3]; slivers are merged with a neighbouring cell.
+    """Return the number of each voxel's cell [V]; slivers are merged with a neighbouring cell.
 
     The nodes of a sliver are light, so squeezing a sliver would shorten the substep. After merging,
     a sliver keeps its volume and moments, but has the weights of the neighbouring cell, continued
@@ -220,9 +246,9 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
         place: Index of each voxel's cell [V,3].
         part: Volume of each voxel, relative to a cell [V].
     """
-    low, size = place.min(axis=0) - 1, np.ptp(place, axis=0) + 3
-    filled = np.zeros(tuple(size))
-    np.add.at(filled, tuple((place - low).T), part)
+    low, size = place.min(axis=0) - 1, tuple((np.ptp(place, axis=0) + 3).tolist())
+    flat = np.asarray(np.ravel_multi_index(tuple((place - low).T), size))
+    filled = np.bincount(flat, part, math.prod(size)).reshape(size)
     most = scipy.ndimage.maximum_filter(filled, 3, mode="constant")
     slivers = filled < SLIVER * most**2
     sliver = np.argwhere(slivers & (filled > 0))
@@ -232,9 +258,12 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
         near = filled[at] / np.abs(step).sum()
         fuller = ~slivers[at] & (near > fullest)
         fullest[fuller], target[fuller] = near[fuller], (sliver + step)[fuller]
-    moved = np.stack(np.meshgrid(*map(np.arange, size), indexing="ij"), axis=-1)
-    moved[tuple(sliver.T)] = target
-    return moved[tuple((place - low).T)] + low
+    moved = np.arange(filled.size)
+    moved[np.ravel_multi_index(tuple(sliver.T), size)] = np.ravel_multi_index(tuple(target.T), size)
+    cell = moved[flat]
+    taken = np.zeros(filled.size, bool)
+    taken[cell] = True
+    return (np.cumsum(taken) - 1)[cell]
 
 
 def _subdivide(solid: Solid, dx: float) -> Solid:
@@ -246,16 +275,6 @@ def _subdivide(solid: Solid, dx: float) -> Solid:
     for axis in range(3):
         fraction = np.repeat(fraction, parts, axis=axis)
     return Solid(solid.first * parts, solid.voxel / parts, fraction)
-
-
-def _cells(cell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sorted keys of the distinct cells [K], and each voxel's index among them [V].
-
-    The x index varies slowest in the order of the keys.
-    """
-    low = cell.min(axis=0)
-    keys = np.ravel_multi_index(tuple((cell - low).T), tuple(cell.max(axis=0) - low + 1))
-    return np.unique(keys, return_inverse=True)
 
 
 def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
@@ -283,7 +302,8 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
     """Return the outermost of the points in each cube."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
-    _, which = np.unique(cube, axis=0, return_inverse=True)
+    low, size = cube.min(axis=0), np.ptp(cube, axis=0) + 1
+    _, which = np.unique(np.ravel_multi_index((cube - low).T, size), return_inverse=True)
     which = which.reshape(-1)
     count = which.max() + 1
     number = np.bincount(which, minlength=count)[:, None]

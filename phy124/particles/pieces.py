@@ -36,27 +36,41 @@ class Pieces(NamedTuple):
 
     of_voxel: NDArray[np.int64]
     """Piece index of each voxel [V]."""
-    pairs: NDArray[np.int64]
-    """Pairs of neighbouring voxels, except voxels with only a trace of material [M,2]."""
+    clump: NDArray[np.int64]
+    """Index of each voxel's clump [V]. A clump consists of connected voxels in one cell, or of one
+    voxel with only a trace of material.
+    """
+    links: NDArray[np.int64]
+    """Distinct pairs of clumps that touch, except voxels with only a trace of material [M,2]."""
 
 
 def find_pieces(
-    index: NDArray, cell: NDArray, part: NDArray, clear: NDArray[np.bool_], sliver: float
+    index: NDArray,
+    place: NDArray,
+    cell: NDArray,
+    part: NDArray,
+    clear: NDArray[np.bool_],
+    sliver: float,
 ) -> Pieces:
     """Return the connected pieces of each cell.
 
     Args:
         index: Indices of the voxels that are not empty [V,3].
-        cell: Number of the cell of each voxel [V]; pieces are sorted by this number.
+        place: Indices of the cells in which the voxels lie [V,3].
+        cell: Number of each voxel's cell, which may be a neighbour of the cell in which the voxel
+            lies [V]. Pieces are sorted by this number.
         part: Volume of each voxel, relative to a cell [V].
         clear: Whether each voxel connects its neighbours [V]; voxels with only a trace of material
             do not.
         sliver: If one of several pieces in a cell is smaller than this fraction of the cell, it
             joins a connected piece in a neighbouring cell.
     """
-    pairs = _neighbours(index, clear)
-    same = cell[pairs[:, 0]] == cell[pairs[:, 1]]
-    count, piece = _components(pairs[same], len(index))
+    clump, touching = _find_clumps(index, place, clear)
+    of = np.zeros(clump.max() + 1, np.int64)
+    of[clump] = cell
+    same = of[touching[:, 0]] == of[touching[:, 1]]
+    count, of_clump = _components(touching[same], len(of))
+    piece = of_clump[clump]
     size = np.bincount(piece, part, count)
     of = np.zeros(count, np.int64)
     of[piece] = cell
@@ -66,7 +80,7 @@ def find_pieces(
     largest = order[np.flatnonzero(np.diff(of[order], prepend=-1))]
     target = np.arange(count)
     if len(largest) < count:
-        links = _distinct(piece[pairs[~same]], count)
+        links = _distinct(of_clump[touching[~same]], count)
         _, island = _components(links, count)
         main = np.zeros(of.max() + 1, np.int64)
         main[of[largest]] = largest
@@ -88,7 +102,7 @@ def find_pieces(
     number = np.zeros(count, np.int64)
     number[kept] = np.arange(len(kept))
     of_voxel = number[target[piece]]
-    return Pieces(of_voxel, pairs)
+    return Pieces(of_voxel, clump, touching)
 
 
 def find_copies(
@@ -105,21 +119,24 @@ def find_copies(
             uses the node's first copy.
     """
     # Voxels without neighbours, such as traces of material, do not separate pieces.
-    used, piece = np.zeros(len(place), bool), pieces.of_voxel
-    used[pieces.pairs] = True
+    piece, clump = pieces.of_voxel, pieces.clump
+    linked = np.bincount(clump) > 1
+    linked[pieces.links] = True
+    used = linked[clump]
     if not used.any():
         return None
     of_used = np.zeros(len(cell), bool)
     of_used[piece[used]] = True
     used |= of_used[piece] & (place == cell[piece]).all(axis=1)
-    number = np.cumsum(used) - 1
     place, piece, volume = place[used], piece[used], volume[used]
     low, shape = place.min(axis=0), np.ptp(place, axis=0) + 1
     keys = np.asarray(np.ravel_multi_index((place - low).T, shape)) * len(cell) + piece
     _, first, part = np.unique(keys, return_index=True, return_inverse=True)
     places, piece = place[first], piece[first]
     size = np.bincount(part, volume)
-    copies = _copies_of_parts(places, piece, part[number[pieces.pairs]], size)
+    of_clump = np.zeros(len(linked), np.int64)
+    of_clump[clump[used]] = part
+    copies = _copies_of_parts(places, piece, of_clump[pieces.links], size)
     if copies is None:
         return None
     # A piece uses the node copy of its largest part in the node's support.
@@ -147,7 +164,7 @@ def _copies_of_parts(
     Args:
         cell: Indices of the cells in which the parts lie [A,3].
         piece: Index of the piece of each part [A].
-        pairs: Pairs of parts whose voxels touch [M,2].
+        pairs: Pairs of parts that touch [M,2].
         volume: Volumes of the parts [A].
     """
     count = len(cell)
@@ -171,8 +188,8 @@ def _copies_of_parts(
     a, b = links[using[links].all(axis=1)].T
     there = _same_nodes(cell[a] - cell[b])
     common = (there >= 0) & (entry[a] >= 0)
-    link, _ = np.nonzero(common)
-    uses = np.stack([entry[a][common], entry[b[link], there[common]]], axis=1)
+    link, node = np.nonzero(common)
+    uses = np.stack([entry[a[link], node], entry[b[link], there[link, node]]], axis=1)
     number, group = _components(uses, len(user))
     _, island = _components(links, count)
     rank = _rank(group, nodes[chosen], island[user], volume[user], number)
@@ -266,23 +283,34 @@ def _rank(
     return np.minimum(rank, np.iinfo(np.int8).max)[group]
 
 
-def _neighbours(index: NDArray, clear: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return pairs [M,2] of clear voxels that share a face, an edge or a corner.
+def _find_clumps(
+    index: NDArray, place: NDArray, clear: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return each voxel's clump [V], and distinct pairs of clumps that touch [M,2].
 
     Args:
         index: Indices of the voxels [V,3].
-        clear: Whether a voxel may be in a pair [V].
+        place: Indices of the cells in which the voxels lie [V,3].
+        clear: Whether each voxel connects its neighbours [V].
     """
     low, shape = index.min(axis=0) - 1, np.ptp(index, axis=0) + 3
     flat = np.asarray(np.ravel_multi_index((index - low).T, shape))[clear]
     number = np.full(int(shape.prod()), -1, np.int32)
-    number[flat] = np.flatnonzero(clear)
-    pairs = []
+    voxels = np.flatnonzero(clear).astype(np.int32)
+    number[flat] = voxels
+    first, second = [], []
     for jump in AHEAD @ np.array([shape[1] * shape[2], shape[2], 1]):
         other = number[flat + jump]
         present = other >= 0
-        pairs.append(np.stack([number[flat[present]], other[present]], axis=1))
-    return np.concatenate(pairs).astype(np.int64)
+        first.append(voxels[present])
+        second.append(other[present])
+    a, b = np.concatenate(first), np.concatenate(second)
+    low, shape = place.min(axis=0), np.ptp(place, axis=0) + 1
+    where = np.asarray(np.ravel_multi_index((place - low).T, shape))
+    same = where[a] == where[b]
+    count, clump = _components(np.stack([a[same], b[same]], axis=1), len(index))
+    pairs = np.stack([clump[a[~same]], clump[b[~same]]], axis=1)
+    return clump, _distinct(pairs, count)
 
 
 def _distinct(pairs: NDArray, count: int) -> NDArray[np.int64]:
