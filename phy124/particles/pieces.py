@@ -306,19 +306,20 @@ def _find_clumps(
         second.append(other[present])
     a, b = np.concatenate(first), np.concatenate(second)
     low, shape = place.min(axis=0), np.ptp(place, axis=0) + 1
-    where = np.asarray(np.ravel_multi_index((place - low).T, shape))
+    where = np.asarray(np.ravel_multi_index((place - low).T, shape), np.int32)
     same = where[a] == where[b]
     count, clump = _components(np.stack([a[same], b[same]], axis=1), len(index))
-    pairs = np.stack([clump[a[~same]], clump[b[~same]]], axis=1)
-    return clump, _distinct(pairs, count)
+    return clump, _distinct(clump[np.stack([a[~same], b[~same]], axis=1)], count)
 
 
 def _distinct(pairs: NDArray, count: int) -> NDArray[np.int64]:
     """Return the distinct pairs [L,2] of different items of `count`, the smaller item first."""
     low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
-    low, high = low[low < high], high[low < high]
-    graph = scipy.sparse.coo_matrix((np.ones(len(low), bool), (low, high)), shape=(count, count))
-    return np.stack(graph.tocsr().nonzero(), axis=1).astype(np.int64)
+    apart = low < high
+    entries = np.ones(int(apart.sum()), bool), (low[apart], high[apart])
+    graph = scipy.sparse.coo_matrix(entries, shape=(count, count)).tocsr()
+    rows = np.repeat(np.arange(count), np.diff(graph.indptr))
+    return np.stack([rows, graph.indices], axis=1)
 
 
 def _components(pairs: NDArray, count: int) -> tuple[int, NDArray[np.int64]]:
