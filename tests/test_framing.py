@@ -9,10 +9,10 @@ import pytest
 from phy124.boundaries import Container
 from phy124.commands.options import SceneOptions, ViewOptions
 from phy124.generators.ply_file import PlyFile, Reading
+from phy124.kernels.splat.discs import MOVES, WIDEST
 from phy124.pipeline.capture import capture
 from phy124.rendering import framing, nearest
 from phy124.rendering.framing import cameras, departures, describe_framing
-from phy124.rendering.liquid import MOVES, WIDEST
 from phy124.rendering.nearest import CLOSE, DEPTHS, ROOM, Sample
 from phy124.rendering.stage.solids import span_container
 from phy124.scene import Scene, View

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from phy124.generators.shapes import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
-from phy124.kernels.splat import shadow, stage
+from phy124.kernels.splat import discs, shadow, stage
 from phy124.kernels.splat.arrange import arrange
 from phy124.kernels.voxels import fill_voxels
 from phy124.rendering.render import Renderer
@@ -25,9 +25,9 @@ STAGE = {
 """One kernel from each module that draws a stage; compiling one kernel compiles its whole
 module.
 """
-SET_UP = (INFLATED.project, HULL.project, push, fill_voxels)
-"""One kernel from each module that the generator `relief` and the set-up of lattices use; both run
-on the CPU.
+HOST = (INFLATED.project, HULL.project, push, fill_voxels, discs.fill)
+"""One kernel from each module that always runs on the CPU: of the generator `relief`, of the set-up
+of lattices, and of the surfaces of liquids.
 """
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
 """Changes of a scene that shorten its run. Precision and solver stay unchanged, because the kernels
@@ -36,7 +36,7 @@ depend on both.
 
 
 def warm(scenes: Sequence[Scene], context: RunContext) -> int:
-    """Compile the kernels of `relief`, of set-ups, scenes, the renderer and the stage.
+    """Compile all kernels of runs: `relief`, set-ups, scenes, surfaces of liquids, and pictures.
 
     Args:
         scenes: The scenes.
@@ -49,7 +49,7 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
     device, progress = context.device, context.progress
     drawn = STAGE["cpu" if device == "cpu" else "cuda"]
     listed = [kernel for scene in scenes for kernel in kernels(scene, device)]
-    compiled = compile_missing(SET_UP, "cpu", progress)
+    compiled = compile_missing(HOST, "cpu", progress)
     compiled += compile_missing([*listed, *drawn], device, progress)
     Renderer(device=device)
     # Forces and the second thread need small kernels that are not listed; trial runs compile them.

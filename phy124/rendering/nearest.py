@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.gaussians import Array, rotation_matrices
 from phy124.io.clip import Clip
-from phy124.rendering.liquid import MOVES, WIDEST
+from phy124.kernels.splat.discs import MOVES, WIDEST
 
 Values = NDArray[np.float64]
 

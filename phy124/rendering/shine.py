@@ -73,7 +73,7 @@ class Shine:
         self._planes = _planes(clip) if "fluid" in self._parts else []
         whole = {"runs": laws.get("fluid"), "visibility": None}
         self._liquids = [
-            (which, self._liquid(clip, which, liquid))
+            (_as_slice(which), self._liquid(clip, which, liquid))
             for liquid in clip.report.get("liquids") or [whole]
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
@@ -164,7 +164,7 @@ class Shine:
                 for whole, values in zip(drawn, shaped, strict=True):
                     whole[which] = values
                 sh[which, 1:], sh[which, 0] = 0, (shaped.rgb - 0.5) / SH_C0
-            normals["fluid"] = drawn.normals[self._parts["fluid"]]
+            normals["fluid"] = drawn.normals[_as_slice(self._parts["fluid"])]
             fields = drawn._asdict()
             del fields["rgb"], fields["normals"]
             gaussians = replace(gaussians, sh=sh, **fields)
@@ -261,6 +261,12 @@ def _planes(clip: Clip) -> list[Planes]:
 def _indices(runs: Any) -> NDArray[np.int64]:
     """Return the integers that runs [first, last + 1] contain."""
     return np.concatenate([np.arange(*run) for run in runs or [(0, 0)]])
+
+
+def _as_slice(which: NDArray) -> NDArray | slice:
+    """Return ascending integers as a slice if they are consecutive; a slice needs no copies."""
+    consecutive = len(which) and which[-1] - which[0] + 1 == len(which)
+    return slice(int(which[0]), int(which[-1]) + 1) if consecutive else which
 
 
 def _finite(x: NDArray) -> NDArray:

@@ -1,0 +1,478 @@
+"""Shapes the Gaussians of a liquid into discs on its surface, and into balls of spray.
+
+`phy124.rendering.liquid` describes the method. A field has one value per cell of a grid, and is
+stored as a flat array. Positions and lengths are in cells of this grid, unless stated otherwise.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from phy124.kernels.build import kernel
+
+HIDDEN = wp.constant(0)
+"""Kind of a Gaussian that is not drawn."""
+DISC = wp.constant(1)
+"""Kind of a Gaussian that is drawn as a disc on the surface."""
+BALL = wp.constant(2)
+"""Kind of a Gaussian in dense spray."""
+DROP = wp.constant(3)
+"""Kind of a Gaussian that is drawn as a drop."""
+BLUR = wp.constant(0.85)
+"""Standard deviation of the filter that smooths fields."""
+LEVEL = wp.constant(0.45)
+"""Fraction of space that is filled with liquid at the liquid's surface."""
+AHEAD = wp.constant(1.2)
+"""Distance outwards from a disc at which phi tells whether the disc is inside the liquid."""
+FILLED = wp.constant(wp.vec2(0.22, 0.42))
+"""Two values of phi at the distance `AHEAD`.
+
+The disc begins to fade at the first value, and has vanished at the second value.
+"""
+STEEP = wp.constant(wp.vec2(0.2, 0.35))
+"""Two values of the gradient of phi relative to phi, per cell.
+
+Discs are invisible below the first value, and do not fade above the second value.
+"""
+MOVES = wp.constant(wp.vec2(-0.35, 0.9))
+"""Largest displacements of a Gaussian onto the surface: inwards and outwards."""
+OVERLAP = wp.constant(0.95)
+"""Radius of a disc relative to the distance between discs."""
+NARROW = wp.constant(0.4)
+"""Lower bound of the radius of a disc."""
+BROAD = wp.constant(0.55)
+"""Lower bound of the radius of a disc of a film on a wall."""
+WIDEST = wp.constant(0.7)
+"""Upper bound of the radius of a disc."""
+FLAT = wp.constant(0.3)
+"""Thickness of a disc relative to its radius."""
+EVEN = wp.constant(0.3)
+"""Largest distance of a Gaussian from the middle between its two neighbours in an evenly stretched
+liquid, relative to the distance between rows of Gaussians.
+"""
+CLOSED = wp.constant(0.5)
+"""Smallest radius of discs relative to the distance between rows of Gaussians."""
+TOUCH = wp.constant(0.75)
+"""Largest distance from a wall at which Gaussians are drawn on the wall."""
+FILM = wp.constant(wp.vec2(1.5, 2.5))
+"""Two thicknesses of a film on a wall, between which the film's face on the wall fades in."""
+EDGE = wp.constant(0.5)
+"""Smallest depth below the free surface at which Gaussians are drawn on a wall."""
+WETTED = wp.constant(0.6)
+"""Smallest value of phi at which a liquid touches a wall."""
+WET = wp.constant(0.03)
+"""Smallest value of phi that counts as part of a length of liquid."""
+LEAST_LENGTH = wp.constant(0.1)
+"""Lower bound of the length of liquid along an axis."""
+LONG = wp.constant(3.0)
+"""Largest length of liquid along a line of sight, relative to the liquid's smallest length along an
+axis at that point.
+"""
+RIM = wp.constant(0.3)
+"""Length of the normals of discs at the rim of a liquid on a wall.
+
+Short normals reduce the gloss, because these normals differ from disc to disc.
+"""
+ALONE = wp.constant(0.4)
+"""Largest phi at a drop's centre, relative to the drop's volume."""
+SIZE = wp.constant(0.42)
+"""Standard deviation of a drop, relative to the edge of a cube of the same volume."""
+TORN = wp.constant(0.62)
+"""Largest spread of a jet (see `phy124.rendering.liquid`)."""
+THINNER = wp.constant(0.85)
+"""Largest ratio of the spread of a jet to the spread at rest."""
+KEPT = wp.constant(0.6)
+"""Fraction of a jet's Gaussians that are not drawn."""
+GOLDEN = wp.constant(wp.float64(0.618034))
+"""The multiples of this number are evenly distributed modulo 1."""
+OPAQUE = wp.constant(6.0)
+"""Largest optical depth of a surface."""
+LEAST = wp.constant(0.35)
+"""Smallest opacity of a surface."""
+LEAST_DEPTH = wp.constant(0.4307829)
+"""Optical depth of the opacity `LEAST`: -log(1 - LEAST)."""
+PALE = wp.constant(wp.vec3(0.9, 0.97, 1.0))
+"""Colour of thin liquid and of spray."""
+THIN = wp.constant(0.2)
+"""Largest fraction of the pale colour in a thin layer."""
+SPRAY = wp.constant(0.6)
+"""Fraction of the pale colour in a drop."""
+FAR = wp.constant(1.0e9)
+"""Distance from the nearest wall if there are no walls."""
+
+
+@wp.struct
+class Grid:
+    """Position and size of the grid of a field."""
+
+    corner: wp.vec3
+    """Centre of the first cell, m."""
+    cell: float
+    """Edge of a cell, m."""
+    size: wp.vec3i
+    """Number of cells along each axis."""
+
+
+@wp.struct
+class Shape:
+    """What `find_surface` knows about a Gaussian."""
+
+    kind: int
+    normal: wp.vec3
+    """Unit normal, outwards."""
+    move: float
+    """Distance from the Gaussian to the surface, along the normal."""
+    fade: float
+    """Fraction of the opacity of a disc that is drawn."""
+    lower: float
+    """Fraction of the liquid's face on the wall that is drawn."""
+    here: float
+    """Value of phi."""
+    shine: float
+    """Length of the normal that the reflections use."""
+
+
+@wp.func
+def smoothstep(x: float, ends: wp.vec2) -> float:
+    """Return a smooth cubic step that rises from 0 at the first end to 1 at the second."""
+    t = wp.clamp((x - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@wp.func
+def index_of(grid: Grid, i: int, j: int, k: int) -> int:
+    """Return the index of a cell in a flat array."""
+    return (i * grid.size[1] + j) * grid.size[2] + k
+
+
+@wp.func
+def nearest(grid: Grid, at: wp.vec3) -> int:
+    """Return the index of the cell whose centre is nearest to a position."""
+    i = int(wp.clamp(wp.rint(at[0]), 0.0, float(grid.size[0] - 1)))
+    j = int(wp.clamp(wp.rint(at[1]), 0.0, float(grid.size[1] - 1)))
+    k = int(wp.clamp(wp.rint(at[2]), 0.0, float(grid.size[2] - 1)))
+    return index_of(grid, i, j, k)
+
+
+@wp.func
+def inside(grid: Grid, at: wp.vec3) -> wp.vec3:
+    """Return the position inside the grid that is nearest to a position."""
+    return wp.vec3(
+        wp.clamp(at[0], 0.0, float(grid.size[0] - 1)),
+        wp.clamp(at[1], 0.0, float(grid.size[1] - 1)),
+        wp.clamp(at[2], 0.0, float(grid.size[2] - 1)),
+    )
+
+
+@wp.func
+def lowest(grid: Grid, at: wp.vec3) -> wp.vec3i:
+    """Return the lowest of the eight cells around a position inside the grid."""
+    return wp.vec3i(
+        wp.min(int(at[0]), grid.size[0] - 2),
+        wp.min(int(at[1]), grid.size[1] - 2),
+        wp.min(int(at[2]), grid.size[2] - 2),
+    )
+
+
+@wp.func
+def weight(corner: int, upper: wp.vec3) -> float:
+    """Return the weight of one of eight cells; `upper` has the weights of the upper cells."""
+    w = float(1.0)
+    for axis in range(3):
+        if (corner >> axis) & 1 == 1:
+            w *= upper[axis]
+        else:
+            w *= 1.0 - upper[axis]
+    return w
+
+
+@wp.func
+def interpolate(grid: Grid, field: wp.array(dtype=Any), position: wp.vec3):
+    """Interpolate a field linearly; outside the grid, the values at its boundary are used."""
+    at = inside(grid, position)
+    low = lowest(grid, at)
+    upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
+    first = index_of(grid, low[0], low[1], low[2])
+    total = weight(0, upper) * field[first]
+    for corner in range(1, 8):
+        step = index_of(grid, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
+        total += weight(corner, upper) * field[first + step]
+    return total
+
+
+@kernel("phy124_discs", seconds=1.5)
+def fill(
+    grid: Grid,
+    means: wp.array(dtype=wp.vec3),  # m
+    volumes: wp.array(dtype=float),  # m^3
+    # fractions of the cells, in which the volumes are added up
+    filled_out: wp.array(dtype=float),
+):
+    """Distribute the volume of each Gaussian among the eight cells around it."""
+    n = wp.tid()
+    at = inside(grid, (means[n] - grid.corner) / grid.cell)
+    low = lowest(grid, at)
+    upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
+    first = index_of(grid, low[0], low[1], low[2])
+    share = volumes[n] / (grid.cell * grid.cell * grid.cell)
+    for corner in range(8):
+        step = index_of(grid, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
+        wp.atomic_add(filled_out, first + step, weight(corner, upper) * share)
+
+
+@kernel("phy124_discs", seconds=1.5)
+def sample(
+    grid: Grid,
+    means: wp.array(dtype=wp.vec3),  # m
+    field: wp.array(dtype=float),
+    values_out: wp.array(dtype=float),
+):
+    """Interpolate a field at each Gaussian."""
+    n = wp.tid()
+    values_out[n] = interpolate(grid, field, (means[n] - grid.corner) / grid.cell)
+
+
+@kernel("phy124_discs", seconds=1.5)
+def differentiate(grid: Grid, field: wp.array(dtype=float), slopes_out: wp.array(dtype=wp.vec3)):
+    """Compute the gradient of a field by central differences, one-sided at the grid's boundary."""
+    n = wp.tid()
+    at = wp.vec3i(
+        n // (grid.size[1] * grid.size[2]), n // grid.size[2] % grid.size[1], n % grid.size[2]
+    )
+    stride = wp.vec3i(grid.size[1] * grid.size[2], grid.size[2], 1)
+    slope = wp.vec3()
+    for axis in range(3):
+        before = wp.min(at[axis], 1)
+        after = wp.min(grid.size[axis] - 1 - at[axis], 1)
+        rise = field[n + after * stride[axis]] - field[n - before * stride[axis]]
+        slope[axis] = rise / float(before + after)
+    slopes_out[n] = slope
+
+
+@kernel("phy124_discs", seconds=1.5)
+def measure_lengths(
+    grid: Grid, axis: int, field: wp.array(dtype=float), lengths_out: wp.array(dtype=wp.vec3)
+):
+    """Compute the length of liquid along an axis through each cell, one thread per column."""
+    column = wp.tid()
+    second = (axis + 1) % 3
+    third = (axis + 2) % 3
+    stride = wp.vec3i(grid.size[1] * grid.size[2], grid.size[2], 1)
+    first = column // grid.size[third] * stride[second] + column % grid.size[third] * stride[third]
+    start = int(0)
+    length = float(0.0)
+    for k in range(grid.size[axis] + 1):
+        phi = float(0.0)
+        if k < grid.size[axis]:
+            phi = wp.min(field[first + k * stride[axis]], 1.0)
+        if phi > WET:
+            length += phi
+        else:
+            for wet in range(start, k):
+                lengths_out[first + wet * stride[axis]][axis] = wp.max(length, LEAST_LENGTH)
+            if k < grid.size[axis]:
+                lengths_out[first + k * stride[axis]][axis] = LEAST_LENGTH
+            start = k + 1
+            length = 0.0
+
+
+@wp.func
+def thickness(lengths: wp.vec3, normal: wp.vec3) -> float:
+    """Return the thickness of the liquid along a normal.
+
+    The thickness is interpolated between the lengths along the three axes. It is limited, so that
+    the edge of a film is as pale as the rest of the film.
+    """
+    total = float(0.0)
+    for axis in range(3):
+        total += normal[axis] * normal[axis] / lengths[axis]
+    return wp.min(1.0 / wp.max(total, 1.0e-6), LONG * wp.min(lengths))
+
+
+@kernel("phy124_discs", seconds=1.5)
+def find_surface(
+    grid: Grid,
+    planes: wp.array(dtype=wp.vec4),  # unit normal of each wall, and offset along it [m]
+    per_cell: float,  # optical depth of a cell of liquid
+    means: wp.array(dtype=wp.vec3),  # m
+    volumes: wp.array(dtype=float),  # m^3
+    rest: wp.array(dtype=float),  # spread at rest
+    phi: wp.array(dtype=float),  # filled fraction of the space in front of walls
+    filled: wp.array(dtype=float),  # filled fraction of cells
+    slopes: wp.array(dtype=wp.vec3),  # gradient of phi
+    spreads: wp.array(dtype=float),  # factor by which smoothing lowers phi
+    lengths: wp.array(dtype=wp.vec3),
+    shapes_out: wp.array(dtype=Shape),
+    # sums over the discs of each cell: number of discs, and optical depth
+    counts_out: wp.array(dtype=float),
+    depths_out: wp.array(dtype=float),
+):
+    """Decide how each Gaussian is drawn, and find the surface next to it."""
+    n = wp.tid()
+    at = (means[n] - grid.corner) / grid.cell
+    share = volumes[n] / (grid.cell * grid.cell * grid.cell)
+    place = nearest(grid, at)
+    gap = float(FAR)
+    facing = wp.vec3()
+    for wall in range(planes.shape[0]):
+        plane = planes[wall]
+        normal = wp.vec3(plane[0], plane[1], plane[2])
+        away = (wp.dot(means[n], normal) - plane[3]) / grid.cell
+        if away < gap:
+            gap = away
+            facing = normal
+    close = gap < TOUCH
+    here = interpolate(grid, phi, at)
+    outwards = wp.vec3()
+    steep = float(0.0)
+    ahead = here
+    if here < 0.98 or close:
+        slope = interpolate(grid, slopes, at)
+        steep = wp.length(slope)
+        outwards = slope / -wp.max(steep, 1.0e-9)
+        ahead = interpolate(grid, filled, at + AHEAD * outwards)
+    depth = AHEAD * (here - LEVEL) / wp.max(here - ahead, 1.0e-6)
+    upright = wp.dot(outwards, facing)
+    # Sheets in the air have two faces.
+    lower = float(1.0)
+    if upright > 0.5:
+        lower = smoothstep(gap + depth, FILM)
+    thin = close and lower == 0.0
+    rim = gap + depth < FILM[0] and upright < 0.9
+    wet = False
+    if close and not thin and depth > wp.max(gap, EDGE):
+        wet = interpolate(grid, phi, at - gap * facing) > WETTED
+    move = wp.max(wp.clamp(depth, MOVES[0], MOVES[1]), -gap)
+    if wet:
+        outwards = -facing
+        steep = here
+        ahead = 0.0
+        move = gap
+    spread = spreads[place]
+    torn = spread < TORN and spread < THINNER * rest[n] and gap > TOUCH
+    alone = here < ALONE * share or (torn and chance(n) > KEPT)
+    fade = float(0.0)
+    if not (alone or torn):
+        fade = 1.0 - smoothstep(ahead, FILLED)
+        fade *= smoothstep(steep / wp.max(here, 1.0e-6), STEEP)
+        if wet:
+            fade *= lower
+    shape = Shape()
+    shape.here = here
+    shape.lower = lower
+    shape.fade = fade
+    shape.move = move
+    shape.normal = outwards
+    shape.shine = 1.0
+    if rim and not wet:
+        shape.shine = RIM
+    if alone:
+        shape.kind = DROP
+    elif not torn and not thin and fade < 0.5 and here < LEVEL:
+        shape.kind = BALL
+    elif fade > 0.0:
+        shape.kind = DISC
+        depth = thickness(lengths[place], outwards) * per_cell / (1.0 + lower)
+        wp.atomic_add(counts_out, place, fade)
+        wp.atomic_add(depths_out, place, fade * wp.min(depth, OPAQUE))
+    shapes_out[n] = shape
+
+
+@wp.func
+def chance(n: int) -> float:
+    """Return the number between 0 and 1 that distinguishes a Gaussian from the others."""
+    multiple = GOLDEN * wp.float64(n)
+    return float(multiple - wp.floor(multiple))
+
+
+@wp.func
+def row_distance(means: wp.array(dtype=wp.vec3), rows: wp.array3d(dtype=int), n: int) -> float:
+    """Return the largest distance from a Gaussian to its neighbours in `rows`, m.
+
+    Neighbours count only while the Gaussian is still between them, so that the liquid has been
+    stretched evenly there.
+    """
+    apart = float(0.0)
+    for axis in range(3):
+        before = means[rows[axis, 0, n]]
+        after = means[rows[axis, 1, n]]
+        along = 0.5 * wp.length(after - before)
+        if wp.length(0.5 * (after + before) - means[n]) < EVEN * along:
+            apart = wp.max(apart, along)
+    return apart
+
+
+@wp.func
+def turn_to(normal: wp.vec3) -> wp.vec4:
+    """Return the shortest rotation wxyz from the z axis to a normal; for -z, rotate about x."""
+    x = float(1.0)
+    if normal[2] > -0.9999:
+        x = -normal[1]
+    return wp.normalize(wp.vec4(1.0 + normal[2], x, normal[0], 0.0))
+
+
+@kernel("phy124_discs", seconds=1.5)
+def shape_gaussians(
+    grid: Grid,
+    per_cell: float,  # optical depth of a cell of liquid
+    means: wp.array(dtype=wp.vec3),  # m
+    volumes: wp.array(dtype=float),  # m^3
+    rows: wp.array3d(dtype=int),  # neighbours at rest
+    rgb: wp.array(dtype=wp.vec3),
+    shapes: wp.array(dtype=Shape),
+    counts: wp.array(dtype=float),  # smoothed number of discs
+    depths: wp.array(dtype=float),  # smoothed optical depth of discs
+    means_out: wp.array(dtype=wp.vec3),
+    quats_out: wp.array(dtype=wp.vec4),
+    scales_out: wp.array(dtype=wp.vec3),
+    opacities_out: wp.array(dtype=float),
+    rgb_out: wp.array(dtype=wp.vec3),
+    normals_out: wp.array(dtype=wp.vec3),
+):
+    """Compute the Gaussians to draw from the shapes that `find_surface` has decided on."""
+    n = wp.tid()
+    shape = shapes[n]
+    mean = means[n]
+    normal = wp.vec3()
+    quat = wp.vec4(1.0, 0.0, 0.0, 0.0)
+    scale = 0.1 * wp.vec3(1.0, 1.0, 1.0)
+    opacity = float(0.0)
+    pale = float(0.0)
+    if shape.kind == DISC:
+        at = (mean - grid.corner) / grid.cell
+        around = interpolate(grid, counts, at)
+        # Number of discs per cell of the surface. Smoothing lowers the value of a layer to the peak
+        # of the filter's Gaussian.
+        layer = around * wp.sqrt(2.0 * wp.pi) * BLUR
+        narrow = CLOSED * row_distance(means, rows, n) / grid.cell
+        narrow = wp.clamp(narrow, BROAD + shape.lower * (NARROW - BROAD), WIDEST)
+        radius = wp.clamp(OVERLAP / wp.sqrt(wp.max(layer, 1.0e-6)), narrow, WIDEST)
+        # Without averaging over neighbouring discs, stretched rows of particles would appear as
+        # stripes.
+        depth = interpolate(grid, depths, at) / wp.max(around, 1.0e-6)
+        overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
+        opacity = shape.fade * (1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping))
+        pale = THIN * wp.exp(-2.0 * depth)
+        scale = radius * wp.vec3(1.0, 1.0, FLAT)
+        quat = turn_to(shape.normal)
+        normal = shape.shine * shape.normal
+        mean += shape.move * grid.cell * shape.normal
+    elif shape.kind != HIDDEN:
+        share = volumes[n] / (grid.cell * grid.cell * grid.cell)
+        uneven = 0.6 + 0.8 * wp.pow(chance(n), 3.0)
+        size = SIZE * wp.cbrt(share) * uneven
+        opacity = 0.9
+        pale = SPRAY
+        if shape.kind == BALL:
+            # Overlapping balls absorb as much light as their volume of liquid.
+            size = wp.min(0.6 * wp.cbrt(share / wp.max(shape.here, 1.0e-3)), WIDEST)
+            column = wp.min(share / (2.0 * wp.pi * size * size) * per_cell, OPAQUE)
+            opacity = wp.max(1.0 - wp.exp(-column), 0.5 * LEAST)
+            pale = 0.5 * SPRAY
+        scale = size * wp.vec3(1.0, 1.0, 1.0)
+    means_out[n] = mean
+    quats_out[n] = quat
+    scales_out[n] = grid.cell * scale
+    opacities_out[n] = opacity
+    rgb_out[n] = rgb[n] + pale * (PALE - rgb[n])
+    normals_out[n] = normal
