@@ -164,7 +164,14 @@ class Field:
         return lengths
 
     def launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel of `discs` on the CPU, with arrays of NumPy."""
+        """Launch a kernel of `discs` on the CPU.
+
+        Args:
+            kernel: The kernel, whose first argument is the grid.
+            count: Number of threads.
+            inputs: Other values and arrays of NumPy or Warp that the kernel reads.
+            outputs: Arrays that the kernel writes.
+        """
         inputs, outputs = (
             [_wrap(item) if isinstance(item, np.ndarray) else item for item in items]
             for items in (inputs, outputs)

@@ -140,37 +140,37 @@ def smoothstep(x: float, ends: wp.vec2) -> float:
 
 
 @wp.func
-def index_of(grid: Grid, i: int, j: int, k: int) -> int:
+def index_of(cells: Grid, i: int, j: int, k: int) -> int:
     """Return the index of a cell in a flat array."""
-    return (i * grid.size[1] + j) * grid.size[2] + k
+    return (i * cells.size[1] + j) * cells.size[2] + k
 
 
 @wp.func
-def nearest(grid: Grid, at: wp.vec3) -> int:
+def nearest(cells: Grid, at: wp.vec3) -> int:
     """Return the index of the cell whose centre is nearest to a position."""
-    i = int(wp.clamp(wp.rint(at[0]), 0.0, float(grid.size[0] - 1)))
-    j = int(wp.clamp(wp.rint(at[1]), 0.0, float(grid.size[1] - 1)))
-    k = int(wp.clamp(wp.rint(at[2]), 0.0, float(grid.size[2] - 1)))
-    return index_of(grid, i, j, k)
+    i = int(wp.clamp(wp.rint(at[0]), 0.0, float(cells.size[0] - 1)))
+    j = int(wp.clamp(wp.rint(at[1]), 0.0, float(cells.size[1] - 1)))
+    k = int(wp.clamp(wp.rint(at[2]), 0.0, float(cells.size[2] - 1)))
+    return index_of(cells, i, j, k)
 
 
 @wp.func
-def inside(grid: Grid, at: wp.vec3) -> wp.vec3:
+def inside(cells: Grid, at: wp.vec3) -> wp.vec3:
     """Return the position inside the grid that is nearest to a position."""
     return wp.vec3(
-        wp.clamp(at[0], 0.0, float(grid.size[0] - 1)),
-        wp.clamp(at[1], 0.0, float(grid.size[1] - 1)),
-        wp.clamp(at[2], 0.0, float(grid.size[2] - 1)),
+        wp.clamp(at[0], 0.0, float(cells.size[0] - 1)),
+        wp.clamp(at[1], 0.0, float(cells.size[1] - 1)),
+        wp.clamp(at[2], 0.0, float(cells.size[2] - 1)),
     )
 
 
 @wp.func
-def lowest(grid: Grid, at: wp.vec3) -> wp.vec3i:
+def lowest(cells: Grid, at: wp.vec3) -> wp.vec3i:
     """Return the lowest of the eight cells around a position inside the grid."""
     return wp.vec3i(
-        wp.min(int(at[0]), grid.size[0] - 2),
-        wp.min(int(at[1]), grid.size[1] - 2),
-        wp.min(int(at[2]), grid.size[2] - 2),
+        wp.min(int(at[0]), cells.size[0] - 2),
+        wp.min(int(at[1]), cells.size[1] - 2),
+        wp.min(int(at[2]), cells.size[2] - 2),
     )
 
 
@@ -187,22 +187,22 @@ def weight(corner: int, upper: wp.vec3) -> float:
 
 
 @wp.func
-def interpolate(grid: Grid, field: wp.array(dtype=Any), position: wp.vec3):
+def interpolate(cells: Grid, field: wp.array(dtype=Any), position: wp.vec3):
     """Interpolate a field linearly; outside the grid, the values at its boundary are used."""
-    at = inside(grid, position)
-    low = lowest(grid, at)
+    at = inside(cells, position)
+    low = lowest(cells, at)
     upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    first = index_of(grid, low[0], low[1], low[2])
+    first = index_of(cells, low[0], low[1], low[2])
     total = weight(0, upper) * field[first]
     for corner in range(1, 8):
-        step = index_of(grid, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
+        step = index_of(cells, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
         total += weight(corner, upper) * field[first + step]
     return total
 
 
 @kernel("phy124_discs", seconds=1.5)
 def fill(
-    grid: Grid,
+    cells: Grid,
     means: wp.array(dtype=wp.vec3),  # m
     volumes: wp.array(dtype=float),  # m^3
     # fractions of the cells, in which the volumes are added up
@@ -210,40 +210,40 @@ def fill(
 ):
     """Distribute the volume of each Gaussian among the eight cells around it."""
     n = wp.tid()
-    at = inside(grid, (means[n] - grid.corner) / grid.cell)
-    low = lowest(grid, at)
+    at = inside(cells, (means[n] - cells.corner) / cells.cell)
+    low = lowest(cells, at)
     upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    first = index_of(grid, low[0], low[1], low[2])
-    share = volumes[n] / (grid.cell * grid.cell * grid.cell)
+    first = index_of(cells, low[0], low[1], low[2])
+    share = volumes[n] / (cells.cell * cells.cell * cells.cell)
     for corner in range(8):
-        step = index_of(grid, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
+        step = index_of(cells, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
         wp.atomic_add(filled_out, first + step, weight(corner, upper) * share)
 
 
 @kernel("phy124_discs", seconds=1.5)
 def sample(
-    grid: Grid,
+    cells: Grid,
     means: wp.array(dtype=wp.vec3),  # m
     field: wp.array(dtype=float),
     values_out: wp.array(dtype=float),
 ):
     """Interpolate a field at each Gaussian."""
     n = wp.tid()
-    values_out[n] = interpolate(grid, field, (means[n] - grid.corner) / grid.cell)
+    values_out[n] = interpolate(cells, field, (means[n] - cells.corner) / cells.cell)
 
 
 @kernel("phy124_discs", seconds=1.5)
-def differentiate(grid: Grid, field: wp.array(dtype=float), slopes_out: wp.array(dtype=wp.vec3)):
+def differentiate(cells: Grid, field: wp.array(dtype=float), slopes_out: wp.array(dtype=wp.vec3)):
     """Compute the gradient of a field by central differences, one-sided at the grid's boundary."""
     n = wp.tid()
     at = wp.vec3i(
-        n // (grid.size[1] * grid.size[2]), n // grid.size[2] % grid.size[1], n % grid.size[2]
+        n // (cells.size[1] * cells.size[2]), n // cells.size[2] % cells.size[1], n % cells.size[2]
     )
-    stride = wp.vec3i(grid.size[1] * grid.size[2], grid.size[2], 1)
+    stride = wp.vec3i(cells.size[1] * cells.size[2], cells.size[2], 1)
     slope = wp.vec3()
     for axis in range(3):
         before = wp.min(at[axis], 1)
-        after = wp.min(grid.size[axis] - 1 - at[axis], 1)
+        after = wp.min(cells.size[axis] - 1 - at[axis], 1)
         rise = field[n + after * stride[axis]] - field[n - before * stride[axis]]
         slope[axis] = rise / float(before + after)
     slopes_out[n] = slope
@@ -251,26 +251,28 @@ def differentiate(grid: Grid, field: wp.array(dtype=float), slopes_out: wp.array
 
 @kernel("phy124_discs", seconds=1.5)
 def measure_lengths(
-    grid: Grid, axis: int, field: wp.array(dtype=float), lengths_out: wp.array(dtype=wp.vec3)
+    cells: Grid, axis: int, field: wp.array(dtype=float), lengths_out: wp.array(dtype=wp.vec3)
 ):
     """Compute the length of liquid along an axis through each cell, one thread per column."""
     column = wp.tid()
     second = (axis + 1) % 3
     third = (axis + 2) % 3
-    stride = wp.vec3i(grid.size[1] * grid.size[2], grid.size[2], 1)
-    first = column // grid.size[third] * stride[second] + column % grid.size[third] * stride[third]
+    stride = wp.vec3i(cells.size[1] * cells.size[2], cells.size[2], 1)
+    first = (
+        column // cells.size[third] * stride[second] + column % cells.size[third] * stride[third]
+    )
     start = int(0)
     length = float(0.0)
-    for k in range(grid.size[axis] + 1):
+    for k in range(cells.size[axis] + 1):
         phi = float(0.0)
-        if k < grid.size[axis]:
+        if k < cells.size[axis]:
             phi = wp.min(field[first + k * stride[axis]], 1.0)
         if phi > WET:
             length += phi
         else:
             for wet in range(start, k):
                 lengths_out[first + wet * stride[axis]][axis] = wp.max(length, LEAST_LENGTH)
-            if k < grid.size[axis]:
+            if k < cells.size[axis]:
                 lengths_out[first + k * stride[axis]][axis] = LEAST_LENGTH
             start = k + 1
             length = 0.0
@@ -291,7 +293,7 @@ def thickness(lengths: wp.vec3, normal: wp.vec3) -> float:
 
 @kernel("phy124_discs", seconds=1.5)
 def find_surface(
-    grid: Grid,
+    cells: Grid,
     planes: wp.array(dtype=wp.vec4),  # unit normal of each wall, and offset along it [m]
     per_cell: float,  # optical depth of a cell of liquid
     means: wp.array(dtype=wp.vec3),  # m
@@ -309,28 +311,28 @@ def find_surface(
 ):
     """Decide how each Gaussian is drawn, and find the surface next to it."""
     n = wp.tid()
-    at = (means[n] - grid.corner) / grid.cell
-    share = volumes[n] / (grid.cell * grid.cell * grid.cell)
-    place = nearest(grid, at)
+    at = (means[n] - cells.corner) / cells.cell
+    share = volumes[n] / (cells.cell * cells.cell * cells.cell)
+    place = nearest(cells, at)
     gap = float(FAR)
     facing = wp.vec3()
     for wall in range(planes.shape[0]):
         plane = planes[wall]
         normal = wp.vec3(plane[0], plane[1], plane[2])
-        away = (wp.dot(means[n], normal) - plane[3]) / grid.cell
+        away = (wp.dot(means[n], normal) - plane[3]) / cells.cell
         if away < gap:
             gap = away
             facing = normal
     close = gap < TOUCH
-    here = interpolate(grid, phi, at)
+    here = interpolate(cells, phi, at)
     outwards = wp.vec3()
     steep = float(0.0)
     ahead = here
     if here < 0.98 or close:
-        slope = interpolate(grid, slopes, at)
+        slope = interpolate(cells, slopes, at)
         steep = wp.length(slope)
         outwards = slope / -wp.max(steep, 1.0e-9)
-        ahead = interpolate(grid, filled, at + AHEAD * outwards)
+        ahead = interpolate(cells, filled, at + AHEAD * outwards)
     depth = AHEAD * (here - LEVEL) / wp.max(here - ahead, 1.0e-6)
     upright = wp.dot(outwards, facing)
     # Sheets in the air have two faces.
@@ -341,7 +343,7 @@ def find_surface(
     rim = gap + depth < FILM[0] and upright < 0.9
     wet = False
     if close and not thin and depth > wp.max(gap, EDGE):
-        wet = interpolate(grid, phi, at - gap * facing) > WETTED
+        wet = interpolate(cells, phi, at - gap * facing) > WETTED
     move = wp.max(wp.clamp(depth, MOVES[0], MOVES[1]), -gap)
     if wet:
         outwards = -facing
@@ -413,7 +415,7 @@ def turn_to(normal: wp.vec3) -> wp.vec4:
 
 @kernel("phy124_discs", seconds=1.5)
 def shape_gaussians(
-    grid: Grid,
+    cells: Grid,
     per_cell: float,  # optical depth of a cell of liquid
     means: wp.array(dtype=wp.vec3),  # m
     volumes: wp.array(dtype=float),  # m^3
@@ -439,26 +441,26 @@ def shape_gaussians(
     opacity = float(0.0)
     pale = float(0.0)
     if shape.kind == DISC:
-        at = (mean - grid.corner) / grid.cell
-        around = interpolate(grid, counts, at)
+        at = (mean - cells.corner) / cells.cell
+        around = interpolate(cells, counts, at)
         # Number of discs per cell of the surface. Smoothing lowers the value of a layer to the peak
         # of the filter's Gaussian.
         layer = around * wp.sqrt(2.0 * wp.pi) * BLUR
-        narrow = CLOSED * row_distance(means, rows, n) / grid.cell
+        narrow = CLOSED * row_distance(means, rows, n) / cells.cell
         narrow = wp.clamp(narrow, BROAD + shape.lower * (NARROW - BROAD), WIDEST)
         radius = wp.clamp(OVERLAP / wp.sqrt(wp.max(layer, 1.0e-6)), narrow, WIDEST)
         # Without averaging over neighbouring discs, stretched rows of particles would appear as
         # stripes.
-        depth = interpolate(grid, depths, at) / wp.max(around, 1.0e-6)
+        depth = interpolate(cells, depths, at) / wp.max(around, 1.0e-6)
         overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
         opacity = shape.fade * (1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping))
         pale = THIN * wp.exp(-2.0 * depth)
         scale = radius * wp.vec3(1.0, 1.0, FLAT)
         quat = turn_to(shape.normal)
         normal = shape.shine * shape.normal
-        mean += shape.move * grid.cell * shape.normal
+        mean += shape.move * cells.cell * shape.normal
     elif shape.kind != HIDDEN:
-        share = volumes[n] / (grid.cell * grid.cell * grid.cell)
+        share = volumes[n] / (cells.cell * cells.cell * cells.cell)
         uneven = 0.6 + 0.8 * wp.pow(chance(n), 3.0)
         size = SIZE * wp.cbrt(share) * uneven
         opacity = 0.9
@@ -472,7 +474,7 @@ def shape_gaussians(
         scale = size * wp.vec3(1.0, 1.0, 1.0)
     means_out[n] = mean
     quats_out[n] = quat
-    scales_out[n] = grid.cell * scale
+    scales_out[n] = cells.cell * scale
     opacities_out[n] = opacity
     rgb_out[n] = rgb[n] + pale * (PALE - rgb[n])
     normals_out[n] = normal
