@@ -163,6 +163,15 @@ def test_a_film_of_particles_in_rows_has_no_stripes():
     assert depth.std() < 0.12 * depth.mean()
 
 
+def test_a_stretched_film_has_no_stripes():
+    step = np.arange(CELL / 2, 1, CELL)
+    x = np.stack(np.meshgrid(step, step, step[:8], indexing="ij"), axis=-1).reshape(-1, 3)
+    floor = Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
+    drawn = Liquid(x, 2 * CELL, 0.5, floor).shape(still(x * [5, 1, 1 / 5]), floor)
+    depth = depths(drawn, np.column_stack([np.linspace(2, 3, 81), np.full(81, 0.5)]))
+    assert depth.std() < 0.12 * depth.mean()
+
+
 def test_a_stretched_liquid_has_no_stripes(solid):
     liquid = Liquid(solid, 2 * CELL, 0.5)
     for stretch in (2.8, 3.2):

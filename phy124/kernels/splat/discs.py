@@ -44,6 +44,8 @@ BROAD = wp.constant(0.55)
 """Lower bound of the radius of a disc of a film on a wall."""
 WIDEST = wp.constant(0.7)
 """Upper bound of the radius of a disc."""
+STRETCHED = wp.constant(1.1)
+"""Upper bound of the radius of a disc of a film on a wall that is stretched evenly."""
 FLAT = wp.constant(0.3)
 """Thickness of a disc relative to its radius."""
 EVEN = wp.constant(0.3)
@@ -447,8 +449,9 @@ def shape_gaussians(
         # of the filter's Gaussian.
         layer = around * wp.sqrt(2.0 * wp.pi) * BLUR
         narrow = CLOSED * row_distance(means, rows, n) / cells.cell
-        narrow = wp.clamp(narrow, BROAD + shape.lower * (NARROW - BROAD), WIDEST)
-        radius = wp.clamp(OVERLAP / wp.sqrt(wp.max(layer, 1.0e-6)), narrow, WIDEST)
+        widest = STRETCHED + shape.lower * (WIDEST - STRETCHED)
+        narrow = wp.clamp(narrow, BROAD + shape.lower * (NARROW - BROAD), widest)
+        radius = wp.clamp(OVERLAP / wp.sqrt(wp.max(layer, 1.0e-6)), narrow, wp.max(narrow, WIDEST))
         # Without averaging over neighbouring discs, stretched rows of particles would appear as
         # stripes.
         depth = interpolate(cells, depths, at) / wp.max(around, 1.0e-6)
