@@ -11,11 +11,17 @@ from phy124.kernels.native import code, native_kernel
 
 HALVINGS = 12
 """Number of bisection steps for the position of a surface."""
+MOST = 1000
+"""Largest number of samples in a voxel."""
 AT_ONCE = 8
 """Number of voxels that a thread fills."""
 
 
-@native_kernel("phy124_voxels", f"enum {{ HALVINGS = {HALVINGS} }};\n{code('voxels')}", seconds=0.3)
+@native_kernel(
+    "phy124_voxels",
+    f"enum {{ HALVINGS = {HALVINGS}, MOST = {MOST} }};\n{code('voxels')}",
+    seconds=0.3,
+)
 def fill_voxels(
     side: wp.float64,  # of a sample
     rods: bool,  # whether the surfaces are cylinders instead of planes

@@ -176,8 +176,8 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     x, normal, weights = (values[supported] for values in (x, normal, weights))
     body, side, nodes = (values[supported] for values in (body, side, nodes))
     arm = index[supported] + 0.5 - (x / lattice.dx)[:, None]
-    first = np.einsum("pn,pna->pa", weights, arm)
-    second = np.einsum("pn,pna,pnb->pab", weights, arm, arm)
+    weighted = weights[:, :, None] * arm
+    first, second = weighted.sum(axis=1), np.swapaxes(weighted, 1, 2) @ arm
     slope = -np.einsum("pab,pb->pa", np.linalg.pinv(second, hermitian=True), first)
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)

@@ -122,7 +122,7 @@ def _tie(
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
     weight, complete = _extrapolate(index, light, donors, distance)
     alone = np.flatnonzero(~complete)
-    if len(alone) and len(np.unique(index, axis=0)) < count:
+    if len(alone) and _have_copies(index):
         # The nearest node may belong to another piece.
         donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
         weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
@@ -136,6 +136,12 @@ def _tie(
     row, column = np.nonzero(weight[tied])
     entries = (weight[tied][row, column], (row, donors[tied][row, column]))
     return light[tied], scipy.sparse.csr_matrix(entries, shape=(int(tied.sum()), count))
+
+
+def _have_copies(index: NDArray[np.int64]) -> bool:
+    """Return whether several nodes have the same indices [N,3]."""
+    keys = np.ravel_multi_index((index - index.min(axis=0)).T, np.ptp(index, axis=0) + 1)
+    return len(np.unique(keys)) < len(index)
 
 
 def _nearest_in_cells(

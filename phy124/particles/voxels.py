@@ -65,13 +65,13 @@ def find_voxels(filled: NDArray) -> Voxels:
     Args:
         filled: Filled fraction of each voxel [X,Y,Z].
     """
-    padded = np.pad(filled.astype(np.float64), len(FAR[0]) - 1)
-    index = np.argwhere(filled > 0)
-    fraction, normal = _gather(padded, index, np.zeros((1, 3), int))[:, 0], np.zeros(index.shape)
+    filled = filled.astype(np.float64)
+    padded, index = np.pad(filled, 2), np.argwhere(filled > 0)
+    fraction, normal = filled[tuple(index.T)], np.zeros(index.shape)
     # The gradient is zero among full voxels.
     within = scipy.ndimage.minimum_filter(filled, 3, mode="constant")[tuple(index.T)] >= 1
     outer = np.flatnonzero(~within)
-    around = _gather(padded, index[outer], NEAR)
+    around = _within(padded, index[outer], 1)
     normal[outer] = -around @ SLOPES
     length = np.linalg.norm(normal, axis=1)
     normal[length < SHEET] = 0
@@ -90,10 +90,13 @@ def find_voxels(filled: NDArray) -> Voxels:
     return Voxels(index, fraction, normal, shift, spread)
 
 
-def _gather(padded: NDArray, index: NDArray, steps: NDArray) -> NDArray[np.float64]:
-    """Return the values at some steps from each voxel [V,S]; the grid is padded by 2 voxels."""
-    strides = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
-    return padded.ravel()[((index + 2) @ strides)[:, None] + steps @ strides]
+def _within(padded: NDArray, index: NDArray, steps: int) -> NDArray[np.float64]:
+    """Return the values of a grid at `NEAR` (one step) or `FAR` (two steps) from each voxel [V,S].
+
+    The grid is padded by two voxels.
+    """
+    cubes = np.lib.stride_tricks.sliding_window_view(padded, 3 * (2 * steps + 1,))
+    return cubes[tuple((index + 2 - steps).T)].reshape(len(index), -1)
 
 
 class _Parts:
@@ -120,7 +123,7 @@ class _Parts:
         self.layers, self.no_normal = layers[self.number], no_normal[self.number]
         # With only two layers of voxels, a sheet's normal could not be distinguished from a
         # direction across the sheet's rim.
-        weight = _gather(padded, index[self.number], FAR)
+        weight = _within(padded, index[self.number], 2)
         weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
         self.middle = weight @ FAR
         """Centres of the filled parts of the surrounding 125 voxels [K,3]."""

@@ -15,29 +15,25 @@ for (int i = 0; i < N; ++i) {
     across[i] = side * widths.data[n];
     wanted[i] = fractions.data[n] * count;
 }
-double scale[N], low[N], high[N], level[N], total[N];
-const auto height = [&](int n, int i) {
-    const auto& sample = samples.data[n];
-    const double a = sample[0] - x[i], b = sample[1] - y[i], c = sample[2] - z[i];
-    const double along = a * u[i] + b * v[i] + c * w[i];
-    if (rods) {
-        const double square = a * a + b * b + c * c - along * along;
-        return __builtin_elementwise_sqrt(square > 0.0 ? square : 0.0);
-    }
-    return along > sign[i] * along ? along : sign[i] * along;
-};
+double scale[N], heights[MOST][N], low[N], high[N], level[N], total[N];
 const auto share = [&](int n, int i) {
-    const double part = (level[i] - height(n, i)) * scale[i] + 0.5;
+    const double part = (level[i] - heights[n][i]) * scale[i] + 0.5;
     return part < 0.0 ? 0.0 : part > 1.0 ? 1.0 : part;
 };
 
 for (int i = 0; i < N; ++i) low[i] = 1e9, high[i] = -1e9, scale[i] = 1.0 / across[i];
 for (int n = 0; n < count; ++n) {
+    const auto& sample = samples.data[n];
 #pragma clang loop vectorize(enable) interleave(disable)
     for (int i = 0; i < N; ++i) {
-        const double h = height(n, i);
+        const double a = sample[0] - x[i], b = sample[1] - y[i], c = sample[2] - z[i];
+        const double along = a * u[i] + b * v[i] + c * w[i];
+        const double square = a * a + b * b + c * c - along * along;
+        const double h = rods ? __builtin_elementwise_sqrt(square > 0.0 ? square : 0.0)
+                                  : along > sign[i] * along ? along : sign[i] * along;
         low[i] = h < low[i] ? h : low[i];
         high[i] = h > high[i] ? h : high[i];
+        heights[n][i] = h;
     }
 }
 for (int i = 0; i < N; ++i) low[i] -= across[i], high[i] += across[i];
