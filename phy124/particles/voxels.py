@@ -95,8 +95,9 @@ def _within(padded: NDArray, index: NDArray, steps: int) -> NDArray[np.float64]:
 
     The grid is padded by two voxels.
     """
-    cubes = np.lib.stride_tricks.sliding_window_view(padded, 3 * (2 * steps + 1,))
-    return cubes[tuple((index + 2 - steps).T)].reshape(len(index), -1)
+    side = 2 * steps + 1
+    cubes = np.lib.stride_tricks.sliding_window_view(padded, (side, side, side))
+    return cubes[tuple((index + 2 - steps).T)].reshape(len(index), side**3)
 
 
 class _Parts:
