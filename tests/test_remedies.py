@@ -10,6 +10,7 @@ from phy124.budget.remedies import (
     find_speedups,
     join_alternatives,
 )
+from phy124.monitor.watchdog import FAST
 from phy124.scene import Scene, preset_names
 
 
@@ -50,6 +51,14 @@ def test_particles_are_a_remedy_on_the_lattice_only():
     assert remedy.words == "accuracy.solver = mpm"
     assert not scene.replaced(remedy.changes).on_lattice
     assert find_remedies(["solver"], scene.replaced(remedy.changes)) == ()
+
+
+def test_another_solver_is_proposed_first_for_squeezed_bodies():
+    scene = Scene.named("press").replaced({"accuracy.solver": "lattice", "material.damping": 1.0})
+    solver, cells, *_, damping = find_remedies(FAST, scene)
+    assert solver.changes["accuracy"]["solver"] == "mpm"
+    assert cells.changes["accuracy"]["cells"] < scene.resolution.cells
+    assert list(damping.changes) == ["material.damping"]
 
 
 def test_gentler_push_halves_speeds_forces_and_press():

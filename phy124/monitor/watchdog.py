@@ -75,10 +75,11 @@ rounding strains the body. The measured strain per substep in float32 is 3e-10, 
 the origin, or 7e-10 with half the `accuracy.cfl`. The energy is quadratic in the strain, and a
 quarter of the energy is tolerated.
 """
-FAST = ("damping", "solver", "push", "cells")
+FAST = ("solver", "cells", "push", "damping")
 ROUNDED = ("precision",)
 """Names of two causes of errors (`phy124.budget.remedies`): particles too fast for the window, and
-rounding.
+rounding. Remedies that helped most often in random scenes come first: another solver in 5 of 5
+stopped runs, fewer cells in 3 of 4, damping in 0 of 4.
 """
 SWOLLEN = 2.0
 """A real solid would have fractured at a larger volume ratio."""
@@ -380,7 +381,7 @@ class Watchdog(Observer):
         motions.
         """
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
-        return ("damping", "solver", "substep", "law", "push") if violent else ("substep",)
+        return ("solver", "substep", "law", "push", "damping") if violent else ("substep",)
 
     def _strain_energy(self, strain: float) -> float:
         """Return the elastic energy [J] of the whole body at a given strain."""
