@@ -128,6 +128,7 @@ def test_unusable_meshes_are_refused_in_a_sentence(tmp_path, name, content, said
     with pytest.raises(InputError, match=said) as refused:
         mesh(path, RED)
     assert refused.value.field == "mesh" and refused.value.remedy
+    assert "Error" not in str(refused.value)
 
 
 def test_too_large_a_mesh_is_refused(tmp_path, monkeypatch):

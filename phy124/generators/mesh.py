@@ -268,9 +268,10 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         raise ValueError(
             "reading it needs more memory than is free.; Give a mesh with fewer triangles."
         ) from None
-    except Exception as error:
-        message = f"{type(error).__name__}: {error}"[:200]
-        raise ValueError(f"it cannot be read as a mesh ({message}).") from None
+    except Exception as error:  # trimesh raises many kinds, whose words describe its own code
+        raise ValueError(
+            "it cannot be read as a mesh: the file is damaged or of another kind."
+        ) from error
     if not triangles:
         remedy = "For a file of Gaussians or points, use the generator `file`."
         raise ValueError(f"it has no triangles.; {remedy}")
