@@ -398,7 +398,7 @@ def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> li
 
 def put(array: wp.array, values: NDArray) -> None:
     """Copy values [K,...] to the first K elements of an array on the device."""
-    if array.device.is_cpu:
+    if str(array.device) == "cpu":
         array.numpy()[: len(values)] = values
     elif len(values):
         array[: len(values)].assign(values)
