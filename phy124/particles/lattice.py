@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 from phy124.particles.pieces import find_copies, find_pieces
 from phy124.particles.seeding import MAX_PARTICLES, Particles
-from phy124.particles.solid import Solid
+from phy124.particles.solid import MEMORY, Solid
 
 PER_CELL = 8
 """Number of integration points in a cell."""
@@ -67,20 +68,33 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
     if solid.volume / dx**3 * PER_CELL > MAX_PARTICLES:
         limit = f"the object would need more than {MAX_PARTICLES:,} integration points."
         raise InputError("accuracy.cells", f"{dx:.3g} m per cell", limit, "Choose fewer cells.")
+    points = _lattice_of(solid, dx)
+    return replace(points, density=np.full(len(points), float(density)))
+
+
+@lru_cache(MEMORY)
+def _lattice_of(solid: Solid, dx: float) -> Particles:
+    """Return the points of a solid with density 1.
+
+    The last results are kept, because an object is often simulated several times.
+    """
     solid = _subdivide(solid, dx)
     cells = _find_cells(solid, dx)
     x, volume, copies = _points_of_pieces(solid, dx, cells)
-    count = len(x)
+    rows, count = _surface_points(solid, dx, cells), len(x)
     points = Particles(
         x=x.astype(np.float32),
         volume=volume,
-        density=np.full(count, float(density)),
+        density=np.ones(count),
         material=np.zeros(count, np.int32),
         gaussian=np.full(count, -1, np.int32),
+        surface=np.concatenate([rows, np.zeros((len(rows), 1))], axis=1),
         copies=copies,
     )
-    rows = _surface_points(solid, dx, cells)
-    return replace(points, surface=np.concatenate([rows, np.zeros((len(rows), 1))], axis=1))
+    for array in vars(points).values():
+        if array is not None:
+            array.flags.writeable = False  # All runs use this array.
+    return points
 
 
 def cells_of(points: Particles) -> Particles:
