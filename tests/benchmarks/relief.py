@@ -2,10 +2,10 @@
 
 Each solid is drawn from the front; what `relief` makes of that picture is compared from eight other
 sides (`support.truths.VIEWS`): the overlap of the silhouettes (IoU), the pictures on white (PSNR),
-depth and volume as the physics fills it. `--only NAME...` takes some of them; `--depth`, `--side`
-and `--back` give `relief` the true depth map and pictures of these sides; `--pictures FILE` writes
-what was compared (truth above), `--json FILE` the figures, `--against FILE` shows the change since
-then. `--examples FILE` draws demo/examples from all sides.
+depth and volume as the physics fills it. `--only NAME...` takes some of them, `--flat` takes flat
+objects instead. `--depth`, `--side` and `--back` give `relief` the true depth map and pictures of
+these sides; `--pictures FILE` writes what was compared (truth above), `--json FILE` the figures,
+`--against FILE` shows the change since then. `--examples FILE` draws demo/examples from all sides.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from phy124.gaussians import Gaussians
 from phy124.generators.relief import relief
 from phy124.particles.seeding import fill
 from phy124.rendering.render import Renderer
-from support.truths import DISTANCE, OBJECTS, SMALL, VIEWS, WIDE, Truth, truth
+from support.truths import DISTANCE, FLAT, OBJECTS, SMALL, VIEWS, WIDE, Truth, truth
 
 EXAMPLES = Path(__file__).parents[2] / "demo" / "examples"
 GAUSSIANS = 15_000
@@ -127,6 +127,7 @@ def save(sheet: np.ndarray, file: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=list(OBJECTS))
+    parser.add_argument("--flat", dest="only", action="store_const", const=list(FLAT))
     parser.add_argument("--pictures", type=Path)
     parser.add_argument("--examples", type=Path)
     parser.add_argument("--json", type=Path)

@@ -77,7 +77,7 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     rgba, solid = rgba[box], solid[box]
-    if max(_fold(solid)[0], _fold(_body(solid))[0]) >= SYMMETRIC:
+    if max(_fold(solid)[0], _fold(body_without_handles(solid))[0]) >= SYMMETRIC:
         return "plain"
     upper = solid[: max(1, round(UPPER * len(solid)))]
     columns = np.flatnonzero(upper.any(axis=0))
@@ -87,7 +87,7 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     return "plain" if alike else "mirror"
 
 
-def _body(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def body_without_handles(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a silhouette [H,W] without thin parts such as handles, cropped to its columns.
 
     If the thin parts are large, they are not removed.

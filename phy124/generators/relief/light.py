@@ -9,6 +9,8 @@ Since n and the albedo may be correlated, the fit favours small s, and its lengt
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -49,31 +51,57 @@ ROUNDS = 4
 
 def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Field:
     """Return the light vector s [3] of an image [H,W,3] that shows the front of a surface."""
-    seen = cv2.erode(object_mask.astype(np.uint8), np.ones((2 * EDGE + 1,) * 2)) > 0
-    place = np.argwhere(seen)
-    place = place[(place % EVERY == 0).all(axis=1)]
-    if len(place) < HUES * HUES:
-        return np.zeros(3)
-    normals = front_normals(surface)[tuple(place.T)]
-    colours = rgb[tuple(place.T)]
-    bright = np.log(colours.mean(axis=1) + DARKEST)
-    group = _groups(colours)
-    weights = np.ones(len(place))
-    light = np.zeros(3)
-    for _ in range(ROUNDS):
-        share = np.maximum(np.bincount(group, weights, HUES), 1e-9)
-        means = [np.bincount(group, weights * v, HUES) / share for v in (bright, *normals.T)]
-        level, flat = bright - means[0][group], normals - np.stack(means[1:], axis=1)[group]
-        noise = float(np.average((level - flat @ light) ** 2, weights=weights))
-        damping = weights.sum() / SAMPLES * noise / PRIOR**2
-        matrix = (flat * weights[:, None]).T @ flat + (damping + 1e-9) * np.eye(3)
-        light = np.linalg.solve(matrix, flat.T @ (weights * level))
-        residual = level - flat @ light
-        width = 2 * np.median(np.abs(residual)) + 1e-3
-        weights = 1 / (1 + (residual / width) ** 2)
-    light = np.clip(light, [-LIMIT, -LIMIT, 0.0], [LIMIT, LIMIT, FRONTAL])
+    shading = Shading.of(rgb, surface, object_mask)
+    light = np.clip(shading.light, [-LIMIT, -LIMIT, 0.0], [LIMIT, LIMIT, FRONTAL])
     certain = np.interp(np.linalg.norm(light), CERTAIN, [0.0, 1.0])
     return light * certain * np.interp(np.sqrt(max(surface.w.max(), 0.0)), THICK, [0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Shading:
+    """The light that explains the brightness of an image best, and how much it explains."""
+
+    light: Field
+    """The light vector s [3]."""
+    contrast: float
+    """Standard deviation of s . n, the part of the logarithm of the brightness that the light
+    explains."""
+    total: float
+    """Standard deviation of the logarithm of the brightness within the groups of equal hue."""
+
+    @classmethod
+    def of(cls, rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Shading:
+        """Fit the light to an image [H,W,3] that shows the front of a surface.
+
+        If the image has too few pixels, all results are 0.
+        """
+        seen = cv2.erode(object_mask.astype(np.uint8), np.ones((2 * EDGE + 1,) * 2)) > 0
+        place = np.argwhere(seen)
+        place = place[(place % EVERY == 0).all(axis=1)]
+        if len(place) < HUES * HUES:
+            return cls(np.zeros(3), 0.0, 0.0)
+        normals = front_normals(surface)[tuple(place.T)]
+        colours = rgb[tuple(place.T)]
+        bright = np.log(colours.mean(axis=1) + DARKEST)
+        group = _groups(colours)
+        weights = np.ones(len(place))
+        light, level, flat = np.zeros(3), bright, normals
+        for _ in range(ROUNDS):
+            share = np.maximum(np.bincount(group, weights, HUES), 1e-9)
+            means = [np.bincount(group, weights * v, HUES) / share for v in (bright, *normals.T)]
+            level, flat = bright - means[0][group], normals - np.stack(means[1:], axis=1)[group]
+            noise = float(np.average((level - flat @ light) ** 2, weights=weights))
+            damping = weights.sum() / SAMPLES * noise / PRIOR**2
+            matrix = (flat * weights[:, None]).T @ flat + (damping + 1e-9) * np.eye(3)
+            light = np.linalg.solve(matrix, flat.T @ (weights * level))
+            residual = level - flat @ light
+            width = 2 * np.median(np.abs(residual)) + 1e-3
+            weights = 1 / (1 + (residual / width) ** 2)
+        contrast, total = (
+            float(np.sqrt(np.average(values**2, weights=weights)))
+            for values in (flat @ light, level)
+        )
+        return cls(light, contrast, total)
 
 
 def unlight(rgb: Field, surface: Surface, light: Field) -> Field:

@@ -24,6 +24,7 @@ from phy124.generators.relief.colours import (
     colour_points,
 )
 from phy124.generators.relief.ends import Continued, continue_silhouette
+from phy124.generators.relief.flat import flatten
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
@@ -90,6 +91,9 @@ def from_front(
         surface = make_slab(work, view, thickness)
     else:
         surface = inflate(half, silhouette, work, view, thickness)
+    limited = None if half is None or depth is not None else flatten(half, surface, work, WORK)
+    if limited is not None:
+        surface = inflate(limited, silhouette, work, view, thickness)
     if depth is not None:
         surface = apply_depth(surface, work.rgba[..., 4], work.object_mask)
     step(1)
@@ -105,7 +109,7 @@ def from_front(
             look = "plain" if half is None else choose_look(work.rgba)
         imagined, reach = unlit, 0.0
         if look == "plain":
-            reach = _reach_behind(surface, slab=half is None)
+            reach = _reach_behind(surface, half is None, limited is not None)
             inside = work.alpha > 0.5
             lathed = half is not None and is_turned(work.object_mask)
             imagined = (
@@ -137,15 +141,15 @@ def _box_shell(box: Cuboid, front: Field, count: int) -> Shell:
     return Shell(points, normals, spacing, box.colours(points, normals, seen))
 
 
-def _reach_behind(surface: Surface, slab: bool) -> float:
+def _reach_behind(surface: Surface, slab: bool, flat: bool) -> float:
     """Return the depth behind the rim over which the mirrored image changes to the back [pixels].
 
-    For a card, this depth is 0.
+    For a card, which is a thin slab, this depth is 0.
     """
     deepest = float(np.sqrt(max(surface.w.max(), 0.0)))
-    if not slab:
-        return REACH * WORK
-    return min(REACH * WORK, BLOCK * deepest) if deepest > CARD * WORK else 0.0
+    if slab and deepest <= CARD * WORK:
+        return 0.0
+    return min(REACH * WORK, BLOCK * deepest) if slab or flat else REACH * WORK
 
 
 def show_back(back: Image.Image, scale: float, object_mask: NDArray[np.bool_]) -> Shown:

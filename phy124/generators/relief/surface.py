@@ -255,17 +255,15 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     |nx| + |ny| + |nz| cubes per square. Candidates are therefore removed at random, so that their
     number falls by this factor.
     """
-    corner, low, high = _columns(surface.w, pitch)
-    first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)
-    layers = last - first + 1
-    column = np.repeat(np.arange(len(corner)), layers)
-    layer = np.arange(len(column)) - np.repeat(np.cumsum(layers) - layers, layers) + first[column]
-    flat = np.concatenate([corner[column], layer[:, None] * pitch], axis=1)
     halves = []
-    for side in (1.0, -1.0):
-        half = flat + pitch * rng.random(flat.shape)
-        half[:, 2] = side * half[:, 2] + surface.middle(half)
-        halves.append(half)
+    for corner, low, high in _columns(surface, pitch):
+        first, last = np.floor(low / pitch).astype(int), np.floor(high / pitch).astype(int)
+        layers = last - first + 1
+        column = np.repeat(np.arange(len(corner)), layers)
+        layer = np.arange(len(column)) - np.repeat(np.cumsum(layers) - layers, layers)
+        layer += first[column]
+        half = np.concatenate([corner[column], layer[:, None] * pitch], axis=1)
+        halves.append(half + pitch * rng.random(half.shape))
     points = surface.project(np.concatenate(halves), rounds=4)
     value, gradient = surface.gradient(points)
     slope = np.sqrt(np.einsum("ij,ij->i", gradient, gradient))
@@ -275,19 +273,28 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     return points[landed & (rng.random(len(points)) < chance)]
 
 
-def _columns(w: Field, pitch: float) -> tuple[Field, Field, Field]:
-    """Return corners [M,2] of the square columns that the surface meets, and their range of |z|."""
-    height, width = w.shape
+def _columns(surface: Surface, pitch: float) -> list[tuple[Field, Field, Field]]:
+    """Return the square columns that the front meets, and those that the back meets.
+
+    Each item contains the corners of the columns [M,2], and their lowest and highest z [M].
+    """
+    height, width = surface.w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
-    # Sample w at the corners of all squares and halfway between the corners.
+    # Sample the fields at the corners of all squares and halfway between the corners.
     halves = [np.arange(2 * len(along) + 1) * (pitch / 2) for along in (y, x)]
-    fine = scipy.ndimage.map_coordinates(w, np.meshgrid(*halves, indexing="ij"), order=1)
+    places = np.meshgrid(*halves, indexing="ij")
+    w, m = (
+        scipy.ndimage.map_coordinates(field, places, order=1) for field in (surface.w, surface.m)
+    )
     thirds = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
-    around = [fine[rows, columns] for rows in thirds for columns in thirds]
-    low, high = np.minimum.reduce(around), np.maximum.reduce(around)
-    row, column = np.nonzero(high > 0)
-    nearest, deepest = np.sqrt(np.maximum(low, 0)[row, column]), np.sqrt(high[row, column])
-    return np.stack([x[column], y[row]], axis=1), nearest, deepest
+    around = [(rows, columns) for rows in thirds for columns in thirds]
+    row, column = np.nonzero(np.maximum.reduce([w[part] for part in around]) > 0)
+    corner, half = np.stack([x[column], y[row]], axis=1), np.sqrt(np.maximum(w, 0))
+    sides = []
+    for z in (m + half, m - half):
+        near = np.stack([z[part][row, column] for part in around])
+        sides.append((corner, near.min(axis=0), near.max(axis=0)))
+    return sides
 
 
 def settle(

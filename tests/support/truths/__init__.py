@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.camera import Camera
-from support.truths.objects import OBJECTS, Part
+from support.truths.objects import FLAT, OBJECTS, Part
 
 DISTANCE = 2.0
 """Distance of all cameras, relative to the longest side of the front silhouette."""
@@ -84,7 +84,10 @@ class Placed:
 
 
 def truth(name: str) -> Truth:
-    """Return one of `OBJECTS`, drawn at the first call and read from the temporary folder later."""
+    """Return one of `OBJECTS` or `FLAT`.
+
+    It is drawn at the first call, and read from the temporary folder later.
+    """
     sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     folder = (
         Path(tempfile.gettempdir()) / f"phy124-truths-{hashlib.sha256(sources).hexdigest()[:12]}"
@@ -92,7 +95,7 @@ def truth(name: str) -> Truth:
     file = folder / f"{name.replace(' ', '_')}.npz"
     if not file.exists():
         folder.mkdir(exist_ok=True)
-        made = _drawn(OBJECTS[name])
+        made = _drawn((OBJECTS | FLAT)[name])
         np.savez_compressed(file, **vars(made))
     with np.load(file) as kept:
         return Truth(

@@ -272,3 +272,36 @@ def _objects() -> dict[str, list[Part]]:
 
 
 OBJECTS = _objects()
+
+LEAF = [(0.2 * np.sin(a) * (1 + 0.3 * np.cos(a)), 0.45 * np.cos(a)) for a in np.arange(24) * 0.2618]
+SHIRT = [(0.25, -0.45), (0.25, 0.15), (0.4, 0.02), (0.52, 0.15), (0.3, 0.42), (0.12, 0.45)]
+SHIRT += [(0.0, 0.38), *((-y, z) for y, z in reversed(SHIRT))]
+
+
+def _key() -> list[Part]:
+    bow = without(
+        turned([(0.2, -0.04), (0.2, 0.04)], axis=0), turned([(0.07, -1), (0.07, 1)], axis=0)
+    )
+    metal = mottled(YELLOW, 0.2, 0.03)
+    sides = ((0.08, 0.1, 0.7), (0, 0, -0.5)), ((0.08, 0.14, 0.07), (0, 0.08, -0.8))
+    teeth = ((0.08, 0.14, 0.07), (0, 0.08, -0.65))
+    return [part(bow, metal), *(part(box(*at), metal) for at in (*sides, teeth))]
+
+
+FLAT = {
+    "coin": [
+        part(turned([(0.5, -0.04), (0.5, 0.04)], axis=0), mottled(YELLOW, 0.2, 0.03)),
+        part(torus(0.46, 0.05, 0), YELLOW),
+        part(box((0.1, 0.3, 0.3)), mottled(BROWN, 0.2, 0.03)),
+    ],
+    "key": _key(),
+    "leaf": [
+        part(prism(LEAF, 0.07), mottled(GREEN, 0.2, 0.03)),
+        part(capsule((0, 0, -0.6), (0, 0, 0.3), 0.04), mottled(GREEN, 0.2, 0.03)),
+    ],
+    "shirt": [
+        part(prism(SHIRT, 0.1), mottled(BLUE, 0.2, 0.03)),
+        part(box((0.11, 0.5, 0.1), (0, 0, -0.1)), WHITE),
+    ],
+}
+"""Objects that are flat, and whose outlines are no polygons of few corners."""

@@ -1,0 +1,63 @@
+"""Makes objects flat whose fronts show no shading, such as keys, leaves, coins and signs.
+
+Light from any direction changes the brightness of a round surface from one side to the other, or
+from the middle to the rim. If a photograph shows nothing of this kind, the front of the object is
+flat. Its edge is then rounded, and its depth is limited. The limit depends on the outline: narrow
+objects, such as tools, are flatter than compact ones, such as cars seen from their side; discs are
+flatter still.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.generators.relief.back import body_without_handles
+from phy124.generators.relief.ends import Continued
+from phy124.generators.relief.height import nearest_of
+from phy124.generators.relief.light import Shading
+from phy124.generators.relief.solids import is_turned
+from phy124.generators.relief.surface import Surface
+
+Field = NDArray[np.float64]
+PLAIN = 0.004
+"""Smallest variation of the logarithm of the brightness in a photograph.
+
+Drawings in plain colours have less. They show no shading, whatever the object's shape is.
+"""
+SHADED = (0.015, 0.018)
+"""Contrast of the shading below which the front is flat, and above which it is round."""
+RADII = (0.1, 0.15, 0.22, 0.3, 0.4, 0.45)
+HALVES = (0.03, 0.04, 0.08, 0.24, 0.24, 0.08)
+"""Radii of the largest inscribed disc, and half thicknesses of flat objects with these radii.
+
+Both are relative to the image's size.
+"""
+DISC = 0.4
+"""Relative radius above which the outline is close to a disc."""
+SHARPNESS = 4
+"""Exponent of the smooth minimum of round shape and limit."""
+
+
+def flatten(half: Field, surface: Surface, picture: Continued, size: int) -> Field | None:
+    """Limit squared half thicknesses [H,W] of an object whose front shows no shading.
+
+    Return None if the object is round.
+
+    Args:
+        half: Squared half thicknesses of a round object.
+        surface: Surface of the round object.
+        picture: Colours of the image, and mask of the object.
+        size: Size of the object, pixels.
+    """
+    shading = Shading.of(picture.rgba[..., :3], surface, picture.object_mask)
+    if shading.total < PLAIN or shading.contrast >= SHADED[1]:
+        return None
+    radius = float(nearest_of(~picture.object_mask)[0].max()) / size
+    if radius < DISC and is_turned(body_without_handles(picture.object_mask)):
+        return None
+    deepest = float(np.sqrt(half.max()))
+    flat = min(deepest, size * float(np.interp(radius, RADII, HALVES)))
+    limit = float(np.interp(shading.contrast, SHADED, (flat, deepest)))
+    ratio = half / limit**2
+    return half / (1 + ratio**SHARPNESS) ** (1 / SHARPNESS)
