@@ -305,6 +305,7 @@ def test_a_budget_that_is_too_small_is_refused():
     ("words", "sentence"),
     [
         (["points.csv", "--object", "o.ply"], "there is no value to find"),
+        (["points.csv", "--object", "o.ply", "--find", "material.E"], "find = material.E: it is"),
         (["points.csv", "--find", "material.E=1..2"], "no object is set"),
         (["gone.mp4", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "it does not exist"),
         (["points.csv", "--object", "o.ply", "--find", "material.E=1e4..1e5"], "until 9 s"),

@@ -37,6 +37,28 @@ SWINGS = """() => {
     return now < last && now > 0.02;
 }"""
 
+WATCH = """
+    // For each picture of the player: whether it shows anything, and whether a coloured Gaussian.
+    globalThis.pictures = [];
+    const small = Object.assign(document.createElement('canvas'), { width: 32, height: 32 });
+    const copy = small.getContext('2d', { willReadFrequently: true });
+    (function watch() {
+        requestAnimationFrame(watch);
+        const canvas = document.querySelector('.phy-canvas');
+        if (!canvas) return;
+        copy.drawImage(canvas, 0, 0, 32, 32);
+        const { data } = copy.getImageData(0, 0, 32, 32);
+        let low = 255, high = 0, colourful = 0;
+        for (let i = 0; i < data.length; i += 4) {
+            const rgb = data.slice(i, i + 3), most = Math.max(...rgb), least = Math.min(...rgb);
+            low = Math.min(low, most);
+            high = Math.max(high, most);
+            colourful = Math.max(colourful, most - least);
+        }
+        pictures.push([high - low > 20, colourful > 60]);
+    })();
+"""
+
 
 def _frames(rng: np.random.Generator, every: float) -> list[Frame]:
     """Three frames of a ball that is stretched, so many seconds apart."""
@@ -55,12 +77,24 @@ def _frames(rng: np.random.Generator, every: float) -> list[Frame]:
 
 
 @contextmanager
-def _opened(browser, path: Path, frames: list[Frame], *, stage: Stage | None = None, **context):
-    """The player of these frames, exported to one file and opened without a network."""
+def _opened(
+    browser,
+    path: Path,
+    frames: list[Frame],
+    *,
+    stage: Stage | None = None,
+    script: str = "",
+    **context,
+):
+    """The player of these frames, exported to one file and opened without a network.
+
+    The script runs in the page before the player.
+    """
     clip = Clip.from_frames(frames)
     write_html(path, clip, CAMERA, stage=pack_stage(stage, clip))
     context = browser.new_context(offline=True, **context)
     page = context.new_page()
+    page.add_init_script(script)
     page.set_default_timeout(LONG)
     page.goto(f"file://{path}")
     page.wait_for_function("globalThis.player")
@@ -104,6 +138,16 @@ def test_the_player_draws_the_same_stage(browser, tmp_path, rng):
             drawn(page, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
         page.locator(".phy-canvas").evaluate(GRAPHICS_ARE_LOST)
         drawn(page, lambda now: psnr(now, wanted) > 30, "below 30 dB after graphics were lost")
+
+
+def test_the_shadow_appears_together_with_the_object(browser, tmp_path, rng):
+    frames = _frames(rng, 0.1)
+    scene = Scene.from_data({"boundaries": [{"kind": "ground", "height": -0.4}]}).data()
+    view = View(stage="studio", background=(0.8, 0.8, 0.8))
+    stage = make_stage(replace(Clip.from_frames(frames), scene=scene), view)
+    with _opened(browser, tmp_path / "stage.html", frames, stage=stage, script=WATCH) as page:
+        page.wait_for_function("pictures.some(([anything, object]) => anything && object)")
+        assert [True, False] not in page.evaluate("pictures")
 
 
 def _sheared(amount: float, index: int) -> Frame:

@@ -169,6 +169,9 @@ globalThis.Phy124Stage = (() => {
       mesh.update();
       const drawn = new pc.MeshInstance(mesh, this.material, new pc.GraphNode());
       drawn.cull = false;
+      // Gaussians are drawn only after their first sort; a shadow without its object would be seen before.
+      drawn.visible = false;
+      app.scene.once('gsplat:sorted', () => { drawn.visible = true; });
       app.scene.layers.getLayerById(pc.LAYERID_WORLD).addMeshInstances([drawn]);
       const { floor, solids } = this.given;
       this.cells = floor ? floor.cells : 1;

@@ -163,11 +163,11 @@ def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
     """
     ranges: dict[str, str] = {}
     for text in texts:
-        path, equals, text = (part.strip() for part in text.partition("="))
+        path, equals, limits = (part.strip() for part in text.partition("="))
         if not (path and equals):
             limit = "it is not PATH=LEAST..LARGEST."
             raise InputError("find", text, limit, "Write, for example, material.E=1e4..1e6.")
         if path in ranges:
             raise InputError("find", text, f"{path} occurs twice.", "Give each path once.")
-        ranges[path] = text
+        ranges[path] = limits
     return ranges
