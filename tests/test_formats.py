@@ -346,3 +346,10 @@ def test_the_python_of_the_guide_runs(tmp_path, monkeypatch, three_gaussians):
     exec(GUIDE.split("```python\n")[1].split("```")[0], {})
     for name in ("duck.glb", "duck.spz"):
         assert len(read_gaussians(tmp_path / "out" / name).gaussians) == 3
+
+
+def test_signalling_nans_stay_nan_without_a_warning():
+    quats = np.array([[1, 0, 0, 0], [0, 2, 0, 0]], np.float32)
+    quats.view(np.uint32)[0, 1] = 0x7F800001
+    units = content.normalise_quats(quats)
+    assert np.isnan(units[0]).any() and np.array_equal(units[1], [0, 1, 0, 0])

@@ -331,7 +331,7 @@ def test_a_stiff_body_that_turns_slowly_runs_through():
             "object.lift": 2.0,
             "object.spin": [0, 0, 0.5],
             "material.E": 7e7,
-            "accuracy": {"cells": 8, "cfl": 0.1},
+            "accuracy": {"cells": 8, "cfl": 0.1, "solver": "mpm"},
             "time.frames": 3,
             "time.fps": 24.0,
             "binding": "lattice",

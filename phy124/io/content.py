@@ -244,8 +244,8 @@ def normalise_quats(quats: NDArray) -> NDArray[np.float32]:
     units = np.empty(quats.shape, np.float32)
     for start in range(0, len(quats), BLOCK):
         some = quats[start : start + BLOCK]
-        length = np.linalg.norm(some.astype(np.float64), axis=1, keepdims=True)
-        with np.errstate(invalid="ignore"):  # infinite values become NaN
+        with np.errstate(invalid="ignore"):  # signalling NaNs stay NaN, infinite values become NaN
+            length = np.linalg.norm(some.astype(np.float64), axis=1, keepdims=True)
             unit = (some / np.where(length > 0, length, 1)).astype(np.float32)
         unit[length[:, 0] < 1e-12] = 1, 0, 0, 0
         units[start : start + BLOCK] = unit
