@@ -21,24 +21,27 @@ FACES = {
 }
 
 
-def draw_box(yaw, pitch):
+def draw_box(yaw, pitch, distance=DISTANCE):
     """Return a picture [400,400,4] of a box whose front is red, sides blue and top green."""
     turn = Rotation.from_euler("yx", [yaw, pitch], degrees=True).as_matrix()
     points = (CORNERS * HALF) @ turn.T
-    flat = points[:, :2] / (1 - points[:, 2:] / DISTANCE)
+    flat = points[:, :2] / (1 - points[:, 2:] / distance)
     middle = 199.5 - (flat.min(axis=0) + flat.max(axis=0)) / 2
     rgba = np.zeros((400, 400, 4), np.uint8)
     for (axis, side), colour in FACES.items():
         normal = side * turn[:, axis]
-        if normal @ (np.array([0, 0, DISTANCE]) - side * HALF[axis] * turn[:, axis]) > 0:
+        if normal @ (np.array([0, 0, distance]) - side * HALF[axis] * turn[:, axis]) > 0:
             corners = flat[CORNERS[:, axis] == side][[0, 1, 3, 2]] + middle
             cv2.fillPoly(rgba, [np.round(corners).astype(np.int32)], (*colour, 255))
     return rgba
 
 
-@pytest.mark.parametrize(("yaw", "pitch"), [(-35, -25), (30, 0), (50, -40)])
-def test_sizes_of_a_box_follow_from_its_corners(yaw, pitch):
-    mask = draw_box(yaw, pitch)[..., 3] > 0
+@pytest.mark.parametrize(
+    ("yaw", "pitch", "distance"),
+    [(-35, -25, DISTANCE), (30, 0, DISTANCE), (50, -40, DISTANCE), (45, -35, 10 * DISTANCE)],
+)
+def test_sizes_of_a_box_follow_from_its_corners(yaw, pitch, distance):
+    mask = draw_box(yaw, pitch, distance)[..., 3] > 0
     box = find_box(mask, View.of(mask, DISTANCE))
     assert box is not None
     ratios = np.sort(box.half) / np.sort(HALF)

@@ -6,7 +6,7 @@ its position.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -28,6 +28,8 @@ YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
 MISFIT = 7.0
 """Largest root mean square distance between the corners of box and hexagon [pixels]."""
+FARTHER = (2.0, 4.0, 8.0)
+"""Distances of cameras with a weaker perspective, relative to that of the front camera."""
 LONGEST = 12.0
 """Largest ratio of the box's longest side to its shortest side."""
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
@@ -44,7 +46,7 @@ class Cuboid:
     centre: Field
     """Position of the box's centre [3], pixels."""
     view: View
-    """The front camera."""
+    """The camera from which the box has the silhouette of the object."""
 
     def spread(self, count: int) -> tuple[Field, Field, float]:
         """Distribute about `count` points evenly over the faces of the box.
@@ -99,21 +101,33 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box whose silhouette is a mask [H,W], or None if there is no such box."""
+    """Return the box whose silhouette is a mask [H,W], or None if there is no such box.
+
+    If the front camera `view` sees no such box, cameras that are farther away are tried, because
+    drawings of boxes often have a weak perspective.
+    """
     corners = _hexagon(object_mask)
     if corners is None:
         return None
     corners = corners - view.middle[:2]
-    fits = [_fit(corners, yaw, pitch, view.distance) for yaw in YAWS for pitch in PITCHES]
-    fits = [fit for fit in fits if fit is not None]
+    box, misfit = _fit_box(corners, view)
+    if misfit > MISFIT:
+        farther = [_fit_box(corners, replace(view, distance=f * view.distance)) for f in FARTHER]
+        box, misfit = min(farther, key=lambda fit: fit[1])
+    if box is None or misfit > MISFIT or box.half.max() > LONGEST * box.half.min():
+        return None
+    return box
+
+
+def _fit_box(corners: Field, view: View) -> tuple[Cuboid | None, float]:
+    """Return the box that fits corners [6,2] best, and its misfit [pixels]."""
+    starts = [_fit(corners, yaw, pitch, view.distance) for yaw in YAWS for pitch in PITCHES]
+    fits = [fit for fit in starts if fit is not None]
     if not fits:
-        return None
+        return None, np.inf
     values, misfit = min(fits, key=lambda fit: fit[1])
-    half = np.exp(values[3:6])
-    if misfit > MISFIT or half.max() > LONGEST * half.min():
-        return None
     turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
-    return Cuboid(turn, half, np.array([*values[6:], 0.0]), view)
+    return Cuboid(turn, np.exp(values[3:6]), np.array([*values[6:], 0.0]), view), misfit
 
 
 def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
