@@ -23,8 +23,10 @@ class Repeated(wp.Launch):
         self._forward = self.hooks.forward
 
     def launch(self, stream: Any = None) -> None:
-        """Repeat the launch; a CPU has no streams."""
-        del stream
+        """Repeat the launch, or add it to the graph that is being captured."""
+        if self.device.runtime._apic_capture is not None:  # a graph records the launch
+            super().launch(stream)
+            return
         self._forward(ctypes.byref(self.bounds), ctypes.byref(self._arguments))
 
     def set_param_at_index(self, index: int, value: Any, adjoint: bool = False) -> None:
