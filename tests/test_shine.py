@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from phy124.budget.effects import Effects
 from phy124.gaussians import Gaussians
 from phy124.generators.shapes import make_shape
 from phy124.rendering.film import film
+from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes
 from phy124.rendering.shine import (
@@ -259,6 +261,23 @@ def test_each_view_of_a_film_is_lit_and_timed(water, tmp_path):
     assert np.array_equal(lit.opacities, shine.shape(frame).gaussians.opacities)
     assert not np.array_equal(lit.sh, frame.gaussians.sh) and np.isfinite(lit.sh).all()
     assert lit.rgb.max() > frame.gaussians.rgb.max() - 1e-6
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_surfaces_are_computed_once_for_all_sides(water, tmp_path, monkeypatch, threads):
+    shape, shaped = Liquid.shape, []
+    monkeypatch.setattr(
+        Liquid, "shape", lambda self, *args: shaped.append(self) or shape(self, *args)
+    )
+    sides = ("front", "left", "back", "right")
+    view = Scene().view.model_copy(update={"views": sides, "size": (16, 16), "formats": ("png",)})
+    film(water, view, tmp_path / "films", threads=threads)
+    assert len(shaped) == len(water)
+    camera = cameras(water, view, "left")[1]
+    lit = Shine(water).illuminate(water.frame(1), camera)
+    (image,) = render_frames([lit], camera, background=view.background)
+    saved = np.asarray(Image.open(tmp_path / "films/left-png/left_0002.png"))
+    assert np.array_equal(saved, image)
 
 
 def test_the_player_gets_discs_whose_normals_point_outwards(water):

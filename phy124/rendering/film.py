@@ -39,6 +39,7 @@ from phy124.rendering.outputs import refuse_outputs, refuse_unkept, write_output
 from phy124.rendering.shine import Shine, add_gloss, drawn_frames, make_shine
 from phy124.rendering.stage.build import Stage, make_stage, pack_stage
 from phy124.runtime.context import RunContext
+from phy124.runtime.cores import cores
 from phy124.scene import Scene, View
 
 if TYPE_CHECKING:
@@ -108,8 +109,10 @@ def film(
         else:
             paths += [made[name, side] for side in view.sides]
     if shine is not None and shine.seconds:
-        watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + shine.seconds
-        watch.seconds["render"] -= shine.seconds
+        # Threads compute the gloss at the same time, so their sum of seconds is divided.
+        seconds = min(shine.seconds / (context.threads or cores()), watch.seconds["render"])
+        watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + seconds
+        watch.seconds["render"] -= seconds
     if view.outputs:
         with watch.stage("outputs"):
             paths += [write_outputs(clip, view, side, folder, context) for side in view.sides]
@@ -262,12 +265,12 @@ def _images(
     """Render the pictures of all sides, frame by frame."""
     seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
     frames = context.watch.each("deform", (clip.frame(k) for k in loop.order))
-    pairs = ((frame, at) for frame in frames for at in seen[frame.index])
-    shown = (frame if shine is None else shine.illuminate(frame, at) for frame, at in pairs)
+    shown = (frame for frame in frames for _ in sides)
     return render_frames(
         shown,
         chain.from_iterable(seen[k] for k in loop.order),
         background=None if view.stage == "transparent" else view.background,
+        light=shine and shine.illuminate,
         stage=stage and stage.at,
         filter=view.filter,
         device=context.device,

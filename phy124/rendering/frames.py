@@ -39,6 +39,7 @@ def render_frames(
     size: int | tuple[int, int] | None = None,
     background: Colour | None = WHITE,
     device: str | None = None,
+    light: Callable[[Frame, Camera], Frame] | None = None,
     stage: Callable[[Frame], StageFrame] | None = None,
     filter: str = "dilate",
     threads: int | None = None,
@@ -57,6 +58,8 @@ def render_frames(
             used.
         background: Colour behind the Gaussians, 0..1. None means no background.
         device: Warp's name of the device. The default is CUDA if there is a CUDA device.
+        light: Function that returns a frame as a camera sees it, such as `Shine.illuminate`. The
+            threads call it, several at the same time.
         stage: Function that returns the stage of a frame. The stage replaces the background.
         filter: Anti-aliasing filter, one of `FILTERS`.
         threads: Number of frames that are rendered at the same time on a CPU, where each kernel
@@ -86,6 +89,7 @@ def render_frames(
         if size is not None:
             width, height = (size, size) if isinstance(size, int) else size
             camera = replace(camera, width=width, height=height)
+        frame = frame if light is None else light(frame, camera)
         around = None if stage is None else stage(frame)
         renderer = renderers.get()
         try:

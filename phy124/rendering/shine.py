@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,8 @@ from phy124.scene import View
 
 KEPT = 256 * 2**20
 """Memory for liquid surfaces that further views reuse [bytes]."""
+LOCKS = 64
+"""Number of locks; a lock belongs to every 64th frame."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
 REFRACTION = 1.33
@@ -70,6 +73,7 @@ class Shine:
         self._parts = {law: _indices(laws[law]) for law in laws if law in GLOSSES and laws[law]}
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
         self._surfaces: dict[int, tuple[Gaussians, dict[str, NDArray]]] = {}
+        self._locks, self._adding = [Lock() for _ in range(LOCKS)], Lock()
         self._planes = _planes(clip) if "fluid" in self._parts else []
         whole = {"runs": laws.get("fluid"), "visibility": None}
         self._liquids = [
@@ -78,7 +82,7 @@ class Shine:
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
         self.seconds = 0.0
-        """Time spent on the computation of gloss since the start [s]."""
+        """Time that all threads together have spent on the gloss since the start [s]."""
 
     def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
         """Measure a liquid in the first frame; `which` selects the liquid's Gaussians."""
@@ -97,7 +101,8 @@ class Shine:
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
         """Return the frame with reflections, as seen by a camera, added to the colours."""
         start = time.perf_counter()
-        gaussians, normals = self._surface(frame)
+        with self._locks[frame.index % LOCKS]:  # a surface is computed once for all sides
+            gaussians, normals = self._surface(frame)
         sh = gaussians.sh.copy()
         for law, which in self._parts.items():
             drawn = gaussians.opacities[which] > 0
@@ -112,7 +117,8 @@ class Shine:
             rgb = np.clip(0.5 + SH_C0 * sh[at, 0], 0, 1)
             lit = reflect(rgb, outwards[seen], towards[seen], GLOSSES[law])
             sh[at, 1:], sh[at, 0] = 0, (lit - 0.5) / SH_C0
-        self.seconds += time.perf_counter() - start
+        with self._adding:
+            self.seconds += time.perf_counter() - start
         return replace(frame, gaussians=replace(gaussians, sh=sh))
 
     def shape(self, frame: Frame) -> Frame:
@@ -146,8 +152,8 @@ class Shine:
 
     def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
         """Return the Gaussians to draw, and the normals [n,3] of each glossy law's Gaussians."""
-        if frame.index in self._surfaces:
-            return self._surfaces[frame.index]
+        if (known := self._surfaces.get(frame.index)) is not None:
+            return known
         gaussians, normals = frame.gaussians, {}
         if "metal" in self._parts:
             normals["metal"] = shortest_axes(gaussians.select(self._parts["metal"]))
@@ -168,9 +174,15 @@ class Shine:
             fields = drawn._asdict()
             del fields["rgb"], fields["normals"]
             gaussians = replace(gaussians, sh=sh, **fields)
-        if (len(self._surfaces) + 1) * gaussians.sh.nbytes <= KEPT // 8:
-            self._surfaces[frame.index] = gaussians, normals
+        self._keep(frame.index, (gaussians, normals))
         return gaussians, normals
+
+    def _keep(self, index: int, surface: tuple[Gaussians, dict[str, NDArray]]) -> None:
+        """Keep a surface for further views, and drop the oldest surfaces beyond `KEPT`."""
+        with self._adding:
+            self._surfaces[index] = surface
+            while len(self._surfaces) * 8 * surface[0].sh.nbytes > KEPT:
+                del self._surfaces[next(iter(self._surfaces))]
 
 
 def make_shine(clip: Clip, view: View) -> Shine | None:
