@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from phy124 import Scene, Simulation, prepare
 from phy124.kernels.build import kernel
 from phy124.kernels.elastic import log_volume
 from phy124.materials import (
@@ -34,6 +35,7 @@ from reference.material_point import (
     transposed,
 )
 from reference.oracle import TWINS
+from support.shapes import ball
 
 
 @pytest.mark.parametrize("material", [m for m in SOLIDS if isinstance(m, Elastic)], ids=name)
@@ -364,3 +366,18 @@ def test_far_away_it_goes_on_as_a_line(real, error):
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 def test_at_rest_it_is_nothing(real):
     assert logs(np.ones(1), real)[1][0] == 0
+
+
+def test_pressed_plasticine_has_an_even_outline():
+    """With fewer particles than the default, the outline is bumpy."""
+
+    def unevenness(**accuracy):
+        scene = Scene.named("press").replaced(
+            {"material.law": "plasticine", "accuracy": {"cells": 8, **accuracy}, "time.frames": 9}
+        )
+        x = Simulation(prepare(ball(3000), scene)).run().means[8]
+        x = x[abs(x[:, 2] - np.median(x[:, 2])) < 0.05, :2]
+        sector = (np.arctan2(*x.T) * 24 / np.pi + 24).astype(int) % 48
+        return np.std([np.hypot(*x[sector == k].T).max() for k in range(48)])
+
+    assert unevenness() < 0.7 * unevenness(particles_per_axis=1.5)

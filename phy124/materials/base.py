@@ -12,8 +12,10 @@ from phy124.schema.bounds import RGB
 from phy124.schema.section import Section
 
 FEW = 1.5
-"""Number of particles per cell and axis for plastic and granular materials, which cannot tear. With
-2 particles, a run takes 1.7 times as long and its error does not change (docs/lab/accuracy.md).
+"""Number of particles per cell and axis for metal, foam and granular materials, which cannot tear.
+With 2 particles, a run takes 1.7 times as long and its error does not change
+(docs/lab/accuracy.md). Plasticine has 2 particles, because with fewer its smooth surface becomes
+bumpy.
 """
 FLOWING = 4.0
 """Limit on the longest axis of Gaussians in plastic or fluid material, relative to the axis at
@@ -59,6 +61,13 @@ class Material(Section):
 
     shading: ClassVar[float] = SHADING
     """Fraction of the contrast in brightness that Gaussians keep if they are tinted."""
+
+    @property
+    def lit(self) -> bool:
+        """Whether a lamp lights the material in videos (phy124/rendering/matte.py), instead of the
+        light of the picture: tinted grains.
+        """
+        return self.tint is not None and self.grains and not self.shines
 
     shines: ClassVar[bool] = False
     """Whether videos show the material's gloss (phy124/rendering/shine.py)."""

@@ -69,7 +69,6 @@ class Plasticine(Elastic):
 
     law: Literal["plasticine"] = "plasticine"
     may_collapse: ClassVar[bool] = True
-    particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="plasticine",
         stress=elastic.fixed_corotated,

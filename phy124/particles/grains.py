@@ -7,8 +7,10 @@ of the surface above them. Grains do not affect the motion.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -27,6 +29,11 @@ NEAREST = 0.5
 OPACITY = 0.95
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the luminance (Rec. 709)."""
+PATCH, CELLS = 0.06, 48
+"""Standard deviation of the filter that averages the brightness around a Gaussian, relative to the
+object's size; number of cells per axis of the filter's grid."""
+BRIGHTEST = 99.0
+"""Percentile of the brightness after tinting that is at most white."""
 IDENTITY = (1, 0, 0, 0)
 
 
@@ -108,24 +115,46 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 
 
 def tint(
-    gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float
+    gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float, fine: bool
 ) -> Gaussians:
     """Tint Gaussians in the colour of the material, and keep some of the picture's light and shade.
+
+    A colour that would be brighter than white darkens all Gaussians, so that the brightest parts
+    remain distinguishable.
 
     Args:
         gaussians: N Gaussians.
         chosen: Mask of the Gaussians to tint [N].
         colour: Red, green and blue, 0..1.
         shading: Fraction of the contrast in brightness that is kept.
+        fine: Whether only small dark features such as eyes keep their contrast, and larger patches
+            do not.
     """
-    rgb = gaussians.rgb[chosen]
-    brightness = rgb @ LUMINANCE
-    relative = brightness / max(float(brightness.mean()), 1e-6) if len(rgb) else brightness
-    tinted = np.clip(np.outer(1 + shading * (relative - 1), colour), 0, 1)
+    brightness = gaussians.rgb[chosen] @ LUMINANCE
+    if not len(brightness):
+        return gaussians
+    usual = _average(gaussians.means[chosen], brightness) if fine else brightness.mean()
+    relative = brightness / np.maximum(usual, 1e-6)
+    if fine:
+        relative = np.minimum(relative, 1)
+    tinted = np.outer(1 + shading * (relative - 1), colour)
+    tinted = np.clip(tinted / max(np.percentile(tinted.max(axis=1), BRIGHTEST), 1), 0, 1)
     sh = gaussians.sh.copy()
     sh[chosen] = 0
     sh[chosen, 0] = (tinted - 0.5) / SH_C0
     return replace(gaussians, sh=sh)
+
+
+def _average(x: NDArray, values: NDArray) -> NDArray[np.float64]:
+    """Return the average of values [N] around each point [N,3]."""
+    low, size = x.min(axis=0), max(float(np.ptp(x, axis=0).max()), 1e-9)
+    place = np.rint((x - low) / size * CELLS).astype(int).T
+    shape = tuple(place.max(axis=1) + 1)
+    flat: Any = np.ravel_multi_index(tuple(place), shape)
+    sums = [np.bincount(flat, weights, minlength=math.prod(shape)) for weights in (values, None)]
+    sigma = PATCH * CELLS
+    total, count = (scipy.ndimage.gaussian_filter(s.reshape(shape) * 1.0, sigma) for s in sums)
+    return (total / np.maximum(count, 1e-12)).reshape(-1)[flat]
 
 
 def _round_gaussians(

@@ -143,7 +143,8 @@ def merge_clip_to(clip: Clip, count: int) -> Clip:
     for frame in replace(clip, rotations=None, sh=clip.sh[:, :1]).frames():
         joined = merge_groups(frame.gaussians, group, opacities)
         frames.append(replace(frame, gaussians=joined, velocities=None, contacts=None))
-    report = {**clip.report, "gaussians": len(opacities), "grains": 0, "shine": {}, "liquids": []}
+    report = {**clip.report, "gaussians": len(opacities), "grains": 0}
+    report |= {"shine": {}, "liquids": [], "matte": []}
     return replace(Clip.from_frames(frames), scene=clip.scene, report=report)
 
 

@@ -305,6 +305,9 @@ class Report(TypedDict):
     """Per liquid: index ranges of the liquid's Gaussians (`runs`), and the liquid's `visibility`
     [m].
     """
+    matte: list[dict[str, Any]]
+    """Per tinted material of grains: index ranges of the Gaussians that a lamp lights (`runs`), and
+    the volume of a Gaussian in each range (`volumes`) [m^3]."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None

@@ -24,6 +24,7 @@ from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes, Surface, smoothstep
+from phy124.rendering.matte import find_matte, illuminate
 from phy124.rendering.stage.build import boundaries_of
 from phy124.rendering.stage.solids import place_walls
 from phy124.scene import View
@@ -81,6 +82,7 @@ class Shine:
             for liquid in clip.report.get("liquids") or [whole]
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
+        self._matte = find_matte(clip.report.get("matte") or [], self._cell)
         self.seconds = 0.0
         """Time that all threads together have spent on the gloss since the start [s]."""
 
@@ -96,7 +98,7 @@ class Shine:
     @property
     def any(self) -> bool:
         """Whether any Gaussians are glossy."""
-        return bool(self._parts) and self._cell > 0
+        return (bool(self._parts) and self._cell > 0) or bool(self._matte)
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
         """Return the frame with reflections, as seen by a camera, added to the colours."""
@@ -136,7 +138,7 @@ class Shine:
             for law, which in self._parts.items()
         ]
         gloss: dict[str, Any] = {"lamp": LAMP.tolist(), "refraction": REFRACTION, "laws": laws}
-        if not self._liquids:
+        if not self._liquids and not self._matte:
             return clip, gloss
         means, quats, scales = np.array(clip.means), np.array(clip.quats), np.array(clip.scales)
         hues = np.empty((len(clip), len(clip.opacities), 4), np.uint8)
@@ -174,6 +176,12 @@ class Shine:
             fields = drawn._asdict()
             del fields["rgb"], fields["normals"]
             gaussians = replace(gaussians, sh=sh, **fields)
+        if self._matte:
+            sh = gaussians.sh.copy()
+            for part in self._matte:
+                light = part.light(_finite(gaussians.means[part.which]), LAMP)
+                sh[part.which] = illuminate(sh[part.which], light)
+            gaussians = replace(gaussians, sh=sh)
         self._keep(frame.index, (gaussians, normals))
         return gaussians, normals
 

@@ -74,8 +74,18 @@ class Appearance(NamedTuple):
                 liquid["volumes"] += volumes
         return list(liquids.values())
 
+    def matte(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
+        """Return the spans of the Gaussians of each material that is lit, and the volume per
+        Gaussian of each span [m^3]. Without grains, a material is hollow and is not lit.
+        """
+        filled = set(self.kinds[~self.rounds].tolist())
+        lit = [
+            self._volumes(k) for k, section in enumerate(materials) if section.lit and k in filled
+        ]
+        return [{"runs": runs, "volumes": volumes} for runs, volumes in lit]
+
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
-        """Return the spans of a liquid material's Gaussians, and the volume of each in a span.
+        """Return the spans of a material's Gaussians, and the volume of each in a span.
 
         A grain has the volume of a particle. The volume of the particles without a grain is divided
         among the Gaussians on the surface.
@@ -195,7 +205,7 @@ def make_appearance(
         if section.tint is not None:
             chosen = moves.copy()
             chosen[moves] = kinds == index
-            gaussians = tint(gaussians, chosen, section.tint, section.shading)
+            gaussians = tint(gaussians, chosen, section.tint, section.shading, section.lit)
     return Appearance(
         vary_brightness(gaussians, shades, scene.seed) if shades.any() else gaussians,
         particles,

@@ -74,6 +74,7 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
         "grains": count - len(setup.gaussians),
         "shine": look.shine(setup.materials),
         "liquids": look.liquids(setup.materials),
+        "matte": look.matte(setup.materials),
     }
 
 

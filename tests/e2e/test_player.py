@@ -195,9 +195,10 @@ def test_p4d_is_drawn_and_read_by_range(browser, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["fluid", "metal"])
+@pytest.mark.parametrize("law", ["fluid", "metal", "sand"])
 def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):
-    changes = {"material.law": law, "accuracy": {"cells": 8}, "time.frames": 3}
+    tint = {"material.tint": "tan"} if law == "sand" else {}
+    changes = {"material.law": law, **tint, "accuracy": {"cells": 8}, "time.frames": 3}
     clip = Simulation(
         prepare(ball(4000), Scene.named("drop").replaced(changes), RunContext(threads=1))
     ).run()

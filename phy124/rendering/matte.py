@@ -1,0 +1,116 @@
+"""Lights matte, tinted grains such as sand and snow by a lamp and a sky.
+
+A tinted substance has the same colour everywhere, so only light and shadow show its shape. The
+light and shadow of the picture belong to the object at rest and would move with the material.
+Therefore, the light is computed in each frame. The grains fill a fraction phi of space, which is
+smoothed. The normal of the surface is the direction in which phi decreases most. The lamp lights
+surfaces that face it. Hollows receive less light, because the material around them hides the sky
+(ambient occlusion).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.gaussians import SH_C0
+
+SMOOTH, WIDE, SPARE = 1.4, 3.0, 6
+"""Standard deviations of the filters for the normals, and for the occlusion, which is applied to
+the result of the first; width of the empty margin around the grains. All in cells."""
+MOST = 2_000_000
+"""Largest number of cells. If the grains are too scattered for this number, the cells are larger.
+"""
+SKY = np.array([0.56, 0.59, 0.65], np.float32)
+LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
+"""Light from the sky and, on surfaces that face it, from the lamp: red, green and blue."""
+CERTAIN = 0.03
+"""Gradient of phi per cell above which the normal is certain. In sparse spray it is less certain,
+and the light is closer to `EVEN`."""
+EVEN = 0.8
+"""Light of the lamp on material without a normal, relative to a surface that faces the lamp."""
+HOLLOW, DEEP = 0.48, 0.72
+"""Values of the widely smoothed phi: on a flat surface, and in a hollow that is fully shaded."""
+DARKEST = 0.6
+"""Light in a fully shaded hollow, relative to the light on a flat surface."""
+
+
+class Matte:
+    """The light on the grains of one material of a clip."""
+
+    def __init__(self, which: NDArray[np.int64], volumes: NDArray, cell: float) -> None:
+        """Set the grains.
+
+        Args:
+            which: Indices of the material's Gaussians [n].
+            volumes: Volumes of these Gaussians [n], m^3.
+            cell: Cell size of the simulation's grid, m.
+        """
+        self.which, self._volumes, self._cell = which, volumes, cell
+
+    def light(self, x: NDArray, lamp: NDArray) -> NDArray[np.float32]:
+        """Return the light at points x [n,3] m [n,3]: factors of red, green and blue.
+
+        `lamp` [3] is the unit vector towards the lamp.
+        """
+        cell, place, size = _place(x, self._cell)
+        flat: Any = np.ravel_multi_index(tuple(place), size)
+        filled = np.bincount(flat, self._volumes / cell**3, minlength=int(np.prod(size)))
+        phi = _blur(np.minimum(filled, 1).reshape(size), SMOOTH)
+        slopes = np.gradient(phi)
+        steep = np.sqrt(sum(slope * slope for slope in slopes))
+        along = sum(slope * part for slope, part in zip(slopes, lamp.tolist(), strict=True))
+        facing = -along / np.maximum(steep, 1e-9)
+        certain = np.minimum(steep / CERTAIN, 1)
+        lit = EVEN + certain * (((1 + facing) / 2) ** 1.2 - EVEN)
+        hidden = np.clip((_blur(phi, WIDE) - HOLLOW) / (DEEP - HOLLOW), 0, 1)
+        at_points = [field.reshape(-1)[flat][:, None] for field in (lit, hidden)]
+        light = (SKY + LAMP_LIGHT * at_points[0]) * (1 - (1 - DARKEST) * at_points[1])
+        return light.astype(np.float32)
+
+
+def find_matte(rows: Sequence[dict[str, Any]], cell: float) -> list[Matte]:
+    """Return the matte materials of a clip from its report.
+
+    Args:
+        rows: For each material, the spans of its Gaussians (`runs`), and the volume of each
+            Gaussian of a span (`volumes`), m^3.
+        cell: Cell size of the simulation's grid, m.
+    """
+    matte = []
+    for row in rows:
+        counts = [last - first for first, last in row["runs"]]
+        which = [np.arange(*run) for run in row["runs"]]
+        if sum(counts) and cell > 0:
+            matte.append(Matte(np.concatenate(which), np.repeat(row["volumes"], counts), cell))
+    return matte
+
+
+def illuminate(sh: NDArray, light: NDArray) -> NDArray:
+    """Return spherical harmonics [n,K,3] of the colours under a light [n,3]."""
+    lit = np.zeros_like(sh)
+    rgb = np.clip(0.5 + SH_C0 * sh[:, 0], 0, 1) * light
+    lit[:, 0] = (np.minimum(rgb, 1) - 0.5) / SH_C0
+    return lit
+
+
+def _place(x: NDArray, cell: float) -> tuple[float, NDArray[np.int64], tuple[int, ...]]:
+    """Return the cell size [m], the cells of points [3,n], and the number of cells per axis.
+
+    Points far away from all others are placed in the cells at the boundary.
+    """
+    low, high = np.percentile(x[:: 1 + len(x) // 8192], [0.1, 99.9], axis=0)
+    cell = max(cell, float(np.prod(high - low + 2 * SPARE * cell) / MOST) ** (1 / 3))
+    size = np.ceil((high - low) / cell).astype(int) + 2 * SPARE
+    place = np.rint((x - low) / cell).astype(np.int64) + SPARE
+    return cell, np.clip(place, 0, size - 1).T, tuple(size.tolist())
+
+
+def _blur(values: NDArray, sigma: float) -> NDArray[np.float32]:
+    """Return values of cells, smoothed with a standard deviation [cells]."""
+    smooth: Any = scipy.ndimage.gaussian_filter(values.astype(np.float32), sigma, truncate=2.5)
+    return smooth
