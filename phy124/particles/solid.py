@@ -26,6 +26,7 @@ import hashlib
 import threading
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -34,7 +35,9 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
-from phy124.particles.voxels import Voxels, find_voxels
+
+if TYPE_CHECKING:
+    from phy124.particles.voxels import Voxels
 
 Mask = NDArray[np.bool_]
 
@@ -66,6 +69,8 @@ class Solid:
     @cached_property
     def voxels(self) -> Voxels:
         """The filled parts of the solid's voxels."""
+        from phy124.particles.voxels import find_voxels  # This import loads Warp.
+
         return find_voxels(self.fraction)
 
     @cached_property
