@@ -6,7 +6,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints
 from phy124.kernels.build import kernel
-from phy124.kernels.launches import record
+from phy124.kernels.launches import Repeated, record
 from phy124.mpm.model import put
 
 
@@ -16,11 +16,13 @@ def add(step: int, values_out: Ints):
     values_out[i] = values_out[i] + step
 
 
-@pytest.fixture
-def launch():
+@pytest.fixture(params=[wp.config.version, "999.0.0"], ids=["known Warp", "another Warp"])
+def launch(request, monkeypatch):
+    monkeypatch.setattr(wp.config, "version", request.param)
     values = wp.zeros(4, dtype=int, device="cpu")
     launch = record(add, 3, [1], [values], "cpu")
     assert launch is not None
+    assert isinstance(launch, Repeated) == (request.param != "999.0.0")
     return launch, values
 
 

@@ -10,6 +10,8 @@ from typing import Any, cast
 
 import warp as wp
 
+from phy124.runtime.late_parsing import KNOWN
+
 
 class Repeated(wp.Launch):
     """A recorded launch on a CPU, with arguments that are copied only when they change."""
@@ -40,6 +42,8 @@ def record(
 ) -> wp.Launch | None:
     """Record a launch; return None if the launch would have no threads.
 
+    Unknown versions of Warp repeat their launches themselves, because `Repeated` uses internals.
+
     Args:
         kernel: The Warp kernel.
         dim: Number of threads, or of threads along each axis.
@@ -51,6 +55,7 @@ def record(
         kernel, dim, inputs=inputs, outputs=outputs, device=device, record_cmd=True
     )
     alone = recorded is not None and recorded.device.is_cpu and recorded.block_dim == 1
+    alone = alone and wp.config.version.startswith(KNOWN)
     return Repeated(recorded) if alone else cast("wp.Launch | None", recorded)
 
 
