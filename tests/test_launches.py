@@ -6,8 +6,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints
 from phy124.kernels.build import kernel
-from phy124.kernels.launches import Repeated, record
-from phy124.mpm.model import put
+from phy124.kernels.launches import Repeated, put, record
 
 
 @kernel("phy124_test_launches")

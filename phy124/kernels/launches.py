@@ -1,4 +1,4 @@
-"""Repeats recorded launches on a CPU without copying their arguments again.
+"""Repeats recorded launches without copying their arguments again, and changes their arrays.
 
 In every launch Warp copies all arguments into a new structure, which takes 5 to 10 us. A substep of
 a small body consists of some 15 launches, most of which take little longer than that.
@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any, cast
 
 import warp as wp
+from numpy.typing import NDArray
 
 from phy124.runtime.late_parsing import KNOWN
 
@@ -57,6 +58,14 @@ def record(
     alone = recorded is not None and recorded.device.is_cpu and recorded.block_dim == 1
     alone = alone and wp.config.version.startswith(KNOWN)
     return Repeated(recorded) if alone else cast("wp.Launch | None", recorded)
+
+
+def put(array: wp.array, values: NDArray) -> None:
+    """Copy values [K,...] to the first K elements of an array on the device."""
+    if str(array.device) == "cpu":
+        array.numpy()[: len(values)] = values
+    elif len(values):
+        array[: len(values)].assign(values)
 
 
 @cache

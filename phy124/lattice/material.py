@@ -17,11 +17,12 @@ from phy124.kernels.arguments import types
 from phy124.kernels.contacts import SUMS
 from phy124.kernels.lattice import grid as kernels
 from phy124.kernels.lattice.rows import rows_for
+from phy124.kernels.launches import put
 from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
-from phy124.mpm.model import Model, put
+from phy124.mpm.model import Model
 from phy124.mpm.pairs import Pair
 
 

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
+from phy124.kernels.launches import put
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
-from phy124.mpm.model import Model, put
+from phy124.mpm.model import Model
 
 FAR = 3.0
 """If two sampled points are closer than this [cells], the surfaces around the points may touch."""

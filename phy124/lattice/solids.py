@@ -20,13 +20,14 @@ from phy124.kernels.lattice import solids as kernels
 from phy124.kernels.lattice.contact import MOMENT, SUMS, make_account
 from phy124.kernels.lattice.rows import rows_for
 from phy124.kernels.lattice.work import SOLIDS
+from phy124.kernels.launches import put
 from phy124.kernels.work import EXCHANGE, IMPULSE
 from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
 from phy124.lattice.work import ContactWork
 from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody, Plane
-from phy124.mpm.model import Model, put
+from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 

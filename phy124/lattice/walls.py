@@ -32,12 +32,13 @@ from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.kernels.lattice.rows import Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
+from phy124.kernels.launches import put
 from phy124.lattice.clamps import Clamp, PassedOn, acts_on
 from phy124.lattice.impulses import Impulses
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
 from phy124.lattice.work import ContactWork
-from phy124.mpm.model import Model, put
+from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 

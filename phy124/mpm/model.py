@@ -396,14 +396,6 @@ def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> li
     return list(itertools.pairwise([*first.tolist(), len(law)]))
 
 
-def put(array: wp.array, values: NDArray) -> None:
-    """Copy values [K,...] to the first K elements of an array on the device."""
-    if str(array.device) == "cpu":
-        array.numpy()[: len(values)] = values
-    elif len(values):
-        array[: len(values)].assign(values)
-
-
 def _array(values: object, dtype: Any, precision: str, device: str) -> wp.array:
     scalar = np.float32 if precision == "float32" else np.float64
     return wp.array(np.ascontiguousarray(values, dtype=scalar), dtype=dtype, device=device)
