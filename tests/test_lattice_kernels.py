@@ -10,7 +10,8 @@ from phy124.kernels.lattice import points, work
 from phy124.kernels.lattice.stress import CLOSING, GRADIENT, SPEED
 from phy124.lattice import impulses, kernels, material, solids
 from phy124.lattice import walls as lattice_walls
-from phy124.lattice.workers import MEASURE, TRIAL
+from phy124.lattice.trials import COMPARE, TRIAL, Trials
+from phy124.lattice.workers import MEASURE
 from phy124.materials import Hencky, NeoHookean
 from phy124.monitor.diagnostics import Totals
 from phy124.monitor.lattice import LatticeTotals
@@ -30,10 +31,11 @@ def test_simd_and_plain_stress_agree(damping):
         solver.nodes_state.u.assign(0.02 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.v.assign(0.5 * rng.normal(size=(solver.nodes, 3)))
         solver.nodes_state.lagging.assign(solver.nodes_state.v)
-        solver.crew.trial_u.assign(solver.nodes_state.u)
+        trials = Trials(solver.model, solver.crew, np.zeros((solver.nodes, 3)))
+        trials.u.assign(solver.nodes_state.u)
         solver.runner.complete(TRIAL)
-        solver.crew.accelerate(trial=True)
-        forces.append(solver.crew.trial_a.numpy().copy())
+        solver.runner.complete(COMPARE)
+        forces.append(trials.after.numpy().copy())
         solver.runner.complete(MEASURE)
         limits.append(solver.crew.take_maxima())
     assert np.abs(forces[0] - forces[1]).max() < 2e-6 * np.abs(forces[1]).max()

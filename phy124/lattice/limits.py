@@ -59,7 +59,7 @@ class Limits:
         """Return a duration of at most `drift` [s] in which no point is squeezed too much."""
         solver, clock = self._solver, self._solver.clock
         solver.runner.join()
-        solver.runner.complete(MEASURE)
+        run_timed(solver.timings, "measure", lambda: solver.runner.complete(MEASURE))
         # The maxima are not reset, because the end of the substep also reads them if the stress
         # kernels measure.
         speed, gradient, clock.closing = solver.crew.maxima()
@@ -80,7 +80,7 @@ class Limits:
         """Measure the limits of the substep; raises Unstable."""
         solver, clock = self._solver, self._solver.clock
         if not solver.crew.measuring or not clock.substeps:
-            solver.runner.complete(MEASURE)
+            run_timed(solver.timings, "measure", lambda: solver.runner.complete(MEASURE))
             self.read(clock.time - self.measured)
             self.measured = clock.seen = clock.time
         measured = clock.extremes._replace(stiffness=solver.spectrum.stiffen(solver.softened))

@@ -31,7 +31,7 @@ from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Walls
-from phy124.lattice.workers import TRIAL, Crew
+from phy124.lattice.workers import PLACE, Crew
 from phy124.mpm.free import FreeBody
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model, State
@@ -42,7 +42,7 @@ from phy124.mpm.repair import Repair
 from phy124.mpm.runner import Runner
 from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_launches, run_timed, usable_workers
+from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
 KEPT = ("u", "residue", "v", "lagging")
 """Names of the node arrays that belong to the state."""
@@ -122,9 +122,9 @@ class LatticeSolver:
         """Further kinds of contact, whose launches run along with the launches of walls."""
         self.softened = 1.0
         """Current factor on the stiffness of all materials."""
-        nodes, lattice, complete = self.nodes_state, self.lattice, self.runner.complete
+        nodes, lattice = self.nodes_state, self.lattice
         with self.runner.on_threads():
-            self.spectrum = Spectrum(model, self.crew, nodes, lattice, lambda: complete(TRIAL))
+            self.spectrum = Spectrum(model, self.crew, nodes, lattice, self.runner.complete)
         """The largest frequency of the bodies, which limits the substep."""
         self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
         """Length of a substep of the undeformed bodies [s]."""
@@ -269,7 +269,7 @@ class LatticeSolver:
 
     def follow(self) -> None:
         """Compute x, v, C and F of the points from the nodes."""
-        run_launches(self.timings, self.crew.follow())
+        run_timed(self.timings, "follow", lambda: self.runner.complete(PLACE))
 
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0

@@ -15,17 +15,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.arguments import types
 from phy124.kernels.lattice.nodes import RECENT
 from phy124.lattice.rest import RestLattice
+from phy124.lattice.trials import ACCELERATE, COMPARE, TRIAL, TRY, Trials
 from phy124.lattice.walls import Nodes
 from phy124.lattice.workers import Crew
 from phy124.mpm.model import Model
 
-ROUNDS, DAMPED, TRIAL = 60, 8, 1e-3
+ROUNDS, DAMPED, SMALL = 60, 8, 1e-3
 """`ROUNDS`: power iterations for the largest frequency at rest. `DAMPED`: further iterations for
 the largest rate of damping. These iterations start from the shape of the fastest vibration; if
-materials differ, additional iterations start from an arbitrary shape. `TRIAL`: size of trial
+materials differ, additional iterations start from an arbitrary shape. `SMALL`: size of trial
 displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
@@ -53,7 +53,7 @@ class Spectrum:
         crew: Crew,
         nodes: Nodes,
         lattice: RestLattice,
-        run_trials: Callable[[], None],
+        complete: Callable[[int], None],
     ) -> None:
         """Measure the largest frequency of the body at rest.
 
@@ -62,21 +62,21 @@ class Spectrum:
             crew: The workers, which compute accelerations of nodes.
             nodes: The nodes, at rest.
             lattice: The lattice at rest.
-            run_trials: Function that runs the trials of all workers.
+            complete: Function that runs a task on all workers.
         """
-        self._model, self._crew, self._run_trials = model, crew, run_trials
+        self._model, self._complete = model, complete
         self._nodes = nodes
-        self._size = TRIAL * model.dx
+        self._size = SMALL * model.dx
         start = np.random.default_rng(0).normal(size=(len(lattice), 3))
         start[lattice.tied] = 0
-        self._shape, self._mixed = (model.array(start, types(model.real).vec3) for _ in range(2))
-        self._try, self._compare = crew.compare(self._shape, self._mixed)
+        self._trials = trials = Trials(model, crew, start)
         v = nodes.lagging.numpy().copy()
         nodes.lagging.zero_()  # Viscous forces must not contribute.
-        crew.trial_u.assign(nodes.u)
-        run_trials()
-        crew.accelerate(trial=True)
-        crew.a.assign(crew.trial_a)
+        trials.u.assign(nodes.u)
+        complete(TRIAL)
+        complete(COMPARE)
+        trials.a.assign(trials.after)
+        trials.shape.assign(start)
         self._least = MISSED * self._iterate(0.0, ROUNDS)
         if self._least == 0:  # All bodies are fixed, so no node moves; assume unbounded material.
             fastest = max(section.sound_speed() for section in model.materials)
@@ -87,11 +87,11 @@ class Spectrum:
             self._size *= math.sqrt(self._least)
             rate = self._iterate(0.0, DAMPED, velocities=nodes.lagging)
             if len(model.materials) > 1:
-                shape = self._shape.numpy().copy()
-                self._shape.assign(start)
+                shape = trials.shape.numpy().copy()
+                trials.shape.assign(start)
                 rate = max(rate, self._iterate(0.0, ROUNDS, velocities=nodes.lagging))
-                self._shape.assign(shape)
-            self._size = TRIAL * model.dx
+                trials.shape.assign(shape)
+            self._size = SMALL * model.dx
             self._delay = MISSED * rate / (2 * self._least)
         nodes.lagging.assign(v)
         self.square = self._least
@@ -135,8 +135,8 @@ class Spectrum:
         """Measure the largest frequency in the current state, after the forces of all points are
         summed.
         """
-        self._crew.accelerate()
-        largest = float(np.abs(self._crew.a.numpy()).max())
+        self._complete(ACCELERATE)
+        largest = float(np.abs(self._trials.a.numpy()).max())
         share = MIXED / largest if largest > 0 else 0.0
         damped, before = self._damping_ratio >= UNDAMPED, self.square
         hard = before > SQUEEZED * self._least and not damped
@@ -156,39 +156,37 @@ class Spectrum:
             velocities: Velocities of the nodes. If given, velocities are changed instead of
                 displacements, and the result is the largest rate of damping [1/s].
         """
-        square, peak = 0.0, self._peak()
+        square, peak, trials = 0.0, self._peak(), self._trials
         for _ in range(rounds):
             if not peak > 0:  # The only trial motion of a needle vanished by rounding.
                 return square
-            for index, value in enumerate((1 / peak, share, self._size)):
-                self._try.set_param_at_index(index, value)
-            self._try.launch()
+            trials.prepare(1 / peak, share, self._size)
+            self._complete(TRY)
             if velocities is not None:
                 still = self._nodes.u.numpy()
-                velocities.assign(self._crew.trial_u.numpy() - still)
-                self._crew.trial_u.assign(still)
-            self._run_trials()
-            self._crew.accelerate(trial=True)
-            self._compare.launch()
+                velocities.assign(trials.u.numpy() - still)
+                trials.u.assign(still)
+            self._complete(TRIAL)
+            self._complete(COMPARE)
             peak = self._peak()
             if peak > 0:
-                longer = peak * _norm(self._shape.numpy() * (1 / peak))
-                square = longer / _norm(self._mixed.numpy()) / self._size
+                longer = peak * _norm(trials.shape.numpy() * (1 / peak))
+                square = longer / _norm(trials.mixed.numpy()) / self._size
         return square
 
     def _peak(self) -> float:
         """Return the largest component of the shape."""
-        return float(np.abs(self._shape.numpy()).max())
+        return float(np.abs(self._trials.shape.numpy()).max())
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot: the last shape, its frequency, and whether the frequency is steady."""
-        shape, factor = self._shape.numpy().copy(), self._stiffened
+        shape, factor = self._trials.shape.numpy().copy(), self._stiffened
         known = {"square": self.square, "steady": self.steady, "stiffened": factor}
         return {"shape": shape, **known}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        self._shape.assign(np.array(snapshot["shape"]))
+        self._trials.shape.assign(np.array(snapshot["shape"]))
         self.stiffen(snapshot.get("stiffened", 1.0))
         self.square, self.steady = snapshot["square"], snapshot.get("steady", False)
 

@@ -30,8 +30,10 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Timings, run_launches
 from phy124.particles.lattice import PER_CELL
 
-MEASURE, TRIAL = -1, -2
-"""Two tasks besides the phases: measuring the motion, and computing the forces of a trial."""
+MEASURE, PLACE = -1, -2
+"""Two tasks besides the phases: measuring the motion of the points, and moving the points with the
+nodes.
+"""
 LINE = 16
 """Number of values per cache line; no two workers write to one cache line."""
 
@@ -52,27 +54,19 @@ class Worker:
     """Forces on the nodes due to pushes on the worker's points, N."""
     maxima: wp.array
     """Largest speed and strain rate of the worker's points."""
-    trial: wp.array
-    """Like `forces`, but for the trial displacements from which the largest frequency is
-    computed.
-    """
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
-    measures: list[Named] = field(default_factory=list)
-    """Launches that measure the largest speed and strain rate. Vectorised kernels of viscous stress
-    measure these as well.
-    """
-    trials: list[Named] = field(default_factory=list)
-    """Launches that compute `trial`."""
+    tasks: dict[int, list[Named]] = field(default_factory=dict)
+    """Launches of the other tasks; their numbers are negative, and their callers time them."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, task: int) -> None:
-        """Run a phase, `MEASURE` or `TRIAL`."""
-        if task == TRIAL:  # The stage `frequency` includes the time of trials.
-            for _, launch in self.trials:
-                launch()
-        else:
-            run_launches(self.timings, self.measures if task == MEASURE else self.phases[task])
+        """Run a phase or another task."""
+        if task >= 0:
+            run_launches(self.timings, self.phases[task])
+            return
+        for _, launch in self.tasks[task]:
+            launch()
 
 
 class Crew:
@@ -98,8 +92,9 @@ class Crew:
             count: Number of workers.
             vectors: Whether to use vectorised CPU kernels if they exist.
         """
-        self._model, self._state, self._nodes = model, state, nodes
-        self._lattice = lattice
+        self._model, self._state, self._lattice = model, state, lattice
+        self.nodes = nodes
+        """Arrays of the nodes."""
         self._vectors = vectors and simd.usable(model.real, model.device)
         self._blocks: dict[tuple[int, int], tuple[int, wp.array, wp.array]] = {}
         t, device = types(model.real), model.device
@@ -114,8 +109,8 @@ class Crew:
         begin = np.cumsum([0, *room])
         self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
         """Each worker's part of a pool; a pool contains the forces of all workers."""
-        self._pool, self._pushes, self._trial_pool = (
-            wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(3)
+        self._pool, self._pushes = (
+            wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
         )
         low, high = ([getattr(span, end) for span in spans] for end in ("start", "stop"))
         self._spans = [
@@ -129,31 +124,23 @@ class Crew:
                 self.part_of(self._pool, w),
                 self.part_of(self._pushes, w),
                 wp.zeros(MAXIMA, dtype=model.real, device=device),
-                self.part_of(self._trial_pool, w),
             )
             for w in range(count)
         ]
-        self._tied = self._sparse(lattice, lattice.ties.tocsr())
+        self.tied = self._sparse(lattice, lattice.ties.tocsr())
+        """The donors of each tied node (phy124/kernels/lattice/nodes.py)."""
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self._push_donors = self._sparse(lattice, lattice.pushes)
         self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
-        self.a, self.trial_a, self.trial_u = (
-            wp.zeros(len(lattice), dtype=t.vec3, device=device) for _ in range(3)
-        )
-        """Accelerations of the nodes, accelerations after trial displacements, and these
-        displacements [N,3].
-        """
         self._still = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero."""
-        self._middle = wp.zeros_like(self.a)
+        self._middle = wp.zeros_like(nodes.u)
         """Unused output [N,3]: velocities after pushes and before all other forces."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress kernels measure the largest speed and strain rate in every substep."""
-        self._accelerate = [self._record_accelerate(trial=trial) for trial in (False, True)]
         for worker in self.workers:
-            worker.measures = self._measure(worker)
-            worker.trials = self.force(worker, trial=True)
+            worker.tasks = {MEASURE: self._measure(worker), PLACE: self._follow(worker)}
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
         """Return the sparse matrices of tied nodes and donors on the device; each node is a row."""
@@ -173,7 +160,7 @@ class Crew:
 
     def locate(self, worker: Worker) -> list[Named]:
         """Return the launch that computes x and v of a worker's points, before forces act."""
-        nodes, state, span, model = self._nodes, self._state, worker.points, self._model
+        nodes, state, span, model = self.nodes, self._state, worker.points, self._model
         outputs = [state.x, state.v, self._kept]
         if self._vectors and span.stop > span.start:
             motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_locate_simd()
@@ -183,28 +170,28 @@ class Crew:
         kernel = point_kernels.make_locate(model.real)
         return launches([("locate", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
-    def force(
-        self,
-        worker: Worker,
-        pushes: Tracks | None = None,
-        *,
-        trial: bool = False,
-    ) -> list[Named]:
+    def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
         """Return the launches that sum the forces of a worker's points on the nodes.
 
         Args:
             worker: The worker.
             pushes: The tracks of forces on points; None: no force acts on points.
-            trial: Whether to compute the forces due to trial displacements.
         """
-        out = worker.trial if trial else worker.forces
-        motion = self.trial_u if trial else self._nodes.u, self._nodes.lagging
-        outputs = [out, self._unread if trial else worker.maxima, self.stray]
-        records = [self._stress(worker, group, motion, outputs) for group in self._model.groups]
-        stress = [("clear", out.zero_), *launches(records)]
+        outputs = [worker.forces, worker.maxima, self.stray]
+        stress = self._stress(worker, self.nodes.u, outputs)
         if pushes is None:
             return stress
         return [("clear", worker.pushes.zero_), *launches([self._push(worker, pushes)]), *stress]
+
+    def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
+        """Return the launches that sum the forces due to trial displacements.
+
+        Args:
+            worker: The worker.
+            u: Displacements of the nodes [N,3], m.
+            out: The worker's part of a pool.
+        """
+        return self._stress(worker, u, [out, self._unread, self.stray])
 
     def shock(self, worker: Worker, out: wp.array | None = None) -> list[Named]:
         """Return the launch that adds the forces of the artificial viscosity to the nodes.
@@ -214,7 +201,7 @@ class Crew:
             out: The worker's part of a pool that receives the forces after the kick; None: the
                 forces are added to the worker's forces before the kick.
         """
-        nodes, span, model = self._nodes, worker.points, self._model
+        nodes, span, model = self.nodes, worker.points, self._model
         outputs = [worker.forces if out is None else out]
         motion = [nodes.u, nodes.v if out is None else nodes.before]
         if self._vectors and span.stop > span.start:
@@ -242,13 +229,13 @@ class Crew:
             worker: The worker.
             out: The worker's part of a pool.
         """
-        records, motion = [], (self._nodes.u, self._nodes.lagging)
+        records = []
         for group in self.viscous:
             theta = np.array(group.theta.numpy())
             theta[:, : max(section.scaled for section in _sections(group, self._model))] = 0
             soft = replace(group, theta=wp.array(theta, dtype=group.theta.dtype, device=out.device))
             outputs = [out, self._unread, self._uncounted]
-            records.append(self._stress(worker, soft, motion, outputs))
+            records.append(self._stress_of(worker, soft, self.nodes.u, outputs))
         return launches(records)
 
     def new_pool(self) -> wp.array:
@@ -275,7 +262,7 @@ class Crew:
         pushed = at == PUSHED
         if pool is None:
             pool = self._pushes if pushed else self._pool
-        nodes, span, model = self._nodes, worker.nodes, self._model
+        nodes, span, model = self.nodes, worker.nodes, self._model
         donors = self._push_donors if pushed else self._donors
         uniform = tracks.values if at == STRESS else self._still
         inputs = [span.start, at, nodes.inverse, pool, *self._spans, *donors, tracks.clock]
@@ -291,7 +278,7 @@ class Crew:
             tracks: The tracks of the run, with the clock.
             out: Sums in the order of phy124/kernels/work.py.
         """
-        nodes, span, model = self._nodes, worker.nodes, self._model
+        nodes, span, model = self.nodes, worker.nodes, self._model
         count = span.stop - span.start
         threads, *fraction = shared_out(count, model.device)
         inputs = [*fraction, count, span.start, nodes.inverse, self._pushes, *self._spans]
@@ -323,24 +310,25 @@ class Crew:
         inputs = [full, *constants, order, packed, self._rows, *motion]
         return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
 
-    def _stress(
-        self,
-        worker: Worker,
-        group: Group,
-        motion: tuple[wp.array, wp.array],
-        outputs: list[wp.array],
+    def _stress(self, worker: Worker, u: wp.array, outputs: list[wp.array]) -> list[Named]:
+        """Return the launches that sum the forces of the stress, as in `_stress_of`."""
+        records = [self._stress_of(worker, group, u, outputs) for group in self._model.groups]
+        return [("clear", outputs[0].zero_), *launches(records)]
+
+    def _stress_of(
+        self, worker: Worker, group: Group, u: wp.array, outputs: list[wp.array]
     ) -> Recorded:
         """Record the launch that adds the forces of a group's stress to the nodes.
 
         Args:
             worker: The worker.
             group: The group; some of its points belong to other workers.
-            motion: Displacements and velocities of the nodes.
+            u: Displacements of the nodes [N,3], m.
             outputs: Forces on nodes, and, for vectorised kernels, maxima of the motion and number
                 of non-finite points.
         """
         model, span = self._model, _common(worker.points, group.particles)
-        name = f"stress {group.law.name}"
+        name, motion = f"stress {group.law.name}", (u, self.nodes.lagging)
         if self.vectors(group) and span.stop > span.start:
             constants = [group.start, worker.touched.start, model.dx, group.theta]
             kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
@@ -357,7 +345,7 @@ class Crew:
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
         """Record the vectorised launches that sum energy and power over the points of a group."""
         constants = [group.start, self._model.dx, group.theta]
-        motion, kernel = [self._nodes.u, self._nodes.v], simd.make_totals_simd(group.law)
+        motion, kernel = [self.nodes.u, self.nodes.v], simd.make_totals_simd(group.law)
         spans = [_common(worker.points, group.particles) for worker in self.workers]
         return [
             self._over_blocks(kernel, span, constants, motion, outputs)
@@ -373,7 +361,7 @@ class Crew:
             tracks: The tracks of the run, with the clock and the uniform acceleration.
             pushed: Whether forces act on points.
         """
-        span, v, before, clock = worker.nodes, self._nodes.v, self._nodes.before, tracks.clock
+        span, v, before, clock = worker.nodes, self.nodes.v, self.nodes.before, tracks.clock
         stress = [span, self._pool, self._donors, clock, tracks.values, v]
         if not pushed:
             return self._kick(*stress, before)
@@ -382,14 +370,14 @@ class Crew:
 
     def _kick(self, span: slice, pool: wp.array, donors: list[wp.array], *rest: Any) -> list[Named]:
         """Return the launch of `make_kick` on a span of nodes."""
-        inputs = [self._nodes.inverse, pool, *self._spans, *donors, *rest]
+        inputs = [self.nodes.inverse, pool, *self._spans, *donors, *rest]
         plain = node_kernels.make_kick(self._model.real)
         return self._over_nodes(span, plain, simd.make_kick_simd, inputs)
 
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that moves a worker's nodes."""
-        nodes = self._nodes
-        inputs = [*self._tied, tracks.clock, nodes.before]
+        nodes = self.nodes
+        inputs = [*self.tied, tracks.clock, nodes.before]
         inputs += [nodes.v, nodes.u, nodes.residue, nodes.lagging]
         plain = node_kernels.make_drift(self._model.real)
         return self._over_nodes(worker.nodes, plain, simd.make_drift_simd, inputs)
@@ -404,12 +392,9 @@ class Crew:
         launch = self._model.launch(kernel, count, [span.start, span.stop, *inputs], [])
         return launches([("nodes", launch)])
 
-    def follow(self) -> list[Named]:
-        """Return the launch that computes x, v, C and F of all points."""
-        return [launch for worker in self.workers for launch in self._follow(worker)]
-
     def _follow(self, worker: Worker) -> list[Named]:
-        span, state, nodes, model = worker.points, self._state, self._nodes, self._model
+        """Return the launch that computes x, v, C and F of a worker's points."""
+        span, state, nodes, model = worker.points, self._state, self.nodes, self._model
         outputs = [state.x, state.v, state.C, state.F]
         if self._vectors and span.stop > span.start:
             motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_follow_simd()
@@ -431,34 +416,22 @@ class Crew:
             worker.maxima.zero_()
         return largest
 
-    def accelerate(self, *, trial: bool = False) -> None:
-        """Compute the accelerations `a`, or `trial_a`, of the nodes from the summed forces."""
-        (self.trial_a if trial else self.a).zero_()
-        for _, launch in self._accelerate[trial]:
-            launch()
+    def accelerate(self, worker: Worker, pool: wp.array | None, out: wp.array) -> list[Named]:
+        """Return the launches that compute the accelerations of a worker's nodes without gravity.
 
-    def _record_accelerate(self, *, trial: bool) -> list[Named]:
-        """Return launches that accelerate resting nodes for one second without gravity."""
-        model, pool = self._model, self._trial_pool if trial else self._pool
-        clock, out = model.array([1.0, 1.0, 0.0], model.real), self.trial_a if trial else self.a
-        every = slice(0, len(out))
-        return self._kick(every, pool, self._donors, clock, self._still, out, self._middle)
-
-    def compare(self, shape: wp.array, mixed: wp.array) -> tuple[wp.Launch, wp.Launch]:
-        """Record the launches that displace nodes by a trial shape, and compute the next shape."""
-        model, shift = self._model, [0.0, 0.0, 0.0, *self._tied, self._nodes.u, self.a, shape]
-        trying, comparing = (
-            make(model.real) for make in (node_kernels.make_try, node_kernels.make_compare)
-        )
-        records = (
-            model.launch(trying, len(shape), shift, [mixed, self.trial_u]),
-            model.launch(comparing, len(shape), [self.a, self.trial_a], [shape]),
-        )
-        return cast("tuple[wp.Launch, wp.Launch]", records)
+        Args:
+            worker: The worker.
+            pool: The forces of all workers; None: the forces of the stress in the last substep.
+            out: The accelerations [N,3], m/s^2.
+        """
+        span, pool = worker.nodes, self._pool if pool is None else pool
+        clock = self._model.array([1.0, 1.0, 0.0], self._model.real)  # resting nodes, for a second
+        kick = self._kick(span, pool, self._donors, clock, self._still, out, self._middle)
+        return [("clear", cast("wp.array", out[span]).zero_), *kick]
 
     def _measure(self, worker: Worker) -> list[Named]:
         """Return the launches that follow a worker's points and measure their motion."""
-        model, state, nodes, records = self._model, self._state, self._nodes, []
+        model, state, nodes, records = self._model, self._state, self.nodes, []
         outputs = [worker.maxima, self.stray]
         for group in model.groups:
             span = _common(worker.points, group.particles)

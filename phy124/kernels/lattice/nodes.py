@@ -93,8 +93,8 @@ def make_kick(real: Any):
 
 @build_once
 def make_try(real: Any):
-    """Kernel over nodes: updates a trial displacement by the accelerations, and displaces the nodes
-    by it.
+    """Kernel over the nodes from `start` on: updates a trial displacement by the accelerations, and
+    displaces the nodes by it.
 
     The new trial displacement is `gain` times the old one plus `share` times the accelerations. The
     nodes move by `size` times the trial displacement; tied nodes follow their donors.
@@ -103,6 +103,7 @@ def make_try(real: Any):
 
     @kernel(f"phy124_lattice_try_{real.__name__}", real, seconds=0.3)
     def lattice_try(
+        start: int,
         gain: real,
         share: real,
         size: real,
@@ -115,7 +116,7 @@ def make_try(real: Any):
         mixed_out: t.vec3s,
         trial_out: t.vec3s,
     ):
-        n = wp.tid()
+        n = start + wp.tid()
         mixed = gain * shape[n] + share * a[n]
         mixed_out[n] = mixed
         for k in range(tied_starts[n], tied_starts[n + 1]):
@@ -128,12 +129,14 @@ def make_try(real: Any):
 
 @build_once
 def make_compare(real: Any):
-    """Kernel over nodes: computes the change of the accelerations due to a trial displacement."""
+    """Kernel over the nodes from `start` on: computes how a trial displacement changes the
+    accelerations.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
-    def lattice_compare(a: t.vec3s, trial: t.vec3s, shape_out: t.vec3s):
-        n = wp.tid()
+    def lattice_compare(start: int, a: t.vec3s, trial: t.vec3s, shape_out: t.vec3s):
+        n = start + wp.tid()
         shape_out[n] = a[n] - trial[n]
 
     return lattice_compare

@@ -1,0 +1,74 @@
+"""Trials: displaces the nodes by a trial shape, and computes how their accelerations change.
+
+All workers take part: each of them processes its own cells and nodes.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.kernels.arguments import types
+from phy124.kernels.lattice.nodes import make_compare, make_try
+from phy124.lattice.workers import Crew, Worker
+from phy124.mpm.model import Model
+from phy124.mpm.stage import Named, launches
+
+ACCELERATE, TRY, TRIAL, COMPARE = -3, -4, -5, -6
+"""Tasks of the workers. `ACCELERATE`: compute the accelerations of the nodes from the forces of the
+current substep. `TRY`: displace the nodes. `TRIAL`: sum the forces due to these displacements.
+`COMPARE`: compute the accelerations due to these forces, and the next shape.
+"""
+
+
+class Trials:
+    """Trial displacements of the nodes, and the resulting accelerations."""
+
+    def __init__(self, model: Model, crew: Crew, shape: NDArray) -> None:
+        """Add the tasks of the trials to the workers.
+
+        Args:
+            model: The constants of the run.
+            crew: The workers.
+            shape: The first trial shape [N,3].
+        """
+        self._model, self._crew = model, crew
+        self.shape, self.mixed = (model.array(shape, types(model.real).vec3) for _ in range(2))
+        """The next trial shape, and the shape of the last trial, which also contains a share of the
+        accelerations [N,3].
+        """
+        self.a, self.u, self.after = (wp.zeros_like(self.shape) for _ in range(3))
+        """Accelerations of the nodes, displacements in the trial, and accelerations due to these
+        displacements [N,3].
+        """
+        self._pool = crew.new_pool()
+        self._tries: list[wp.Launch] = []
+        for index, worker in enumerate(crew.workers):
+            forces = crew.part_of(self._pool, index)
+            worker.tasks |= {
+                ACCELERATE: crew.accelerate(worker, None, self.a),
+                TRY: self._try(worker),
+                TRIAL: crew.trial(worker, self.u, forces),
+                COMPARE: self._compare(worker),
+            }
+
+    def prepare(self, gain: float, share: float, size: float) -> None:
+        """Set the factors of the next trial (phy124/kernels/lattice/nodes.py, `make_try`)."""
+        for launch in self._tries:
+            for index, value in enumerate((gain, share, size), 1):
+                launch.set_param_at_index(index, value)
+
+    def _try(self, worker: Worker) -> list[Named]:
+        span, tied, u = worker.nodes, self._crew.tied, self._crew.nodes.u
+        inputs = [span.start, 0.0, 0.0, 0.0, *tied, u, self.a, self.shape]
+        kernel, outputs = make_try(self._model.real), [self.mixed, self.u]
+        launch = self._model.launch(kernel, span.stop - span.start, inputs, outputs)
+        self._tries += [] if launch is None else [launch]
+        return launches([("try", launch)])
+
+    def _compare(self, worker: Worker) -> list[Named]:
+        span, kernel = worker.nodes, make_compare(self._model.real)
+        inputs = [span.start, self.a, self.after]
+        launch = self._model.launch(kernel, span.stop - span.start, inputs, [self.shape])
+        accelerate = self._crew.accelerate(worker, self._pool, self.after)
+        return [*accelerate, *launches([("compare", launch)])]
