@@ -16,7 +16,7 @@ def test_all_threads_look_for_the_frequency_at_rest():
 def test_frequency_without_a_trial_stays():
     solver = make(block((0.2, 0.2, 0.2)))
     square = solver.spectrum.square
-    solver.spectrum._shape.zero_()
+    solver.spectrum._trials.shape.zero_()
     solver.spectrum.follow()
     assert solver.spectrum.square == square
 
@@ -41,7 +41,7 @@ def test_measured_damping_covers_the_fastest_decay():
     assumed = 2 * spectrum._delay * spectrum._least
     start = np.random.default_rng(1).normal(size=(solver.nodes, 3))
     start[solver.lattice.tied] = 0
-    spectrum._shape.assign(start)
+    spectrum._trials.shape.assign(start)
     largest = spectrum._iterate(0.0, 150, velocities=solver.nodes_state.lagging)
     assert largest < assumed < 1.25 * largest
 

@@ -8,6 +8,7 @@ import pytest
 from phy124.boundaries import Ground, HalfSpace, Held
 from phy124.forces import Gravity
 from phy124.kernels.work import IMPULSE
+from phy124.lattice.division import Division
 from phy124.lattice.partners import Partners
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import FreeBody, Pair
@@ -206,7 +207,9 @@ def test_outer_sides_of_thin_parts_do_not_meet():
     solver.nodes_state.u.assign(np.outer(upper, [0, 0, -0.39]))
     surface = solver.surface
     every = np.arange(surface.count)
-    pairs = Partners(surface, solver.model, solver.nodes_state).find(every, between=False)
+    division = Division(solver.model, solver.workers, solver.runner.complete)
+    partners = Partners(surface, solver.model, solver.nodes_state, division)
+    pairs = partners.find(every, between=False)
     x = surface.x - np.outer(surface.x[:, 2] > 0.25, [0, 0, 0.39])
     gaps = ((x[pairs["a"]] - x[pairs["b"]]) * pairs["normal"]).sum(axis=1)
     assert len(gaps) > 100

@@ -8,6 +8,7 @@ import ctypes
 from functools import cache
 from typing import Any, cast
 
+import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
@@ -60,10 +61,16 @@ def record(
     return Repeated(recorded) if alone else cast("wp.Launch | None", recorded)
 
 
-def put(array: wp.array, values: NDArray) -> None:
-    """Copy values [K,...] to the first K elements of an array on the device."""
+def put(array: wp.array, values: NDArray, at: NDArray[np.int64] | None = None) -> None:
+    """Copy values [K,...] to an array on the device: to its first K elements, or to those with the
+    indices `at` [K].
+    """
     if str(array.device) == "cpu":
-        array.numpy()[: len(values)] = values
+        array.numpy()[slice(len(values)) if at is None else at] = values
+    elif at is not None:
+        every = array.numpy()
+        every[at] = values
+        array.assign(every)
     elif len(values):
         array[: len(values)].assign(values)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import make_place
 from phy124.lattice.clamps import PassedOn
+from phy124.lattice.division import Division
 from phy124.lattice.itself import FRICTION, Meeting
 from phy124.lattice.partners import FAR, Partners
 from phy124.lattice.surface import Surface
@@ -41,6 +42,7 @@ class Meetings:
         tracks: Tracks,
         pairs: Pairs,
         restore: float,
+        division: Division,
     ) -> None:
         """Prepare the contact; there are initially no pairs of points.
 
@@ -51,6 +53,7 @@ class Meetings:
             tracks: The tracks of the run, with the clock.
             pairs: Friction of pairs of bodies, and the sums of their impulses.
             restore: Gain of the speed at which penetration is reduced [1/s].
+            division: Divides kernels among all workers.
         """
         self.work: ContactWork | None = None
         """Records launches that sum the work of contact; None if the work is not summed."""
@@ -78,7 +81,8 @@ class Meetings:
             ],
             [self._x],
         )
-        everywhere = surface, model, nodes, tracks, Partners(surface, model, nodes), restore
+        partners = Partners(surface, model, nodes, division)
+        everywhere = surface, model, nodes, tracks, partners, restore
         self.of_bodies = [
             Meeting(*everywhere, sample[self._bodies[body]], (body, body), friction=FRICTION)
             for body in range(model.bodies)

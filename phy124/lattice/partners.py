@@ -11,8 +11,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
+from phy124.kernels.lattice.contact import NODES
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
 from phy124.kernels.launches import put
+from phy124.lattice.division import Division
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
@@ -27,22 +29,27 @@ LEAST = 0.05
 """Smallest volume ratio for mapping displacements on the surface to the body at rest."""
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
-SEARCHED = "body", "side", "rest", "normal"
-"""Names of the arrays that the search for partners reads, in the kernel's order."""
+EXPOSED = "nodes", "weights", "slopes", "rest", "normal"
+SEARCHED = "flat", "body", "side", "rest", "normal"
+"""Names of the arrays that the kernels `make_expose` and `make_partner` read, in their order."""
 
 
 class Partners:
     """Searches for points that may touch among the surface points of all bodies."""
 
-    def __init__(self, surface: Surface, model: Model, nodes: Nodes) -> None:
+    def __init__(self, surface: Surface, model: Model, nodes: Nodes, division: Division) -> None:
         """Prepare the search.
 
         Args:
             surface: Points that may touch.
             model: The constants of the run.
             nodes: Arrays of the nodes.
+            division: Divides kernels among all workers.
         """
         self._surface, self._model, self._nodes = surface, model, nodes
+        self._division = division
+        self._known = np.zeros(surface.count, bool)
+        """Whether the slopes and the flatness of each point are on the device."""
 
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
@@ -58,13 +65,12 @@ class Partners:
         x, flagged = self._zeros(types(model.real).vec3, len(sample)), self._zeros(int, len(sample))
         inputs = [grid.id, between, far, model.dx, self._numbers(sample), x]
         inputs += [arrays[name] for name in ("rest", "normal", "body", "side")]
-        launch = model.launch(make_flag(model.real), len(sample), inputs, [flagged])
+        run = self._division.record(make_flag(model.real), len(sample), inputs, [flagged])
 
         def flag(at: NDArray) -> NDArray[np.bool_]:
-            if launch is not None:
-                put(x, at)
-                grid.build(x, far)
-                launch.launch()
+            put(x, at)
+            grid.build(x, far)
+            run(len(sample))
             return np.asarray(flagged.numpy() > 0)
 
         return flag
@@ -81,25 +87,62 @@ class Partners:
             direction from the partner to the point [M,3]; and `back`, which maps displacements
             along the surface at the partner to the body at rest [M,3,3].
         """
-        model, arrays, count = self._model, self._arrays, len(points)
-        t, reach = types(model.real), NEAR if between else REACH
-        chosen = self._numbers(points)
-        x, normal, direction = (self._zeros(t.vec3, count) for _ in range(3))
-        turned, J, partner = (self._zeros(kind, count) for kind in (t.mat33, model.real, int))
-        slopes, flat = self._surface.slopes[points], self._surface.flat[points]
-        inputs = [chosen, arrays["nodes"], arrays["weights"], model.array(slopes, t.vec3)]
-        inputs += [arrays["rest"], arrays["normal"], self._nodes.u]
-        expose = make_expose(model.real, self._nodes.rows)
-        self._launch(expose, count, inputs, [x, normal, turned, J])
-        inputs = [self._bucket(x, reach), between, reach * model.dx, model.dx, chosen]
-        inputs += [self._numbers(flat), *(arrays[name] for name in SEARCHED), x, normal]
-        self._launch(make_partner(model.real), count, inputs, [partner, direction])
-        results = partner.numpy(), direction.numpy(), turned.numpy(), J.numpy()
-        numbers, normals, cofactors, ratios = (np.asarray(values) for values in results)
+        found, count = self._found, len(points)
+        self._learn(points)
+        put(found["chosen"], points)
+        self._expose(count)
+        reach = (NEAR if between else REACH) * self._model.dx
+        self._grid.build(found["x"][:count], reach)
+        (self._match_bodies if between else self._match_parts)(count)
+        results = (found[name].numpy()[:count] for name in ("partner", "direction", "turned", "J"))
+        numbers, normals, cofactors, ratios = results
         a = np.flatnonzero(numbers >= 0)
         b = numbers[a].astype(np.int64)
         back = np.swapaxes(cofactors[b], 1, 2) / np.maximum(ratios[b], LEAST)[:, None, None]
         return {"a": points[a], "b": points[b], "normal": normals[a], "back": back}
+
+    def _learn(self, points: NDArray[np.int64]) -> None:
+        """Copy slopes and flatness of points to the device, where this has not been done yet."""
+        new = points[~self._known[points]]
+        if len(new):
+            put(self._arrays["slopes"], self._surface.slopes[new], new)
+            put(self._arrays["flat"], self._surface.flat[new], new)
+            self._known[new] = True
+
+    @cached_property
+    def _found(self) -> dict[str, wp.array]:
+        """Results of the search for the points in `chosen`; there is room for all points."""
+        vec3, mat33 = types(self._model.real).vec3, types(self._model.real).mat33
+        kinds = {"chosen": int, "x": vec3, "normal": vec3, "turned": mat33}
+        kinds |= {"J": self._model.real, "partner": int, "direction": vec3}
+        return {name: self._zeros(kind, self._surface.count) for name, kind in kinds.items()}
+
+    @cached_property
+    def _expose(self) -> Callable[[int], None]:
+        """Function that computes the positions and normals of the first chosen points."""
+        found, arrays = self._found, self._arrays
+        inputs = [found["chosen"], *(arrays[name] for name in EXPOSED), self._nodes.u]
+        outputs = [found[name] for name in ("x", "normal", "turned", "J")]
+        kernel = make_expose(self._model.real, self._nodes.rows)
+        return self._division.record(kernel, self._surface.count, inputs, outputs)
+
+    @cached_property
+    def _match_parts(self) -> Callable[[int], None]:
+        """Function that finds the partners of the first chosen points on the same body."""
+        return self._match(REACH, between=False)
+
+    @cached_property
+    def _match_bodies(self) -> Callable[[int], None]:
+        """Function that finds the partners of the first chosen points on another body."""
+        return self._match(NEAR, between=True)
+
+    def _match(self, reach: float, *, between: bool) -> Callable[[int], None]:
+        found, dx = self._found, self._model.dx
+        inputs = [self._grid.id, between, reach * dx, dx, found["chosen"]]
+        inputs += [*(self._arrays[name] for name in SEARCHED), found["x"], found["normal"]]
+        outputs = [found["partner"], found["direction"]]
+        kernel = make_partner(self._model.real)
+        return self._division.record(kernel, self._surface.count, inputs, outputs)
 
     @cached_property
     def _arrays(self) -> dict[str, wp.array]:
@@ -113,6 +156,8 @@ class Partners:
             "normal": model.array(surface.normal, t.vec3),
             "body": self._numbers(surface.body),
             "side": self._numbers(surface.side),
+            "slopes": wp.empty((surface.count, NODES), dtype=t.vec3, device=model.device),
+            "flat": self._zeros(int, surface.count),
         }
 
     @cached_property
@@ -120,16 +165,8 @@ class Partners:
         real, device = self._model.real, self._model.device
         return wp.HashGrid(BUCKETS, BUCKETS, BUCKETS, device=device, dtype=real)
 
-    def _bucket(self, x: wp.array, reach: float) -> Any:
-        """Sort points into the grid, and return the grid's identifier."""
-        self._grid.build(x, reach * self._model.dx)
-        return self._grid.id
-
     def _numbers(self, values: NDArray[Any]) -> wp.array:
         return wp.array(values.astype(np.int32), dtype=int, device=self._model.device)
 
     def _zeros(self, kind: Any, count: int) -> wp.array:
         return wp.zeros(count, dtype=kind, device=self._model.device)
-
-    def _launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
-        wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=self._model.device)

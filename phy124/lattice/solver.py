@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.lattice.division import Division
 from phy124.lattice.energies import Energies
 from phy124.lattice.limits import Limits
 from phy124.lattice.meetings import Meetings
@@ -158,13 +159,18 @@ class LatticeSolver:
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         surface, nodes = self.surface, self.nodes_state
-        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks, self.substep_at_rest)
+        division = Division(model, self.workers, self.runner.complete)
+        walls = Walls(
+            boundaries, model, self.lattice, surface, nodes, tracks, self.substep_at_rest, division
+        )
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
         self.free.prepare(tracks, walls.recovery)
         kept = (self.meetings.snapshot(), self.walls.forces()) if self.clock.substeps else None
-        self.meetings = Meetings(surface, model, nodes, tracks, self.pairs, walls.recovery)
+        self.meetings = Meetings(
+            surface, model, nodes, tracks, self.pairs, walls.recovery, division
+        )
         if kept is not None:
             self.meetings.restore(kept[0])
             walls.put_forces(kept[1])

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
@@ -34,6 +35,7 @@ from phy124.kernels.lattice.rows import Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import Clamp, PassedOn, acts_on
+from phy124.lattice.division import Division
 from phy124.lattice.impulses import Impulses
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
@@ -106,6 +108,7 @@ class Walls:
         nodes: Nodes,
         tracks: Tracks,
         substep: float,
+        division: Division,
     ) -> None:
         """Prepare the walls of a run.
 
@@ -117,6 +120,7 @@ class Walls:
             nodes: Arrays of the nodes.
             tracks: The tracks of the run, to which displacements of walls are added.
             substep: Length of a substep at rest [s].
+            division: Divides kernels among all workers.
 
         Raises:
             InputError: A clamp fixes only some directions, which is not possible on lattices.
@@ -147,7 +151,8 @@ class Walls:
                 record = sums, number, self._holder
                 self._clamps.append(Clamp(part, model, lattice, nodes, tracks, *record))
             elif points.count:
-                self._contacts.append(_Contact(part, model, points, nodes, tracks, sums))
+                everywhere = model, points, nodes, tracks, division
+                self._contacts.append(_Contact(part, *everywhere, sums))
         for contact in self._contacts:
             contact.clamped = bool(self._clamps)
 
@@ -276,11 +281,13 @@ class _Contact:
         points: _Points,
         nodes: Nodes,
         tracks: Tracks,
+        division: Division,
         sums: wp.array,
     ) -> None:
         t, track = types(model.real), part.track(model)
         self._model, self._points, self._nodes, self._tracks = model, points, nodes, tracks
         self._part, self._sums, self._moving = part, sums, track is not None
+        self._division = division
         self._slot = 0 if track is None else tracks.add(track)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
@@ -302,11 +309,16 @@ class _Contact:
 
     def look(self) -> None:
         """Measure the distances of all points from the wall."""
-        model, points, tracks = self._model, self._points, self._tracks
+        self._measure(self._points.count)
+
+    @cached_property
+    def _measure(self) -> Callable[[int], None]:
+        """Function that measures the distances of the first points from the wall."""
+        points, tracks, rows = self._points, self._tracks, self._nodes.rows
         inputs = [self._shape, self._slot, points.nodes, points.weights, points.rest]
         inputs += [self._nodes.u, tracks.values]
-        kernel = make_reach(self._part.outline(), self._moving, model.real, self._nodes.rows)
-        wp.launch(kernel, points.count, inputs, [self._gaps], device=model.device)
+        kernel = make_reach(self._part.outline(), self._moving, self._model.real, rows)
+        return self._division.record(kernel, points.count, inputs, [self._gaps])
 
     def list_near(self, approach: float) -> None:
         """List the points that were within `REACH` cells plus `approach` [m] of the wall."""

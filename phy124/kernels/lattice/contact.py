@@ -391,7 +391,8 @@ def make_account(real: Any, rows: Rows):
 
 @build_once
 def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
-    """Kernel over surface points: computes the distance of each point from a wall.
+    """Kernel over the surface points from `start` on: computes the distance of each point from a
+    wall.
 
     Args:
         shape: Name of a distance function.
@@ -411,6 +412,7 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
         seconds=0.4,
     )
     def lattice_reach(
+        start: int,
         geometry,
         slot,
         nodes: wp.array2d(dtype=int),
@@ -420,7 +422,7 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
         values,
         gap_out: t.reals,
     ):
-        s = wp.tid()
+        s = start + wp.tid()
         y = rest[s] + moved_by(u, nodes, weights, s)
         if wp.static(moving):
             y -= wp.vector(values[slot][0], values[slot][1], values[slot][2])

@@ -68,7 +68,8 @@ def may_meet(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over sampled points: flags the samples near which contact is possible.
+    """Kernel over the sampled points from `start` on: flags the samples near which contact is
+    possible.
 
     `x` contains the current positions of the samples. Samples at a distance of `far` or more are
     ignored.
@@ -77,6 +78,7 @@ def make_flag(real: Any):
 
     @kernel(f"phy124_lattice_flag_{real.__name__}", real, seconds=0.5)
     def flag(
+        start: int,
         cells: wp.uint64,
         between: bool,
         far: real,
@@ -89,7 +91,7 @@ def make_flag(real: Any):
         side: Ints,
         flagged_out: Ints,
     ):
-        i = wp.tid()
+        i = start + wp.tid()
         a = sample[i]
         here = x[i]
         near = int(0)
@@ -114,15 +116,14 @@ def make_flag(real: Any):
 @build_once
 def make_expose(real: Any, rows: Rows):
     """Kernel over surface points: computes current positions, current normals, and the cofactors of
-    F.
-
-    `slopes` contains only the points that `chosen` lists.
+    F, for the points in `chosen` from `start` on.
     """
     t = types(real)
     moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_expose_{rows.name}{real.__name__}", real, seconds=0.5)
     def expose(
+        start: int,
         chosen: Ints,
         nodes: wp.array2d(dtype=int),
         weights: wp.array2d(dtype=real),
@@ -135,12 +136,12 @@ def make_expose(real: Any, rows: Rows):
         turned_out: wp.array(dtype=t.mat33),
         J_out: t.reals,
     ):
-        i = wp.tid()
+        i = start + wp.tid()
         s = chosen[i]
         x_out[i] = rest[s] + moved_by(u, nodes, weights, s)
         F = wp.identity(3, dtype=real)
         for k in range(wp.static(NODES)):
-            F += wp.outer(u[nodes[s, k]], slopes[i, k])
+            F += wp.outer(u[nodes[s, k]], slopes[s, k])
         turned = inverse_rows(F)
         out = turned * normal[s]
         normal_out[i] = out / wp.max(wp.length(out), real(1.0e-30))
@@ -153,16 +154,17 @@ def make_expose(real: Any, rows: Rows):
 @build_once
 def make_partner(real: Any):
     """Kernel over surface points: finds the position on the opposite surface that is nearest to
-    each point.
+    each point in `chosen` from `start` on.
 
-    `chosen` lists the points; `flat`, `x` and `turned` say whether they are on a flat part, and
-    contain their current positions and normals. At an edge of the other part, the contact force is
-    directed along the normal at the point.
+    `flat` says which surface points are on a flat part. `x` and `turned` contain the current
+    positions and normals of the points in `chosen`. At an edge of the other part, the contact force
+    is directed along the normal at the point.
     """
     t = types(real)
 
     @kernel(f"phy124_lattice_partner_{real.__name__}", real, seconds=0.6)
     def partner(
+        start: int,
         cells: wp.uint64,
         between: bool,
         reach: real,
@@ -178,7 +180,7 @@ def make_partner(real: Any):
         partner_out: Ints,
         direction_out: t.vec3s,
     ):
-        i = wp.tid()
+        i = start + wp.tid()
         a = chosen[i]
         here = x[i]
         zero = real(0.0)
@@ -198,7 +200,7 @@ def make_partner(real: Any):
                 opposed = wp.dot(turned[i], n) < real(OTHER) or not (
                     wp.dot(turned[i], turned[i]) > zero
                 )
-                at_edge = flat[i] == 1 and flat[j] == 0 and plain
+                at_edge = flat[a] == 1 and flat[b] == 0 and plain
                 if at_edge:
                     n = -turned[i]
                 sideways = way - wp.dot(way, n) * n
