@@ -198,18 +198,35 @@ def test_points_that_hardly_moved_are_not_compared_again(monkeypatch):
     assert meetings.way == 0
 
 
-def test_outer_sides_of_thin_parts_do_not_meet():
-    """Two sheets, half a cell thick, come to a tenth of a cell from each other."""
+def thin_sheets(**options):
+    """Return a solver of two sheets, half a cell thick, a tenth of a cell from each other, and the
+    search for their contact.
+    """
     solid = block((0.4, 0.4, 0.5), per=4)
     solid.fraction[:, :, 2:-2] = 0
-    solver = make_bodies([solid])
+    solver = make_bodies([solid], **options)
     upper = solver.lattice.x[:, 2] > 0.25
     solver.nodes_state.u.assign(np.outer(upper, [0, 0, -0.39]))
-    surface = solver.surface
-    every = np.arange(surface.count)
     division = Division(solver.model, solver.workers, solver.runner.complete)
-    partners = Partners(surface, solver.model, solver.nodes_state, division)
-    pairs = partners.find(every, between=False)
+    return solver, Partners(solver.surface, solver.model, solver.nodes_state, division)
+
+
+def test_threads_divide_the_search_among_themselves():
+    found = []
+    for threads in (1, 3):
+        solver, partners = thin_sheets(threads=threads)
+        sample = np.arange(0, solver.surface.count, 2)
+        flagged = partners.flagger(sample, between=False)(solver.surface.x[sample])
+        found.append([flagged, *partners.find(sample, between=False).values()])
+    assert len(found[0][1]) > 50
+    for alone, divided in zip(*found, strict=True):
+        assert np.array_equal(alone, divided)
+
+
+def test_outer_sides_of_thin_parts_do_not_meet():
+    solver, partners = thin_sheets()
+    surface = solver.surface
+    pairs = partners.find(np.arange(surface.count), between=False)
     x = surface.x - np.outer(surface.x[:, 2] > 0.25, [0, 0, 0.39])
     gaps = ((x[pairs["a"]] - x[pairs["b"]]) * pairs["normal"]).sum(axis=1)
     assert len(gaps) > 100
