@@ -212,14 +212,14 @@ def thin_sheets(**options):
 
 
 def test_threads_divide_the_search_among_themselves():
-    found = []
+    searches = []
     for threads in (1, 3):
         solver, partners = thin_sheets(threads=threads)
         sample = np.arange(0, solver.surface.count, 2)
         flagged = partners.flagger(sample, between=False)(solver.surface.x[sample])
-        found.append([flagged, *partners.find(sample, between=False).values()])
-    assert len(found[0][1]) > 50
-    for alone, divided in zip(*found, strict=True):
+        searches.append([flagged, *partners.find(sample, between=False).values()])
+    assert len(searches[0][1]) > 50
+    for alone, divided in zip(*searches, strict=True):
         assert np.array_equal(alone, divided)
 
 

@@ -87,15 +87,15 @@ class Partners:
             direction from the partner to the point [M,3]; and `back`, which maps displacements
             along the surface at the partner to the body at rest [M,3,3].
         """
-        found, count = self._found, len(points)
+        results, count = self._results, len(points)
         self._learn(points)
-        put(found["chosen"], points)
+        put(results["chosen"], points)
         self._expose(count)
         reach = (NEAR if between else REACH) * self._model.dx
-        self._grid.build(found["x"][:count], reach)
+        self._grid.build(results["x"][:count], reach)
         (self._match_bodies if between else self._match_parts)(count)
-        results = (found[name].numpy()[:count] for name in ("partner", "direction", "turned", "J"))
-        numbers, normals, cofactors, ratios = results
+        values = (results[name].numpy()[:count] for name in ("partner", "direction", "turned", "J"))
+        numbers, normals, cofactors, ratios = values
         a = np.flatnonzero(numbers >= 0)
         b = numbers[a].astype(np.int64)
         back = np.swapaxes(cofactors[b], 1, 2) / np.maximum(ratios[b], LEAST)[:, None, None]
@@ -110,7 +110,7 @@ class Partners:
             self._known[new] = True
 
     @cached_property
-    def _found(self) -> dict[str, wp.array]:
+    def _results(self) -> dict[str, wp.array]:
         """Results of the search for the points in `chosen`; there is room for all points."""
         vec3, mat33 = types(self._model.real).vec3, types(self._model.real).mat33
         kinds = {"chosen": int, "x": vec3, "normal": vec3, "turned": mat33}
@@ -120,9 +120,9 @@ class Partners:
     @cached_property
     def _expose(self) -> Callable[[int], None]:
         """Function that computes the positions and normals of the first chosen points."""
-        found, arrays = self._found, self._arrays
-        inputs = [found["chosen"], *(arrays[name] for name in EXPOSED), self._nodes.u]
-        outputs = [found[name] for name in ("x", "normal", "turned", "J")]
+        results, arrays = self._results, self._arrays
+        inputs = [results["chosen"], *(arrays[name] for name in EXPOSED), self._nodes.u]
+        outputs = [results[name] for name in ("x", "normal", "turned", "J")]
         kernel = make_expose(self._model.real, self._nodes.rows)
         return self._division.record(kernel, self._surface.count, inputs, outputs)
 
@@ -137,10 +137,10 @@ class Partners:
         return self._match(NEAR, between=True)
 
     def _match(self, reach: float, *, between: bool) -> Callable[[int], None]:
-        found, dx = self._found, self._model.dx
-        inputs = [self._grid.id, between, reach * dx, dx, found["chosen"]]
-        inputs += [*(self._arrays[name] for name in SEARCHED), found["x"], found["normal"]]
-        outputs = [found["partner"], found["direction"]]
+        results, dx = self._results, self._model.dx
+        inputs = [self._grid.id, between, reach * dx, dx, results["chosen"]]
+        inputs += [*(self._arrays[name] for name in SEARCHED), results["x"], results["normal"]]
+        outputs = [results["partner"], results["direction"]]
         kernel = make_partner(self._model.real)
         return self._division.record(kernel, self._surface.count, inputs, outputs)
 
