@@ -188,20 +188,23 @@ def test_older_recordings_are_kept_by_default(tmp_path, name):
         assert make_reader(stream).get_summary().statistics.message_count == 4
 
 
-def test_an_older_recording_outlives_a_new_one_that_fails(tmp_path, monkeypatch):
+def fail(sink, clip, frames):
+    """Write frames; then the disk is full."""
+    with pytest.MonkeyPatch.context() as patch, sink:
+        for index in range(frames):
+            sink.write(clip.frame(index))
+        patch.setattr(sink, "_add", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
+        sink.write(clip.frame(frames))
+
+
+def test_an_older_recording_outlives_a_new_one_that_fails(tmp_path):
     from bridge.recover import recover
 
     path = record(tmp_path / "bag", random_clip(frames=2))
     older = (path / "bag_0.mcap").read_bytes()
     for _ in range(2):  # also of two that fail, one after the other
-        sink = McapSink(path, overwrite=True)
-        with (
-            monkeypatch.context() as patch,
-            pytest.raises(Incomplete, match=r"the older recording in .*bag_0\.mcap\.old"),
-            sink,
-        ):
-            patch.setattr(sink, "_add", lambda _: (_ for _ in ()).throw(OSError(28, "full")))
-            sink.write(random_clip().frame(0))
+        with pytest.raises(Incomplete, match=r"the older recording in .*bag_0\.mcap\.old"):
+            fail(McapSink(path, overwrite=True), random_clip(), frames=1)
     assert (path / "bag_0.mcap.old").read_bytes() == older
     with pytest.raises(InputError, match="was not finished: `python -m bridge recover"):
         record(path, random_clip())
@@ -210,6 +213,19 @@ def test_an_older_recording_outlives_a_new_one_that_fails(tmp_path, monkeypatch)
     with McapSink(path, overwrite=True) as sink:
         sink.write(random_clip().frame(0))
     assert sorted(file.name for file in path.iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+@pytest.mark.parametrize("name", ["bag", "one.mcap"])
+def test_a_recording_without_a_frame_leaves_nothing(tmp_path, name):
+    path = tmp_path / name
+    with pytest.raises(Incomplete, match=f"no frame was recorded, and .*{name} is unchanged$"):
+        fail(McapSink(path), random_clip(), frames=0)
+    assert list(tmp_path.iterdir()) == []
+    record(path, random_clip(frames=2))
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    with pytest.raises(Incomplete, match="is unchanged$"):
+        fail(McapSink(path, overwrite=True), random_clip(), frames=0)
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
 
 def test_a_recording_is_refused_before_the_object_is_made(tmp_path, monkeypatch):
@@ -283,7 +299,7 @@ def test_full_disk_at_the_start(tmp_path, monkeypatch):
     if not Path("/dev/full").exists():
         pytest.skip("this system has no /dev/full")
     (tmp_path / "one.mcap.part").symlink_to("/dev/full")
-    with pytest.raises(Incomplete, match="0 frames are safe"):
+    with pytest.raises(Incomplete, match="no frame was recorded"):
         McapSink(tmp_path / "one.mcap", overwrite=True).__enter__()
 
 

@@ -7,6 +7,7 @@ metadata.yaml is written last.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -86,6 +87,9 @@ class McapSink:
             else bag.mcap_file(self.path)
         )
         self._older = self.file.with_name(self.file.name + OLDER)
+        self._metadata = self.path / bag.METADATA
+        self._older_metadata = self.path / (bag.METADATA + OLDER)
+        self._new_folder = False
 
     def check(self) -> None:
         """Check that the recording can be written, before its frames are computed.
@@ -112,6 +116,7 @@ class McapSink:
         """Create the file; raises InputError if it exists or cannot be created."""
         self.check()
         try:
+            self._new_folder = not self.file.parent.exists()
             self._put_aside()
             self.file.parent.mkdir(parents=True, exist_ok=True)
             self._stream: IO[bytes] = open(self.file, "wb")
@@ -171,9 +176,9 @@ class McapSink:
         sweep_parts(self.file.parent)
         if self._single:
             return  # the new file has a temporary name until it is complete
-        finished = (self.path / bag.METADATA).exists()
-        # An old metadata.yaml must not describe the new file.
-        (self.path / bag.METADATA).unlink(missing_ok=True)
+        finished = self._metadata.exists()
+        if finished:  # an old metadata.yaml must not describe the new file
+            os.replace(self._metadata, self._older_metadata)
         if self.file.exists() and (finished or not self._older.exists()):
             os.replace(self.file, self._older)
 
@@ -222,19 +227,38 @@ class McapSink:
         else:
             bag.write_metadata(self.path, self.file.name, self._counts)
             self._older.unlink(missing_ok=True)
+            self._older_metadata.unlink(missing_ok=True)
 
     def _failure(self) -> Incomplete:
-        """Close the file and keep all flushed data; return the error that should be raised."""
+        """Close the file and keep all flushed data; return the error that should be raised.
+
+        A file without a frame is removed, and the older recording gets its name back.
+        """
         try:
             self._stream.close()
         except OSError:
             # Closing flushes the data again, which fails again, but the file is closed
             # nevertheless.
             assert self._stream.closed
+        if not self.frames:
+            self._remove()
+            return Incomplete(f"no frame was recorded, and {self.path} is unchanged")
         kept = f"{self.frames} frames are safe in {self.file}"
         if not self._single and self._older.exists():
             kept += f", and the older recording in {self._older}"
         return Incomplete(f"{kept}. `{PROGRAM} recover {self.path}` turns them into a recording")
+
+    def _remove(self) -> None:
+        """Remove the new file, and give the older recording its name back."""
+        with contextlib.suppress(OSError):  # the disk may have been removed
+            self.file.unlink(missing_ok=True)
+            if self._single:
+                return
+            for older, path in ((self._older, self.file), (self._older_metadata, self._metadata)):
+                if older.exists():
+                    os.replace(older, path)
+            if self._new_folder:
+                self.path.rmdir()
 
 
 def require_mcap() -> None:
