@@ -86,7 +86,18 @@ def test_nothing_or_everything_is_refused():
         foreground(flat, "magic")
 
 
-@pytest.mark.parametrize("colour", [(255, 0, 0), (128, 128, 128), (0, 0, 255), (200, 30, 40, 0)])
+@pytest.mark.parametrize("method", ["auto", "alpha", "grabcut"])
+def test_a_transparent_picture_is_refused_as_such(method):
+    """No method and no mask could help."""
+    clear = Image.new("RGBA", (64, 64), (200, 30, 40, 0))
+    clear.putpixel((3, 3), (200, 30, 40, 255))
+    with pytest.raises(InputError, match=r"99.98% of the picture is transparent.*Save .*without"):
+        foreground(clear, method)
+    with pytest.raises(InputError, match="is transparent"):
+        foreground(clear, mask=Image.new("L", (64, 64), 255))
+
+
+@pytest.mark.parametrize("colour", [(255, 0, 0), (128, 128, 128), (0, 0, 255), (200, 30, 40, 255)])
 def test_a_picture_of_one_colour_shows_no_object(colour):
     """OpenCV's search never ends on these at this size."""
     flat = Image.new("RGBA" if len(colour) == 4 else "RGB", (300, 300), colour)

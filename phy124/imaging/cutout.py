@@ -239,14 +239,15 @@ def foreground(
         deadline: Time limit of the segmentation, and the means to cancel it.
 
     Raises:
-        InputError: If the method is unknown, takes too long, or selects nothing or nearly
-            everything; if there is no object at `pick`; if the mask has a different size; or if
+        InputError: If the image is transparent; if the method is unknown, takes too long, or
+            selects nothing or nearly everything; if there is no object at `pick`; if the mask has a different size; or if
             both a mask and a method are set.
     """
     _check_point(pick)
     frames, notes = image.info.get("frames", 1), image.info.get("notes", ())
     notes = (*notes, FAINT) if is_faint(image) else notes
     image = make_solid(image)
+    _check_visible(image)
     count = 1
     if mask is not None:
         alpha, method = _apply_mask(image, mask, method), "mask"
@@ -372,6 +373,16 @@ def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
     mask = make_solid(mask)
     painted = mask.getchannel("A") if has_alpha(mask) else mask.convert("L")
     return np.minimum(np.asarray(painted), np.asarray(image.getchannel("A")))
+
+
+def _check_visible(image: Image.Image) -> None:
+    """Check that enough of an image with alpha is opaque to contain an object."""
+    opaque = float(np.mean(np.asarray(image.getchannel("A")) > 127))
+    if opaque >= MINIMUM:
+        return
+    limit = f"{1 - opaque:.2%} of the picture is transparent, so it shows no object."
+    remedy = "Save the picture again without transparency, or use another picture."
+    raise InputError("image", "{} x {} pixels".format(*original_size(image)), limit, remedy)
 
 
 def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
