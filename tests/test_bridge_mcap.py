@@ -218,12 +218,12 @@ def test_an_older_recording_outlives_a_new_one_that_fails(tmp_path):
 @pytest.mark.parametrize("name", ["bag", "one.mcap"])
 def test_a_recording_without_a_frame_leaves_nothing(tmp_path, name):
     path = tmp_path / name
-    with pytest.raises(Incomplete, match=f"no frame was recorded, and .*{name} is unchanged$"):
+    with pytest.raises(Incomplete, match=rf"no frame was recorded, and .*{name} is unchanged$"):
         fail(McapSink(path), random_clip(), frames=0)
     assert list(tmp_path.iterdir()) == []
     record(path, random_clip(frames=2))
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
-    with pytest.raises(Incomplete, match="is unchanged$"):
+    with pytest.raises(Incomplete, match=r"is unchanged$"):
         fail(McapSink(path, overwrite=True), random_clip(), frames=0)
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
