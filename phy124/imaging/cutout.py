@@ -240,8 +240,8 @@ def foreground(
 
     Raises:
         InputError: If the image is transparent; if the method is unknown, takes too long, or
-            selects nothing or nearly everything; if there is no object at `pick`; if the mask has a different size; or if
-            both a mask and a method are set.
+            selects nothing or nearly everything; if there is no object at `pick`; if the mask has
+            a different size; or if both a mask and a method are set.
     """
     _check_point(pick)
     frames, notes = image.info.get("frames", 1), image.info.get("notes", ())
