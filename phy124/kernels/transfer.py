@@ -50,6 +50,10 @@ class Law(NamedTuple):
     """`(F, history, theta, dt) -> (F, history)`, the return mapping; None for an elastic law."""
     energy: Any = None
     """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
+    barrier: bool = False
+    """Whether the energy rises steeply as det F approaches 0, so that the pressure stays positive
+    for det F < 0. Without a barrier, the stress of an inverted element follows from its energy.
+    """
 
 
 NOWHERE = wp.constant(-1e9)

@@ -113,7 +113,8 @@ class Energies:
         solver, crew = self._solver, self._solver.crew
         worker = solver.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
-        shock = [("clear", pools[at.SHOCK].zero_), *crew.shock(worker, pools[at.SHOCK])]
+        clock = solver.clock.values
+        shock = [("clear", pools[at.SHOCK].zero_), *crew.shock(worker, clock, pools[at.SHOCK])]
         filled = in_shock_only(solver.clock, shock)
         if at.VISCOUS in pools:
             filled += [("clear", pools[at.VISCOUS].zero_)]

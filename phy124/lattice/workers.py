@@ -193,17 +193,18 @@ class Crew:
         """
         return self._stress(worker, u, [out, self._unread, self.stray])
 
-    def shock(self, worker: Worker, out: wp.array | None = None) -> list[Named]:
+    def shock(self, worker: Worker, clock: wp.array, out: wp.array | None = None) -> list[Named]:
         """Return the launch that adds the forces of the artificial viscosity to the nodes.
 
         Args:
             worker: The worker.
+            clock: Kick, drift and time of the substep [3], s.
             out: The worker's part of a pool that receives the forces after the kick; None: the
                 forces are added to the worker's forces before the kick.
         """
         nodes, span, model = self.nodes, worker.points, self._model
         outputs = [worker.forces if out is None else out]
-        motion = [nodes.u, nodes.v if out is None else nodes.before]
+        motion = [clock, nodes.u, nodes.v if out is None else nodes.before]
         if self._vectors and span.stop > span.start:
             constants = [worker.touched.start, model.dx, model.mass]
             kernel = simd.make_shock_simd()

@@ -57,6 +57,7 @@ class NeoHookean(Springy):
         modulus=elastic.neo_hookean_modulus,
         energy=elastic.neo_hookean_energy,
         width=2,
+        barrier=True,
     )
 
     def calm_strain(self, growth: float, stiffness: float) -> float:

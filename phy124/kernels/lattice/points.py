@@ -115,6 +115,12 @@ def safe_volume(J: Any):
     return wp.max(J, type(J)(1.0e-4))
 
 
+@wp.func
+def signed_volume(J: Any):
+    """Return J, or a small value of the same sign if J is nearly zero."""
+    return wp.where(J < type(J)(0.0), wp.min(J, type(J)(-1.0e-4)), safe_volume(J))
+
+
 @build_once
 def make_follow(real: Any):
     """Kernel over points: computes x, v, F and C = dF/dt F^-1 from the nodes."""

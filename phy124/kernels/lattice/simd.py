@@ -21,7 +21,7 @@ from phy124.kernels.build import build_once
 from phy124.kernels.diagnostics import ELASTIC, POWER
 from phy124.kernels.lattice.nodes import make_drift, make_kick
 from phy124.kernels.lattice.points import PER_CELL
-from phy124.kernels.lattice.stress import QUADRATIC
+from phy124.kernels.lattice.stress import QUADRATIC, STEEPEST
 from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.transfer import Law
 
@@ -128,7 +128,7 @@ def make_stress_simd(law: Law, viscous: bool):
 def make_shock_simd():
     """Kernel over blocks of sixteen cells, equivalent to `make_shock`, for float32."""
     pieces = *MOTION, "lattice:shock", "lattice:scatter"
-    body = constants("float", QUADRATIC=QUADRATIC) + code(*pieces)
+    body = constants("float", QUADRATIC=QUADRATIC, STEEPEST=STEEPEST) + code(*pieces)
 
     @native_kernel("phy124_lattice_shock_simd", body, seconds=1.0)
     def lattice_shock_simd(
@@ -139,6 +139,7 @@ def make_shock_simd():
         order: Ints,
         packed: Numbers,
         rows: Ints,
+        clock: Numbers,
         u: Vectors,
         v: Vectors,
         force_out: Vectors,

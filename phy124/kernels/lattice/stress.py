@@ -1,7 +1,9 @@
 """Forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i.
 
 P = tau F^-T is the first Piola-Kirchhoff stress, computed from the Kirchhoff stress tau of the
-constitutive law.
+constitutive law. In inverted points (det F < 0), F^-T must have the sign of det F, unless the law
+has a barrier. Otherwise these forces would not derive from the energy, and a few inverted points
+would add energy in every substep.
 """
 
 from typing import Any
@@ -14,6 +16,7 @@ from phy124.kernels.lattice.points import (
     PER_CELL,
     inverse_rows,
     safe_volume,
+    signed_volume,
     slopes_at,
     spread_slopes,
 )
@@ -28,6 +31,11 @@ point would stop the run.
 
 QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""
+STEEPEST = wp.constant(6.0)
+"""Upper bound, per cell squared, of the sum of |dw/dx|^2 / w over the nodes of a point, for w along
+one axis. It bounds how fast the viscosity stops a compression: a node has at least the sum of w m
+over its points as mass, so nothing depends on how much of a cell is filled.
+"""
 
 
 @build_once
@@ -66,11 +74,15 @@ def make_stress(law: Law, real: Any, viscous: bool):
         cell = p / wp.static(PER_CELL)
         f = offset[p]
         F = wp.identity(3, dtype=real) + slopes_at(u, rows, cell, f) / dx
-        back = inverse_rows(F) / safe_volume(wp.determinant(F))
+        J = wp.determinant(F)
+        cofactors = inverse_rows(F)
+        back = cofactors / safe_volume(J)
         C = t.mat33()
         if wp.static(viscous):
             C = (slopes_at(v, rows, cell, f) / dx) * wp.transpose(back)
         tau = stress(F, C, t.vec2(), theta[wp.min(p - first, theta.shape[0] - 1)])
+        if wp.static(not law.barrier):
+            back = cofactors / signed_volume(J)
         P = (-volume[p] / dx) * (tau * back)
         spread_slopes(force_out, low, rows, cell, f, P)
 
@@ -85,6 +97,8 @@ def make_shock(real: Any):
     Richtmyer 1950). This spreads a shock over a few cells. The length l is the size of a cell times
     the smallest stretch of the squeezed material, so that the longest stable substep depends only
     on d.
+
+    The pressure is limited so that even a long kick only takes energy.
     """
     t = types(real)
 
@@ -96,6 +110,7 @@ def make_shock(real: Any):
         dx,
         rows: Ints,
         offset: t.vec3s,
+        clock,
         u: t.vec3s,
         v: t.vec3s,
         force_out: t.vec3s,
@@ -107,8 +122,11 @@ def make_shock(real: Any):
         back = inverse_rows(F) / safe_volume(wp.determinant(F))
         rate = wp.ddot(slopes_at(v, rows, cell, f), back)
         if rate < real(0.0):
-            shorter = wp.max(wp.ddot(back, back) - real(2.0), real(1.0))
-            energy = real(QUADRATIC) * mass[p] * rate * rate / shorter
+            square = wp.ddot(back, back)
+            shorter = wp.max(square - real(2.0), real(1.0))
+            stopping = dx / (real(STEEPEST) * square * clock[0])
+            strength = wp.min(-real(QUADRATIC) * rate / shorter, stopping)
+            energy = -strength * mass[p] * rate
             spread_slopes(force_out, low, rows, cell, f, (energy / dx) * back)
 
     return lattice_shock

@@ -317,6 +317,8 @@ REPORT
 
 //: shock
 // Python version: `lattice_shock` of lattice/stress.py. Test: test_simd_and_plain_shock_agree.
+const float stopping = dx / (STEEPEST * ((const float*)clock.data)[0]);
+const auto smaller = [](Lanes a, Lanes b) { return a < b ? a : b; };
 for (int point = 0; point < 8; ++point) {
     Lanes c[9], m;
     const Lanes J = cofactors(F_all[point], c), per_J = 1.0f / larger(J, Lanes{} + FLOOR);
@@ -326,8 +328,10 @@ for (int point = 0; point < 8; ++point) {
     Lanes rate = {}, square = {};
     for (int k = 0; k < 9; ++k) rate += rates[point][k] * c[k], square += c[k] * c[k];
     rate *= dx * SLOPE * per_J;
-    const Lanes shorter = larger(square * per_J * per_J - 2.0f, Lanes{} + 1.0f);
-    const Lanes energy = rate < 0.0f ? QUADRATIC * m * rate * rate / shorter : Lanes{};
+    square *= per_J * per_J;
+    const Lanes shorter = larger(square - 2.0f, Lanes{} + 1.0f);
+    const Lanes strength = smaller(-QUADRATIC * rate / shorter, stopping / square);
+    const Lanes energy = rate < 0.0f ? -strength * m * rate : Lanes{};
     for (int k = 0; k < 9; ++k) F_all[point][k] = energy * SLOPE * per_J * c[k];
 }
 
