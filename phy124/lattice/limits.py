@@ -125,7 +125,7 @@ class Limits:
         current short substeps would never end.
         """
         solver, clock = self._solver, self._solver.clock
-        lost = int(solver.crew.stray.numpy()[0])
+        lost = solver.crew.lost()
         usual = min(solver.substep_at_rest, clock.ceiling)
         inverted = lost or clock.stable().dt < COLLAPSED * usual
         if not inverted and not clock.stalls(usual):

@@ -16,6 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.lattice.nodes import RECENT
+from phy124.kernels.launches import reader
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.trials import ACCELERATE, COMPARE, TRIAL, TRY, Trials
 from phy124.lattice.walls import Nodes
@@ -70,6 +71,8 @@ class Spectrum:
         start = np.random.default_rng(0).normal(size=(len(lattice), 3))
         start[lattice.tied] = 0
         self._trials = trials = Trials(model, crew, start)
+        arrays = trials.a, trials.shape, trials.mixed
+        self._read_a, self._read_shape, self._read_mixed = map(reader, arrays)
         v = nodes.lagging.numpy().copy()
         nodes.lagging.zero_()  # Viscous forces must not contribute.
         trials.u.assign(nodes.u)
@@ -136,7 +139,7 @@ class Spectrum:
         summed.
         """
         self._complete(ACCELERATE)
-        largest = float(np.abs(self._trials.a.numpy()).max())
+        largest = float(np.abs(self._read_a()).max())
         share = MIXED / largest if largest > 0 else 0.0
         damped, before = self._damping_ratio >= UNDAMPED, self.square
         hard = before > SQUEEZED * self._least and not damped
@@ -170,13 +173,13 @@ class Spectrum:
             self._complete(COMPARE)
             peak = self._peak()
             if peak > 0:
-                longer = peak * _norm(trials.shape.numpy() * (1 / peak))
-                square = longer / _norm(trials.mixed.numpy()) / self._size
+                longer = peak * _norm(self._read_shape() * (1 / peak))
+                square = longer / _norm(self._read_mixed()) / self._size
         return square
 
     def _peak(self) -> float:
         """Return the largest component of the shape."""
-        return float(np.abs(self._trials.shape.numpy()).max())
+        return float(np.abs(self._read_shape()).max())
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot: the last shape, its frequency, and whether the frequency is steady."""

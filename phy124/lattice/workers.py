@@ -21,6 +21,7 @@ from phy124.kernels.lattice import points as point_kernels
 from phy124.kernels.lattice import simd
 from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_shock, make_stress
 from phy124.kernels.lattice.work import PUSHED, STRESS, make_node_work, make_push_work
+from phy124.kernels.launches import reader
 from phy124.kernels.reduction import shared_out
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.walls import Nodes
@@ -116,6 +117,8 @@ class Crew:
         self._spans = [
             wp.array(np.array(a, np.int32), device=device) for a in (low, high, begin[:-1])
         ]
+        self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
+        self._read_maxima = reader(self._maxima)
         self.workers = [
             Worker(
                 slice(PER_CELL * int(cells[w]), PER_CELL * int(cells[w + 1])),
@@ -123,7 +126,7 @@ class Crew:
                 spans[w],
                 self.part_of(self._pool, w),
                 self.part_of(self._pushes, w),
-                wp.zeros(MAXIMA, dtype=model.real, device=device),
+                cast("wp.array", self._maxima[w]),
             )
             for w in range(count)
         ]
@@ -132,6 +135,7 @@ class Crew:
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self._push_donors = self._sparse(lattice, lattice.pushes)
         self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
+        self._read_stray = reader(self.stray)
         self._still = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero."""
         self._middle = wp.zeros_like(nodes.u)
@@ -405,16 +409,19 @@ class Crew:
         kernel = point_kernels.make_follow(model.real)
         return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
+    def lost(self) -> int:
+        """Return the number of points that were not finite."""
+        return int(self._read_stray()[0])
+
     def maxima(self) -> list[float]:
         """Return the largest speed, strain rate and closing rate since these maxima were reset."""
-        rows = [worker.maxima.numpy() for worker in self.workers]
-        return [float(value) for value in map(max, *rows, rows[0])]
+        largest: list[float] = self._read_maxima().max(axis=0)[:MAXIMA].tolist()
+        return largest
 
     def take_maxima(self) -> list[float]:
         """Return the maxima and reset them."""
         largest = self.maxima()
-        for worker in self.workers:
-            worker.maxima.zero_()
+        self._maxima.zero_()
         return largest
 
     def accelerate(self, worker: Worker, pool: wp.array | None, out: wp.array) -> list[Named]:
