@@ -27,7 +27,7 @@ from phy124.io.video import write_mp4
 from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 from phy124.studies.fit import Fit
-from phy124.studies.fit.interval import Blind
+from phy124.studies.fit.interval import Undecided
 from support.clips import FIT, falling
 from support.waiting import until
 
@@ -277,7 +277,7 @@ def test_undetermined_value_is_reported_with_a_remedy(studio, handlers):
     import gradio as gr
 
     why = "nothing that was measured depends on it."
-    done, video = prepared(studio, Search(in_words(Blind(("material.E",), why).refusal())))
+    done, video = prepared(studio, Search(in_words(Undecided(("material.E",), why))))
     event = gr.EventData(None, {"upload": video})
     job = handlers.on_fit_begin(studio)(done, {}, event, None)["job"]
     assert studio.visitors.get("a").jobs[job].wait(60)

@@ -132,7 +132,7 @@ def test_a_vague_value_is_refused():
     assert find_undetermined(("a", "b"), np.array([0.1, 0.2]), np.zeros(2), np.eye(2)) is None
     blind = find_undetermined(("a", "b"), np.array([0.1, 0.7]), np.zeros(2), np.diag([0.01, 0.1]))
     assert blind.names == ("b",)
-    assert "1.4 times the range" in str(blind.refusal())
+    assert "1.4 times the range" in str(blind)
 
 
 def test_misfits_on_two_grids_tell_the_error_of_the_finer_one():

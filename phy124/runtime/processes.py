@@ -20,11 +20,15 @@ Result = TypeVar("Result")
 
 
 @contextmanager
-def processes(count: int) -> Iterator[ProcessPoolExecutor]:
+def processes(count: int) -> Iterator[ProcessPoolExecutor | None]:
     """Provide a pool of `count` processes, which are terminated at the end of the context.
 
-    The processes are spawned, because a forked process would contain the threads of Warp.
+    The processes are spawned, because a forked process would contain the threads of Warp. If
+    `count` is 0 or 1, there is no pool, and `as_done` runs the tasks in this process.
     """
+    if count < 2:
+        yield None
+        return
     before = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin)
     try:
@@ -36,7 +40,7 @@ def processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def as_done(
-    pool: ProcessPoolExecutor,
+    pool: ProcessPoolExecutor | None,
     work: Callable[[Task], Result],
     tasks: Iterable[Task],
     beat: Callable[[], object],
@@ -44,14 +48,20 @@ def as_done(
     """Yield each task with its result as soon as the task is finished.
 
     Args:
-        pool: The processes.
-        work: The function to run; it must be picklable.
+        pool: The processes; if None, the tasks run one after another in this process.
+        work: The function to run; it must be picklable if there is a pool.
         tasks: The arguments of the calls, in order.
-        beat: Function that is called at least every `BEAT` seconds; it may raise Cancelled.
+        beat: Function that is called at least every `BEAT` seconds, or before each task if there is
+            no pool; it may raise Cancelled.
 
     Raises:
         OSError: A worker process was killed, most likely because of a lack of memory.
     """
+    if pool is None:
+        for task in tasks:
+            beat()
+            yield task, work(task)
+        return
     waiting = {pool.submit(work, task): task for task in tasks}
     while waiting:
         done, _ = wait(waiting, BEAT, FIRST_COMPLETED)

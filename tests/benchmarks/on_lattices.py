@@ -23,8 +23,13 @@ from phy124.materials import Material, NeoHookean, Rigid
 from phy124.mpm import Model, State
 from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
-from phy124.studies.validation.accuracy.problems import GRAVITY, angular_momentum
-from phy124.studies.validation.bodies import fill_solid, make_lattice_solver, mean_along, mirrors
+from phy124.studies.validation.accuracy.problems import GRAVITY
+from phy124.studies.validation.bodies import (
+    fill_solid,
+    make_lattice_solver,
+    mean_acceleration,
+    mirrors,
+)
 from phy124.studies.validation.experiments import (
     find_experiment,
     hertz,
@@ -85,12 +90,7 @@ def bounce(cells: int, loss: float, depth: float) -> restitution.Bounce:
     floor = HalfSpace(point=(0, 0, -restitution.RADIUS - 0.5 * dx), normal=(0, 0, 1.0), friction=0)
     quarter, walls = ball(restitution.RADIUS, dx, 2), [floor, *mirrors(0, 1)]
     solver = make_lattice_solver(quarter, dx, rubber, v=(0, 0, -v), boundaries=walls, threads=1)
-    flight = restitution.FLIGHT * restitution.duration(depth)
-    times, speeds = np.linspace(0, flight, restitution.SAMPLES + 1)[1:], []
-    for now in times:
-        solver.advance(float(now))
-        speeds.append(mean_along(solver, "v", (0, 0, 1)) / v)
-    return restitution.Bounce(times, np.array(speeds))
+    return restitution.observe(solver, depth)
 
 
 def rebound(cells: int) -> Values:
@@ -108,14 +108,7 @@ def tumble(cells: int) -> Values:
     model = Model.of(x, points.volume, [body], dx=dx)
     state = State.of(model, x @ C.T, np.broadcast_to(C, (len(x), 3, 3)))
     solver = LatticeSolver(model, points.surface, state, threads=1)
-    first, samples = angular_momentum(solver), []
-    times = np.linspace(0, middle_axis.DURATION, middle_axis.SAMPLES + 1)[1:]
-    for now in times:
-        solver.advance(float(now))
-        samples.append(middle_axis._spin(solver))
-    spins, energies = np.array([spin[1] for spin, _ in samples]), [each for _, each in samples]
-    kept = np.linalg.norm(angular_momentum(solver)) / np.linalg.norm(first)
-    return (*middle_axis.find_turns(times, spins), energies[-1] / energies[0], float(kept))
+    return middle_axis.observe(solver)
 
 
 def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
@@ -138,11 +131,8 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
     solver = make_lattice_solver(
         block, dx, rubber, forces=[Gravity(g=g)], boundaries=[plane], threads=1
     )
-    times, places = np.linspace(0, incline.SLIDING, incline.SAMPLES), []
-    for now in times:
-        solver.advance(incline.SETTLING + float(now))
-        places.append(mean_along(solver, "x", way))
-    return float(2 * np.polyfit(times, places, 2)[0] / GRAVITY)
+    times = np.linspace(0, incline.SLIDING, incline.SAMPLES)
+    return mean_acceleration(solver, way, incline.SETTLING, times) / GRAVITY
 
 
 def slides(cells: int) -> Values:

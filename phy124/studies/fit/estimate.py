@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phy124.errors import InputError
 from phy124.studies.fit.interval import (
     bootstrap,
     extrapolate,
@@ -86,24 +85,24 @@ def estimate(
     """
     distance = Distance(problem)
     start = screen(problem, distance, seed)
-    _refuse_unseen(problem, distance, _slopes(problem, start, 0))
+    _refuse_unseen(problem, distance, differentiate(problem, start, 0, STEP))
     best = search(problem, distance, start, seed, on_generation)
-    slopes = _slopes(problem, best, 0)
+    slopes = differentiate(problem, best, 0, STEP)
     _refuse_unseen(problem, distance, slopes)
-    fit = _refine(problem, distance, best, slopes, 0)
+    fit = refine(problem, distance, best, slopes, 0)
     distance = _rescale(problem, distance, fit)
-    levels = [_refine(problem, distance, fit.place, fit.jacobian, 0)]
+    levels = [refine(problem, distance, fit.place, fit.jacobian, 0)]
     for level in range(1, len(problem.grids)):
         if problem.late(1.0):
             break
         fit = levels[-1]
-        levels.append(_refine(problem, distance, fit.place, fit.jacobian, level))
+        levels.append(refine(problem, distance, fit.place, fit.jacobian, level))
     if not problem.late(1.0):
         # Broyden's updates are accurate only along the steps, so the derivatives are computed
         # again.
         level, fit = len(levels) - 1, levels[-1]
-        slopes = _slopes(problem, fit.place, level)
-        fit = _refine(problem, distance, fit.place, slopes, level)
+        slopes = differentiate(problem, fit.place, level, STEP)
+        fit = refine(problem, distance, fit.place, slopes, level)
         levels[-1] = fit._replace(jacobian=slopes)
     return _conclude(problem, distance, levels, seed)
 
@@ -121,7 +120,7 @@ def _conclude(problem: Problem, distance: Distance, levels: list[Refined], seed:
         model = shift_values(slopes, parts, problem.groups, problem.kinds)
     blind = find_undetermined(problem.names, spread.errors, model, spread.covariance)
     if blind is not None:
-        raise blind.refusal()
+        raise blind
     places = tuple(level.place for level in levels)
     scale = np.sqrt(np.diag(spread.covariance))
     correlation, notes = spread.covariance / np.outer(scale, scale), tuple(_notes(problem, places))
@@ -154,30 +153,7 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
     spread = distance.residual(np.zeros_like(problem.measured))
     blind = find_unseen(problem.names, distance.weigh(slopes), float(np.linalg.norm(spread)))
     if blind is not None:
-        raise blind.refusal()
-
-
-def _slopes(problem: Problem, place: Values, level: int) -> Values:
-    slopes = differentiate(problem, place, level, STEP)
-    if slopes is None:
-        raise _failure(problem)
-    return slopes
-
-
-def _refine(
-    problem: Problem, distance: Distance, place: Values, slopes: Values, level: int
-) -> Refined:
-    refined = refine(problem, distance, place, slopes, level)
-    if refined is None:
-        raise _failure(problem)
-    return refined
-
-
-def _failure(problem: Problem) -> InputError:
-    limit = "the run stops early near the best values."
-    return InputError(
-        "find", ", ".join(problem.names), limit, "Choose narrower ranges for the values."
-    )
+        raise blind
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:

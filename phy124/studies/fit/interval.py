@@ -194,29 +194,23 @@ EXPERIMENTS = {
 class Undecided(InputError):
     """An error: the measurements do not determine some values; `limit` states the reason."""
 
-    def __init__(self, field: str, value: object, limit: str, remedy: str, tell: str) -> None:
-        self.tell = tell
-        """Description of an experiment that would determine the values."""
-        super().__init__(field, value, limit, remedy)
+    def __init__(self, names: Sequence[str], why: str) -> None:
+        """Suggest an experiment that determines the values.
+
+        Args:
+            names: Names of the values.
+            why: The reason why they are undetermined.
+        """
+        self.names, self.tell = tuple(names), suggest_experiment(names)
+        """Names of the values, and description of an experiment that would determine them."""
+        how = HOW if FORCE in self.tell else ""
+        other = f"or fix {names[-1]} by --set and fit the others."
+        remedy = f"To determine them: {self.tell}{how}; {other}"
+        super().__init__("find", ", ".join(names), why, remedy)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
         """Return the class and its arguments, from which pickle can restore the error."""
-        return type(self), (self.field, self.value, self.limit, self.remedy, self.tell)
-
-
-class Blind(NamedTuple):
-    """Values that the measurements do not determine, and the reason why."""
-
-    names: tuple[str, ...]
-    why: str
-
-    def refusal(self) -> Undecided:
-        """Return the error for these values, which suggests an experiment to determine them."""
-        fixed = self.names[-1]
-        tell = suggest_experiment(self.names)
-        how = HOW if FORCE in tell else ""
-        remedy = f"To determine them: {tell}{how}; or fix {fixed} by --set and fit the others."
-        return Undecided("find", ", ".join(self.names), self.why, remedy, tell)
+        return type(self), (self.names, self.limit)
 
 
 def suggest_experiment(names: Sequence[str]) -> str:
@@ -230,10 +224,8 @@ def suggest_experiment(names: Sequence[str]) -> str:
     return "measure for a longer time, from another side, or under another load"
 
 
-def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind | None:
-    """Return the values that cannot be determined even from exact measurements.
-
-    The result is None if exact measurements determine all values.
+def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Undecided | None:
+    """Return an error if exact measurements cannot determine all values, otherwise None.
 
     Args:
         names: Names of the values [P].
@@ -244,19 +236,19 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Blind 
     effects = np.linalg.norm(jacobian, axis=0)
     for name, effect in zip(names, effects, strict=True):
         if effect < DEAD * spread:
-            return Blind((name,), "no measurement depends on this value.")
+            return Undecided((name,), "no measurement depends on this value.")
     _, strengths, directions = np.linalg.svd(jacobian / effects, full_matrices=False)
     if strengths[-1] > ALIKE:
         return None
     weak = directions[-1]
     alike = tuple(name for name, part in zip(names, weak, strict=True) if abs(part) > SHARE)
-    return Blind(alike, "the measurements depend on the named values in the same way.")
+    return Undecided(alike, "the measurements depend on the named values in the same way.")
 
 
 def find_undetermined(
     names: Sequence[str], errors: Values, model: Values, directions: Values
-) -> Blind | None:
-    """Return the values whose intervals are too wide, or None.
+) -> Undecided | None:
+    """Return an error if the interval of a value is too wide, otherwise None.
 
     Args:
         names: Names of the values [P].
@@ -272,9 +264,9 @@ def find_undetermined(
         return None
     if model[worst] > errors[worst]:
         why = "the grid's error changes the measurements as much as this value does: "
-        return Blind((names[worst],), f"{why}the interval would be {wide:.1f} times the range.")
+        return Undecided((names[worst],), f"{why}the interval would be {wide:.1f} times the range.")
     scale = np.sqrt(np.diag(directions))
     alike = np.abs(directions[worst] / (scale * scale[worst])) > 1 - SHARE
     linked = tuple(name for name, part in zip(names, alike, strict=True) if part)
     together = "only a combination of these values can be determined: " if len(linked) > 1 else ""
-    return Blind(linked, f"{together}the interval would be {wide:.1f} times the range.")
+    return Undecided(linked, f"{together}the interval would be {wide:.1f} times the range.")

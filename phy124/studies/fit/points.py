@@ -94,27 +94,16 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
 
 def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
     """Return the Gaussians nearest to each point in space, and the weights [K,NEIGHBOURS]."""
-    from scipy.spatial import KDTree
-
-    count = min(NEIGHBOURS, len(rest))
-    distance, chosen = KDTree(rest).query(first, k=count)
-    distance, chosen = distance.reshape(-1, count), chosen.reshape(-1, count)
-    size = float(np.ptp(rest, axis=0).max())
-    _refuse_far(distance[:, 0] / size, "of the object's size")
+    distance, chosen, size = _query(rest, first, NEIGHBOURS, "of the object's size")
     weights = 1 / (distance + 1e-6 * size)
     return chosen, weights / weights.sum(1, keepdims=True)
 
 
 def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64], Values]:
     """Return the visible Gaussians nearest to each point's pixel, and weights [K,NEIGHBOURS]."""
-    from scipy.spatial import KDTree
-
     pixels, depth = camera.project(rest)
-    around = min(8 * NEIGHBOURS, len(rest))
-    distance, near = KDTree(pixels).query(first, k=around)
-    distance, near = distance.reshape(-1, around), near.reshape(-1, around)
-    across = float(np.ptp(pixels, axis=0).max())
-    _refuse_far(distance[:, 0] / across, "of the object's size in the picture")
+    of_what = "of the object's size in the picture"
+    distance, near, _ = _query(pixels, first, 8 * NEIGHBOURS, of_what)
     deep = depth[near]
     front = deep <= deep.min(1, keepdims=True) + np.median(np.ptp(deep, axis=1)) / 4
     order = np.argsort(np.where(front, distance, np.inf), axis=1)[:, :NEIGHBOURS]
@@ -123,12 +112,26 @@ def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64
     return chosen, weights / weights.sum(1, keepdims=True)
 
 
-def _refuse_far(distance: Values, of_what: str) -> None:
-    worst = int(distance.argmax())
-    if distance[worst] > FAR:
-        limit = (
-            f"a point is {distance[worst]:.2g} {of_what} away from the object at the first time."
+def _query(
+    rest: Values, first: Values, count: int, of_what: str
+) -> tuple[Values, NDArray[np.int64], float]:
+    """Return distances and indices of the nearest centres [K,count], and the object's size.
+
+    Raises:
+        InputError: A point is farther from the object than the fraction `FAR` of its size.
+    """
+    from scipy.spatial import KDTree
+
+    count = min(count, len(rest))
+    distance, near = KDTree(rest).query(first, k=count)
+    distance, near = distance.reshape(-1, count), near.reshape(-1, count)
+    size = float(np.ptp(rest, axis=0).max())
+    worst = float(distance[:, 0].max() / size)
+    if worst > FAR:
+        limit = f"a point is {worst:.2g} {of_what} away from the object at the first time."
+        remedy = (
+            "Give positions in the scene (metres, z up, the object over the origin), or in the "
+            "pictures of --side (pixels)."
         )
-        remedy = "Give positions in the scene (metres, z up, the object over the origin), or in "
-        "the pictures of --side (pixels)."
         raise InputError("target", f"{len(distance)} points", limit, remedy)
+    return distance, near, size

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.errors import InputError
 from phy124.studies.fit.observation import Groups, Kind, Values
 
 Places = Sequence[Values]
@@ -99,7 +100,20 @@ class Distance:
         return [float(np.sqrt(np.mean(apart[kind.place] ** 2))) for kind in self.kinds]
 
 
-def differentiate(problem: Problem, place: Values, level: int, step: float) -> NDArray | None:
+def predict_near(problem: Problem, places: Places, level: int) -> list[Values]:
+    """Predict the measurements [M] for points near the best point.
+
+    Raises:
+        InputError: A run stopped early.
+    """
+    seen = [values for values in problem.predict(places, level) if values is not None]
+    if len(seen) < len(places):
+        limit, names = "the run stops early near the best values.", ", ".join(problem.names)
+        raise InputError("find", names, limit, "Choose narrower ranges for the values.")
+    return seen
+
+
+def differentiate(problem: Problem, place: Values, level: int, step: float) -> NDArray:
     """Return the Jacobian of the prediction [M,P], computed by central differences.
 
     Args:
@@ -108,13 +122,10 @@ def differentiate(problem: Problem, place: Values, level: int, step: float) -> N
         level: Index of the grid on which to simulate.
         step: Step of the central differences, as a fraction of each value's range.
 
-    Returns:
-        The Jacobian; None if a run of the simulation failed.
+    Raises:
+        InputError: A run of the simulation stopped early.
     """
     centre = np.clip(place, step, 1 - step)
     sides = [centre + sign * step * axis for axis in np.eye(len(place)) for sign in (1, -1)]
-    seen = problem.predict(sides, level)
-    good = [prediction for prediction in seen if prediction is not None]
-    if len(good) < len(seen):
-        return None
-    return np.stack([(a - b) / (2 * step) for a, b in zip(good[::2], good[1::2], strict=True)], 1)
+    seen = predict_near(problem, sides, level)
+    return np.stack([(a - b) / (2 * step) for a, b in zip(seen[::2], seen[1::2], strict=True)], 1)

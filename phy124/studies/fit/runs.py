@@ -6,7 +6,6 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -106,7 +105,7 @@ class Runs:
         time [s]."""
         self.tried: list[Tried] = []
         """All trial runs in the order in which they were made."""
-        self._folder, self._play = folder / FOLDER, self._alone
+        self._folder, self._pool = folder / FOLDER, None
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
         self._known = _digest(self.player, target.declared)
@@ -131,7 +130,10 @@ class Runs:
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
         missing = {f: s for f, s in zip(files, scenes, strict=True) if not f.is_file()}
         self.kept += len(files) - len(missing)
-        for file, (predicted, seconds) in self._play(missing):
+        work = partial(_play, self.player)
+        for (file, _), (predicted, seconds) in as_done(
+            self._pool, work, missing.items(), self._beat
+        ):
             self.made[level] += 1
             self.seconds += seconds
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -151,27 +153,11 @@ class Runs:
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
         """Within this context, simulate in `count` worker processes; if 0 or 1, in this process."""
-        if count < 2:
-            yield
-            return
-        with processes(count) as pool:
-            self._play = partial(self._together, pool)
-            try:
+        try:
+            with processes(count) as self._pool:
                 yield
-            finally:
-                self._play = self._alone
-
-    def _alone(self, missing: dict[Path, dict[str, Any]]) -> Iterator[tuple[Path, Played]]:
-        for file, scene in missing.items():
-            self._beat()
-            yield file, self.player(scene)
-
-    def _together(
-        self, pool: ProcessPoolExecutor, missing: dict[Path, dict[str, Any]]
-    ) -> Iterator[tuple[Path, Played]]:
-        work = partial(_play, self.player)
-        for (file, _), played in as_done(pool, work, missing.items(), self._beat):
-            yield file, played
+        finally:
+            self._pool = None
 
     def _beat(self) -> None:
         made = sum(self.made)
@@ -194,5 +180,5 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """Predict the measurements for a scene in a worker process; `kept` is a pair (file, scene)."""
+    """Predict the measurements for a scene; `kept` is a pair (file, scene)."""
     return player(kept[1])

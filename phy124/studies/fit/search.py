@@ -15,7 +15,7 @@ import numpy as np
 from phy124.errors import InputError
 from phy124.runtime.installation import install_command
 from phy124.studies.fit.observation import Values
-from phy124.studies.fit.problem import Distance, Problem
+from phy124.studies.fit.problem import Distance, Problem, predict_near
 
 PART = 0.6
 """Maximum fraction of the time budget that the search may use."""
@@ -136,7 +136,7 @@ class Refined(NamedTuple):
 
 def refine(
     problem: Problem, distance: Distance, place: Values, jacobian: Values, level: int
-) -> Refined | None:
+) -> Refined:
     """Improve a point by Gauss-Newton steps.
 
     Args:
@@ -146,12 +146,10 @@ def refine(
         jacobian: Derivatives of the prediction, on this or a coarser grid [M,P].
         level: Index of the grid on which to simulate.
 
-    Returns:
-        The refined point; None if the run at the initial point fails.
+    Raises:
+        InputError: The run at the initial point stops early.
     """
-    predicted = problem.predict([place], level)[0]
-    if predicted is None:
-        return None
+    (predicted,) = predict_near(problem, [place], level)
     for count in range(ROUNDS):
         if count and problem.late(1.0):
             break

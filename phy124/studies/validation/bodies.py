@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from inspect import signature
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,11 @@ from phy124.materials import Material
 from phy124.mpm import Model, Solver, State
 from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from phy124.liquid.solver import LiquidSolver
 
 Array = NDArray[np.float64]
 MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
@@ -65,6 +70,24 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
         shell = 4 / 3 * np.pi * ((k + 1) ** 3 - k**3) * step**3
         volume.append(np.full(many, shell / many))
     return np.concatenate(x), np.concatenate(volume)
+
+
+def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array]:
+    """Return the particles of `ball_of_shells` with positive coordinates on the first axes.
+
+    The particles are sorted by x. Their volumes add up to the volume of this part of the ball.
+
+    Args:
+        radius: Radius of the ball [m].
+        spacing: Approximate distance between neighbouring particles [m].
+        cuts: Number of axes.
+    """
+    x, volume = ball_of_shells(radius, spacing)
+    part = (x[:, :cuts] > 0).all(axis=1)
+    x, volume = x[part], volume[part]
+    order = np.argsort(x[:, 0])
+    whole = math.pi / 6 * radius**3 * 2 ** (3 - cuts)
+    return x[order], volume[order] * (whole / volume.sum())
 
 
 def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
@@ -163,6 +186,8 @@ def make_lattice_solver(
     return LatticeSolver(model, points.surface, State.of(model, motion), **options)
 
 
+UP = (0.0, 0.0, 1.0)
+"""Unit vector along z."""
 FAR = 1e3
 """Position of a distant plane [m]; all grid nodes are inside the wall that the plane bounds."""
 
@@ -207,6 +232,24 @@ def connected_end(x: NDArray[Any], gap: float) -> float:
     return float(x[gaps[0]] if len(gaps) else x[-1])
 
 
+def host(array: wp.array) -> Array:
+    """Copy an array to the host as float64."""
+    return array.numpy().astype(np.float64)
+
+
+def record(
+    solver: Solver | LatticeSolver | LiquidSolver,
+    times: Sequence[float] | Array,
+    measure: Callable[[], Any],
+) -> Array:
+    """Advance to each time [s], and return the values that `measure` returns there [T,...]."""
+    values = []
+    for time in times:
+        solver.advance(float(time))
+        values.append(measure())
+    return np.array(values)
+
+
 def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -> float:
     """Return the mass-weighted mean of a component of `x` or `v` over all particles.
 
@@ -215,6 +258,26 @@ def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -
         of: Name of the vector in the solver's state, "x" or "v".
         axis: Unit vector in the direction of the component [3].
     """
-    mass = solver.model.mass.numpy().astype(float)
-    values = getattr(solver.state, of).numpy().astype(float) @ np.array(axis, float)
-    return float(mass @ values / mass.sum())
+    mass = host(solver.model.mass)
+    return float(mass @ (host(getattr(solver.state, of)) @ np.array(axis, float)) / mass.sum())
+
+
+def mean_acceleration(
+    solver: Solver | LatticeSolver, axis: Sequence[float], start: float, times: Array
+) -> float:
+    """Return the acceleration of the centre of mass along an axis, from a parabola [m/s^2].
+
+    Args:
+        solver: The solver, which is advanced to the last time.
+        axis: Unit vector in the direction of the acceleration [3].
+        start: Time at which the measurement begins [s].
+        times: Times of the samples after the start [T], s.
+    """
+    places = record(solver, start + times, lambda: mean_along(solver, "x", axis))
+    return float(2 * np.polyfit(times, places, 2)[0])
+
+
+def find_zeros(times: Array, values: Array) -> Array:
+    """Return the times [Z] at which a signal [T] changes its sign, by linear interpolation."""
+    after = np.flatnonzero(np.diff(np.sign(values)) != 0)
+    return times[after] - values[after] * np.diff(times)[after] / np.diff(values)[after]

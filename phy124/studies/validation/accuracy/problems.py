@@ -19,15 +19,15 @@ from phy124.boundaries import Ground, HalfSpace
 from phy124.forces import Gravity
 from phy124.kernels.arguments import types
 from phy124.kernels.forces import make_vortex
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Grid, Model, Solver, Stage, State
 from phy124.mpm.tracks import Tracks
-from phy124.studies.validation.bodies import block
+from phy124.studies.validation.bodies import block, host, lattice, make_solver, plane, record
 
 if TYPE_CHECKING:
     import warp as wp
 
-    from phy124.mpm import Stage
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
@@ -35,13 +35,13 @@ FLOOR_NODE = 0.75
 """Depth of the lowest nodes below the floor [cells], as in all simulations."""
 
 
-def angular_momentum(solver: Solver) -> Array:
+def angular_momentum(solver: Solver | LatticeSolver) -> Array:
     """Return the angular momentum [3], kg m^2/s, that APIC conserves exactly.
 
     The angular momentum is the sum of m (x cross v + dx^2/4 axial(C)) over all particles.
     """
-    m, x = solver.model.mass.numpy().astype(float)[:, None], solver.state.x.numpy().astype(float)
-    v, C = solver.state.v.numpy().astype(float), solver.state.C.numpy().astype(float)
+    m, x = host(solver.model.mass)[:, None], host(solver.state.x)
+    v, C = host(solver.state.v), host(solver.state.C)
     axial = np.stack(
         [C[:, 2, 1] - C[:, 1, 2], C[:, 0, 2] - C[:, 2, 0], C[:, 1, 0] - C[:, 0, 1]], axis=1
     )
@@ -63,9 +63,9 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
         The largest position error of any particle, divided by the largest displacement.
     """
     x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
-    volume = np.full(len(x), (0.1 / 2) ** 3)
-    model = Model.of(x, volume, [NeoHookean(E=1e4)], dx=0.1, precision=precision)
-    solver = Solver(model, State.of(model, np.tile(v, (len(x), 1))), forces=[Gravity()])
+    volume, options = np.full(len(x), (0.1 / 2) ** 3), {"dx": 0.1, "precision": precision}
+    motion, jelly = np.tile(v, (len(x), 1)), NeoHookean(E=1e4)
+    solver = make_solver(x, volume, [jelly], v=motion, forces=[Gravity()], **options)
     solver.advance(time)
     error = solver.state.x.numpy() - fall(x, v, time)
     return float(np.abs(error).max() / np.linalg.norm(fall(x, v, time) - x, axis=1).max())
@@ -95,9 +95,8 @@ def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spi
     gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
     C = np.broadcast_to(gradient, (len(x), 3, 3))
     material = NeoHookean(E=2e5, nu=0.3)
-    volume = np.full(len(x), (dx / 2) ** 3)
-    model = Model.of(x, volume, [material], dx=dx, precision=precision)
-    solver = Solver(model, State.of(model, x @ gradient.T, C))
+    volume, motion = np.full(len(x), (dx / 2) ** 3), {"v": x @ gradient.T, "C": C}
+    solver = make_solver(x, volume, [material], dx=dx, precision=precision, **motion)
     momentum, energy = angular_momentum(solver), _kinetic(solver)
     solver.advance(turns * 2 * math.pi / omega)
     change = np.linalg.norm(angular_momentum(solver) - momentum) / np.linalg.norm(momentum)
@@ -106,8 +105,7 @@ def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spi
 
 def _kinetic(solver: Solver) -> float:
     """Return the kinetic energy [J], including the part that APIC stores in C."""
-    m, v = solver.model.mass.numpy().astype(float), solver.state.v.numpy().astype(float)
-    C = solver.state.C.numpy().astype(float)
+    m, v, C = host(solver.model.mass), host(solver.state.v), host(solver.state.C)
     return float((m * ((v**2).sum(1) + solver.model.dx**2 / 4 * (C**2).sum((1, 2)))).sum() / 2)
 
 
@@ -132,17 +130,15 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> flo
     """
     E, density, length = 1e4, 1000.0, 1.0
     dx = length / cells
-    z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
-    x = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1)
+    x, volume = _column(cells, dx, per_axis)
+    z = x[:, 2]
     wave = math.pi / length
     exact, speed = bar_frequency(E, density, length), math.sqrt(E / density)
     v, C = np.zeros_like(x), np.zeros((len(x), 3, 3))
     v[:, 2] = strain * speed * np.cos(wave * z)
     C[:, 2, 2] = -strain * speed * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density)
-    volume = np.full(len(x), dx**3 / per_axis)
-    model = Model.of(x, volume, [material], dx=dx, precision="float64")
-    solver = Solver(model, State.of(model, v, C))
+    solver = make_solver(x, volume, [material], v=v, C=C, dx=dx, precision="float64")
     period, times, modes = 2 * math.pi / exact, [0.0], [0.0]
 
     def record() -> None:
@@ -151,6 +147,12 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> flo
 
     solver.advance(1.1 * period, after=record)
     return _zero_crossing(times, modes, period) ** -1 * period - 1
+
+
+def _column(cells: int, dx: float, per_axis: int) -> tuple[Array, Array]:
+    """Return the positions [P,3], m, and volumes [P], m^3, of particles on the z axis."""
+    x = lattice((1, 1, cells * per_axis), dx / per_axis) * [0.0, 0, 1]
+    return x, np.full(len(x), dx**3 / per_axis)
 
 
 def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float) -> float:
@@ -225,14 +227,12 @@ def vortex(
     """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
-    line = (np.arange(cells * per_axis) + 0.5) * dx / per_axis - problem.outer
-    plane = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    radius = np.hypot(plane[:, 0], plane[:, 1])
-    plane = plane[(radius > problem.inner) & (radius < problem.outer)]
-    x = np.column_stack([plane, np.zeros(len(plane))])
-    volume = np.full(len(x), (dx / per_axis) ** 2 * dx)
-    model = Model.of(x, volume, [problem.material], dx=dx, precision="float64")
-    solver = Solver(model, forces=[problem])
+    spacing, corner = dx / per_axis, (-problem.outer, -problem.outer, 0)
+    x = lattice((cells * per_axis, cells * per_axis, 1), spacing, corner) * [1.0, 1, 0]
+    radius = np.hypot(x[:, 0], x[:, 1])
+    x = x[(radius > problem.inner) & (radius < problem.outer)]
+    volume, options = np.full(len(x), spacing**2 * dx), {"dx": dx, "precision": "float64"}
+    solver = make_solver(x, volume, [problem.material], forces=[problem], **options)
     solver.advance(time)
     exact = problem.position(x, time)
     return float(_rms(solver.state.x.numpy() - exact) / _rms(exact - x))
@@ -275,17 +275,20 @@ def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
     """
     height, material = 1.0, Fluid()
     dx = height / cells
-    z = (np.arange(cells * per_axis) + 0.5) * dx / per_axis
-    walls = [
-        HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip"),
-        HalfSpace(point=(0, 1e3, 0), normal=(0, 1.0, 0), contact="slip"),
-    ]
-    x, origin = np.stack([np.zeros_like(z), np.zeros_like(z), z], axis=1), (0, 0, -FLOOR_NODE * dx)
-    volume = np.full(len(z), dx**3 / per_axis)
-    model = Model.of(x, volume, [material], dx=dx, origin=origin, precision="float64")
-    solver = Solver(model, forces=[Gravity()], boundaries=[Ground(contact="slip"), *walls])
+    x, volume = _column(cells, dx, per_axis)
+    side = HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip")
+    solver = make_solver(
+        x,
+        volume,
+        [material],
+        dx=dx,
+        origin=(0, 0, -FLOOR_NODE * dx),
+        precision="float64",
+        forces=[Gravity()],
+        boundaries=[Ground(contact="slip"), side, plane()],
+    )
     _settle(solver, height / material.wave_speed())
-    J = np.linalg.det(np.asarray(solver.state.F.numpy(), float))
+    J, z = np.linalg.det(host(solver.state.F)), x[:, 2]
     pressure = material.bulk_modulus / material.gamma * (J**-material.gamma - 1)
     foot = float(column_pressure(np.array(height), material.density))
     error = (pressure - column_pressure(height - z, material.density)) / foot
@@ -326,9 +329,8 @@ class Bounce:
 
     def particles(self, spacing: float) -> Array:
         """Return the initial positions [P,3], m, of a lattice of particles in the ball."""
-        n = round(self.diameter / spacing)
-        line = (np.arange(n) + 0.5) * spacing - self.diameter / 2
-        cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+        counts = (round(self.diameter / spacing),) * 3
+        cube = lattice(counts, spacing, (-self.diameter / 2,) * 3)
         inside = (cube**2).sum(axis=1) < (self.diameter / 2) ** 2
         return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
 
@@ -340,14 +342,11 @@ class Bounce:
             spacing: Distance between neighbouring particles [m], which is equal on all grids.
         """
         x, dx = self.particles(spacing), self.diameter / cells
-        volume, origin = np.full(len(x), spacing**3), (0, 0, -FLOOR_NODE * dx)
-        model = Model.of(x, volume, [self.material], dx=dx, origin=origin)
-        solver = Solver(model, forces=[Gravity()], boundaries=[Ground(friction=0.0)])
-        frames = []
-        for frame in range(1, self.frames + 1):
-            solver.advance(self.seconds * frame / self.frames)
-            frames.append(solver.state.x.numpy().astype(float))
-        return np.array(frames)
+        world = {"forces": [Gravity()], "boundaries": [Ground(friction=0.0)]}
+        origin, volume = (0, 0, -FLOOR_NODE * dx), np.full(len(x), spacing**3)
+        solver = make_solver(x, volume, [self.material], dx=dx, origin=origin, **world)
+        times = self.seconds * np.arange(1, self.frames + 1) / self.frames
+        return record(solver, times, lambda: host(solver.state.x))
 
 
 def bouncing_ball(cells: Sequence[int], problem: Bounce | None = None) -> list[Array]:

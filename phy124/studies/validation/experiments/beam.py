@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import SupportsFloat
 
 import numpy as np
 
@@ -17,11 +18,11 @@ from phy124.boundaries import Held
 from phy124.forces import Force, Gravity, TotalForce
 from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
-from phy124.mpm import Model, Solver
+from phy124.mpm import Solver
 from phy124.mpm.tracks import Keyframes
 from phy124.particles.solid import Solid
 from phy124.schema.region import Region
-from phy124.studies.validation.bodies import make_lattice_solver, plane, sheet
+from phy124.studies.validation.bodies import make_lattice_solver, make_solver, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
@@ -62,8 +63,7 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 """
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Function that creates a force from the beam's width [m], a profile and the tip's region.
-"""
+"""Function that creates a force from the beam's width [m], a profile and the tip's region."""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
@@ -152,10 +152,9 @@ def make_band(
             beam longer. 0: the band neglects this stretch.
     """
     longer = stretch / 12 * (THICKNESS / LENGTH) ** 2
-    pairs = [(load, exact(load)) for load in loads]
     return tuple(
         Quantity(f"{name} = {load:g}", drop, drop, drop * (1 + 2 * SOFTER + longer * load), load)
-        for load, drop in pairs
+        for load, drop in zip(loads, map(exact, loads), strict=True)
     )
 
 
@@ -186,20 +185,23 @@ def measure_drops(
     # The load acts on the last cell of particles; the cell's centre is the end of the beam.
     counts = (round(LENGTH / spacing) + clamped + PER_AXIS // 2, PER_AXIS * cells)
     x = sheet(counts, spacing, (-clamped * spacing, 0, 0))
-    end = Region(lower=(LENGTH - dx / 2 - 1e-9, -1, -1), upper=(LENGTH + dx / 2 + 1e-9, 1, 1))
-    hold = REST * 2 * math.pi / first_frequency()
-    force = bending(dx, _steps(loads, hold), end)
+    end = _end_region(LENGTH, dx)
     rubber = NeoHookean(E=stiffer * E, nu=0.0, density=DENSITY)
-    volume, origin = np.full(len(x), spacing**2 * dx), (0, 0, 0.25 * dx)
-    model = Model.of(x, volume, [rubber], dx=dx, origin=origin, gradient=gradient)
     clamp = Held(lower=(-1, -1, -1), upper=(0.0, 1, 1))
-    solver = Solver(model, forces=[force], boundaries=[clamp, plane()], threads=1)
-    tip, drops = end.contains(model.rest), []
-    for load in range(1, len(loads) + 1):
-        _settle(solver, load * hold)
-        sunk = (model.rest - solver.state.x.numpy())[tip, 2].mean()
-        drops.append(float(sunk) / LENGTH)
-    return tuple(drops)
+    solver = make_solver(
+        x,
+        np.full(len(x), spacing**2 * dx),
+        [rubber],
+        dx=dx,
+        origin=(0, 0, 0.25 * dx),
+        gradient=gradient,
+        forces=[bending(dx, _steps(loads), end)],
+        boundaries=[clamp, plane()],
+        threads=1,
+    )
+    rest = solver.model.rest
+    tip = end.contains(rest)
+    return _load(solver, loads, lambda: np.mean((rest - solver.state.x.numpy())[tip, 2]))
 
 
 def measure_lattice_drops(
@@ -225,32 +227,52 @@ def measure_lattice_drops(
     counts = round(2 * (LENGTH / dx + 2 * beyond + clamped)), 2 * cells, 2 * cells
     solid = Solid(np.array([-2 * clamped, 0, 0]), dx / 2, np.ones(counts, np.float32))
     at = root + LENGTH
-    end = Region(lower=(at - dx / 2 - 1e-9, -1, -1), upper=(at + dx / 2 + 1e-9, 1, 1))
-    hold = REST * 2 * math.pi / first_frequency()
-    force = bending(THICKNESS, _steps(loads, hold), end)
+    force = bending(THICKNESS, _steps(loads), _end_region(at, dx))
     rubber = NeoHookean(E=stiffer * E, nu=0.0, density=DENSITY)
     clamp = Held(lower=(-1, -1, -1), upper=(root, 1, 1))
     solver = make_lattice_solver(solid, dx, rubber, forces=[force], boundaries=[clamp], threads=1)
-    away, drops = solver.model.rest[:, 0] - at, []
+    rest = solver.model.rest
+    away = rest[:, 0] - at
     tip = away > -1.5 * dx
-    for load in range(1, len(loads) + 1):
-        _settle(solver, load * hold)
+
+    def sag() -> float:
         solver.follow()
-        sunk = (solver.model.rest - solver.state.x.numpy())[tip, 2]
-        drops.append(float(np.polyfit(away[tip], sunk, 1)[1]) / LENGTH)
-    return tuple(drops)
+        return np.polyfit(away[tip], (rest - solver.state.x.numpy())[tip, 2], 1)[1]
+
+    return _load(solver, loads, sag)
 
 
-def _steps(loads: Sequence[float], hold: float) -> Keyframes:
-    """Return a profile with one load after another, each for the time `hold` [s].
+def _end_region(at: float, dx: float) -> Region:
+    """Return the cell around the beam's end."""
+    return Region(lower=(at - dx / 2 - 1e-9, -1, -1), upper=(at + dx / 2 + 1e-9, 1, 1))
 
-    In the first third of the time `hold`, the factor rises to the load. It then stays constant.
+
+def _steps(loads: Sequence[float]) -> Keyframes:
+    """Return a profile with one load after another.
+
+    In the first third of a load's duration, the factor rises to the load. It then stays constant.
     """
+    hold = _duration_of_load()
     times, factors = [0.0], [0.0]
     for number, load in enumerate(loads):
         times += [(number + 1 / 3) * hold, (number + 1) * hold]
         factors += [load, load]
     return Keyframes(times=tuple(times), factors=tuple(factors))
+
+
+def _load(
+    solver: Solver | LatticeSolver, loads: Sequence[float], sag: Callable[[], SupportsFloat]
+) -> Values:
+    """Let the beam come to rest under each load, and return its deflections / length there."""
+    drops = []
+    for number in range(1, len(loads) + 1):
+        _settle(solver, number * _duration_of_load())
+        drops.append(float(sag()) / LENGTH)
+    return tuple(drops)
+
+
+def _duration_of_load() -> float:
+    return REST * 2 * math.pi / first_frequency()
 
 
 def _settle(solver: Solver | LatticeSolver, until: float) -> None:
@@ -272,6 +294,13 @@ def _settle(solver: Solver | LatticeSolver, until: float) -> None:
             rate.assign(rate.numpy() * slower)
 
 
+_tip_exact = partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI")
+_weight_exact = partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI")
+_tip = partial(measure_drops, loads=TIP_LOADS, bending=load_tip)
+_weight = partial(measure_drops, loads=OWN_LOADS, bending=load_all)
+_lattice_tip = partial(measure_lattice_drops, loads=TIP_LOADS, bending=load_tip, beyond=0.5)
+_lattice_weight = partial(measure_lattice_drops, loads=OWN_LOADS, bending=load_all)
+
 ELASTICA = Experiment(
     name="elastica",
     title="Elastica: a dead weight on the end of a cantilever",
@@ -280,9 +309,9 @@ ELASTICA = Experiment(
     "of small bending overestimates the deflection by 11 % at PL²/EI = 1 and by 311 % at 10.",
     band="from the deflection without shear to the deflection with twice the shear of this beam, "
     "whose length is 12 times its thickness",
-    published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI"),
-    run=partial(measure_drops, loads=TIP_LOADS, bending=load_tip),
-    control=partial(measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2),
+    published=_tip_exact,
+    run=_tip,
+    control=partial(_tip, stiffer=1.2),
     mistake="E is 20 % too large",
     grids=(2, 3, 4),
     across="the thickness",
@@ -296,26 +325,23 @@ SPLINE_ELASTICA = replace(
     name="elastica-spline",
     title="Elastica with strain from the gradients of the weights",
     measured='The loads of `elastica`, with accuracy.gradient = "spline" instead of "affine".',
-    run=partial(measure_drops, loads=TIP_LOADS, bending=load_tip, gradient="spline"),
-    control=partial(
-        measure_drops, loads=TIP_LOADS, bending=load_tip, stiffer=1.2, gradient="spline"
-    ),
+    run=partial(_tip, gradient="spline"),
+    control=partial(_tip, stiffer=1.2, gradient="spline"),
     seconds=150,
     reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
     "soft. With 8 particles per cell and axis, the deflection at the smallest load is "
     "1.0, 0.7 and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles, "
     "the two errors cancel, which the extrapolation cannot detect.",
 )
-_on_tip = partial(measure_lattice_drops, loads=TIP_LOADS, bending=load_tip, beyond=0.5)
 LATTICE_ELASTICA = replace(
     ELASTICA,
     name="elastica-lattice",
     title="Elastica on the lattice solver",
     measured='The loads of `elastica`, with accuracy.solver = "lattice".',
-    published=partial(make_band, TIP_LOADS, elastica_drop, "PL²/EI", 1.0),
+    published=partial(_tip_exact, 1.0),
     band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
-    run=_on_tip,
-    control=partial(_on_tip, stiffer=1.2),
+    run=_lattice_tip,
+    control=partial(_lattice_tip, stiffer=1.2),
     seconds=50,
     reason="",
 )
@@ -325,23 +351,22 @@ HEAVY_ELASTICA = replace(
     title="Heavy elastica: a cantilever under its own weight",
     source="θ'' = −β (1 − s) cos θ, integrated numerically",
     measured="Tip deflection at rest, divided by the length, for three strengths of gravity.",
-    published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI"),
-    run=partial(measure_drops, loads=OWN_LOADS, bending=load_all),
-    control=partial(measure_drops, loads=OWN_LOADS, bending=load_all, stiffer=1.4),
+    published=_weight_exact,
+    run=_weight,
+    control=partial(_weight, stiffer=1.4),
     mistake="E is 40 % too large",
     axis="ρ g A L³ / E I",
     seconds=50,
 )
-_on_all = partial(measure_lattice_drops, loads=OWN_LOADS, bending=load_all)
 LATTICE_HEAVY_ELASTICA = replace(
     HEAVY_ELASTICA,
     name="heavy-elastica-lattice",
     title="Heavy elastica on the lattice solver",
     measured='The loads of `heavy-elastica`, with accuracy.solver = "lattice".',
-    published=partial(make_band, OWN_LOADS, heavy_elastica_drop, "ρgAL³/EI", 0.5),
+    published=partial(_weight_exact, 0.5),
     band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
-    run=_on_all,
-    control=partial(_on_all, stiffer=1.4),
+    run=_lattice_weight,
+    control=partial(_lattice_weight, stiffer=1.4),
     quick=True,
     seconds=10,
     reason="",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,11 @@ from numpy.typing import NDArray
 from phy124.boundaries import Container
 from phy124.schema.region import Region
 from phy124.studies.validation.accuracy.problems import GRAVITY
-from phy124.studies.validation.bodies import connected_end
+from phy124.studies.validation.bodies import connected_end, host, record
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 from phy124.studies.validation.experiments.liquids import fill, solver_of
 
+Line = Sequence[float] | NDArray[np.float64]
 INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
 """(Time t sqrt(2 g / a), position of the front / a) of an inviscid liquid without a gate.
 
@@ -29,63 +31,31 @@ Unlike the front's position at a given time, this speed does not depend on a del
 """
 PERIOD = (1.2, 3.0)
 """Dimensionless times t sqrt(2 g / a) between which the front's mean speed is measured."""
-FRONT_2_25 = (
-    (0.832, 1.217),
-    (1.219, 1.474),
-    (1.997, 2.292),
-    (2.547, 2.995),
-    (3.345, 4.134),
-    (4.034, 4.944),
+FRONTS = (
+    (
+        (0.832, 1.219, 1.997, 2.547, 3.345, 4.034),
+        (1.217, 1.474, 2.292, 2.995, 4.134, 4.944),
+    ),
+    (
+        (0.849, 1.212, 1.602, 2.283, 2.950, 3.598),
+        (1.245, 1.443, 1.884, 2.689, 3.728, 4.528),
+    ),
+    (
+        (0.84, 1.19, 1.43, 1.63, 1.83, 1.98, 2.20, 2.32, 2.51, 2.65, 2.83, 2.98, 3.11, 3.33),
+        (1.22, 1.44, 1.67, 1.89, 2.11, 2.33, 2.56, 2.78, 3.00, 3.22, 3.44, 3.67, 3.89, 4.11),
+    ),
 )
-"""(Time, position of the front / a), for a column of width a = 2.25 inch and height 2 a.
+"""Times and positions of the front / a, for columns of height 2 a.
 
-The values were digitised by PySPH.
+The columns are 2.25 and 1.125 inch wide (digitised by PySPH); the last data set is table 2 (as
+published with Ocellaris).
 """
-FRONT_1_125 = (
-    (0.849, 1.245),
-    (1.212, 1.443),
-    (1.602, 1.884),
-    (2.283, 2.689),
-    (2.950, 3.728),
-    (3.598, 4.528),
-)
-"""(Time, position of the front / a), for a column of width a = 1.125 inch (digitised by PySPH)."""
-FRONT_TABLE = (
-    (0.84, 1.22),
-    (1.19, 1.44),
-    (1.43, 1.67),
-    (1.63, 1.89),
-    (1.83, 2.11),
-    (1.98, 2.33),
-    (2.20, 2.56),
-    (2.32, 2.78),
-    (2.51, 3.00),
-    (2.65, 3.22),
-    (2.83, 3.44),
-    (2.98, 3.67),
-    (3.11, 3.89),
-    (3.33, 4.11),
-)
-"""(Time, position of the front / a), from table 2 (as published with Ocellaris)."""
 HEIGHT_TABLE = (
-    (0.56, 0.94),
-    (0.77, 0.89),
-    (0.93, 0.83),
-    (1.08, 0.78),
-    (1.28, 0.72),
-    (1.46, 0.67),
-    (1.66, 0.61),
-    (1.84, 0.56),
-    (2.00, 0.50),
-    (2.21, 0.44),
-    (2.45, 0.39),
-    (2.70, 0.33),
-    (3.06, 0.28),
-    (3.44, 0.22),
+    (0.56, 0.77, 0.93, 1.08, 1.28, 1.46, 1.66, 1.84, 2.00, 2.21, 2.45, 2.70, 3.06, 3.44),
+    (0.94, 0.89, 0.83, 0.78, 0.72, 0.67, 0.61, 0.56, 0.50, 0.44, 0.39, 0.33, 0.28, 0.22),
 )
-"""(Time t sqrt(g / a), height at the wall / initial height), from table 6.
-
-The values are as published with Ocellaris.
+"""Times t sqrt(g / a) and heights at the wall / initial height, from table 6 (as published with
+Ocellaris).
 """
 READ = 0.02
 """Maximum error of a tabulated height / initial height, and of a front position / a.
@@ -99,7 +69,7 @@ PASTE = 630.0
 """Viscosity of the control [Pa s]; its Reynolds number a sqrt(2 g a) / nu is 7."""
 
 
-def mean_speeds(time: NDArray[np.float64], front: NDArray[np.float64]) -> tuple[float, float]:
+def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
     """Return two mean speeds dZ/dT of the front: between the positions in `PASSAGE`, and during
     `PERIOD`.
 
@@ -117,15 +87,13 @@ def mean_speeds(time: NDArray[np.float64], front: NDArray[np.float64]) -> tuple[
 
 def publish() -> tuple[Quantity, ...]:
     """Return the inviscid front, and the measured speeds of the front and heights at the wall."""
-    sets = (np.array(each).T for each in (FRONT_2_25, FRONT_1_125, FRONT_TABLE))
     names = (
         f"speed from Z = {PASSAGE[0]:g} to {PASSAGE[1]:g}",
         f"speed from T = {PERIOD[0]:g} to {PERIOD[1]:g}",
     )
-    speeds = np.array([mean_speeds(*each) for each in sets]).T
+    speeds = np.array([mean_speeds(*each) for each in FRONTS]).T
     off = 2 * READ / (PASSAGE[1] - PASSAGE[0])
-    table = np.array(HEIGHT_TABLE)
-    heights = [float(np.interp(time, table[:, 0], table[:, 1])) for time in HEIGHTS]
+    heights = np.interp(HEIGHTS, *HEIGHT_TABLE).tolist()
     return (
         *(Quantity.within(f"inviscid front at T = {time:g}", z, 0.03) for time, z in INVISCID),
         *(
@@ -153,21 +121,19 @@ def release(cells: int, viscosity: float) -> Values:
     x = fill((1, width, 2), cells)
     channel = Container(inside=Region(lower=(0, 0, 0), upper=(9, width, 9)), contact="slip")
     solver = solver_of(x, np.zeros_like(x), cells, [channel], GRAVITY, viscosity)
-    times: NDArray[np.float64] = SAMPLE * np.arange(
-        1.0, 1 + math.ceil(math.sqrt(2) * HEIGHTS[-1] / SAMPLE)
-    )
-    fronts, heights = [], []
-    for time in times:
-        solver.advance(time * unit)
-        x = solver.state.x.numpy().astype(float)
-        fronts.append(connected_end(x[:, 0], 1 / cells) + 0.25 / cells)
-        at_wall = x[x[:, 0] < 2 / cells, 2]
-        heights.append((connected_end(at_wall, 1 / cells) + 0.25 / cells) / 2)
-    later = [math.sqrt(2) * time for time in HEIGHTS]
+
+    def measure() -> tuple[float, float]:
+        x = host(solver.state.x)
+        ends = x[:, 0], x[x[:, 0] < 2 / cells, 2]
+        front, height = (connected_end(end, 1 / cells) + 0.25 / cells for end in ends)
+        return front, height / 2
+
+    times = SAMPLE * np.arange(1.0, 1 + math.ceil(math.sqrt(2) * HEIGHTS[-1] / SAMPLE))
+    fronts, heights = record(solver, times * unit, measure).T
     return (
         *np.interp([time for time, _ in INVISCID], times, fronts).tolist(),
-        *mean_speeds(times, np.array(fronts)),
-        *np.interp(later, times, heights).tolist(),
+        *mean_speeds(times, fronts),
+        *np.interp(math.sqrt(2) * np.array(HEIGHTS), times, heights).tolist(),
     )
 
 

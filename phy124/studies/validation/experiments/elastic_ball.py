@@ -126,12 +126,12 @@ class Elements:
     """Volume of each node [N]."""
 
     @classmethod
-    def of(cls, make_mesh: Mesh) -> Elements:
+    def of(cls, mesh: Mesh) -> Elements:
         """Create the elements of a mesh."""
         at = CORNERS / math.sqrt(3)
         shape = np.prod(1 + at[:, None] * CORNERS, axis=-1) / 4
         slope = CORNERS * (1 + at[:, None] * CORNERS)[..., ::-1] / 4
-        corners = make_mesh.x[make_mesh.quads]
+        corners = mesh.x[mesh.quads]
         jacobian = np.einsum("qni,mnj->mqij", slope, corners)
         along = np.einsum("mqij,qnj->mqni", np.linalg.inv(jacobian), slope)
         r = corners[..., 0] @ shape.T
@@ -140,9 +140,9 @@ class Elements:
         gradient[:, :, 0:2, :, 0] = np.swapaxes(along, 2, 3)
         gradient[:, :, 2:4, :, 1] = np.swapaxes(along, 2, 3)
         gradient[:, :, 4, :, 0] = shape / r[..., None]
-        dofs = (2 * make_mesh.quads[..., None] + [0, 1]).reshape(-1, 8)
+        dofs = (2 * mesh.quads[..., None] + [0, 1]).reshape(-1, 8)
         shares = (volume @ shape).ravel()
-        weights = np.asarray(np.bincount(make_mesh.quads.ravel(), shares, len(make_mesh.x)), float)
+        weights = np.asarray(np.bincount(mesh.quads.ravel(), shares, len(mesh.x)), float)
         return cls(gradient.reshape(*r.shape, 5, 8), volume, dofs, weights)
 
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
@@ -199,7 +199,7 @@ def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int =
 
 
 def _press(
-    make_mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
+    mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
 ) -> tuple[Array, float]:
     """Find the equilibrium at a given depth with Newton's method and an active set.
 
@@ -211,26 +211,26 @@ def _press(
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 
-    size, many = len(u), 2 * len(make_mesh.x)
-    axis, level = make_mesh.x[:, 0] == 0, (make_mesh.x[:, 1] == 0) & (not make_mesh.whole)
+    size, many = len(u), 2 * len(mesh.x)
+    axis, level = mesh.x[:, 0] == 0, (mesh.x[:, 1] == 0) & (not mesh.whole)
     fixed = np.zeros(size, bool)
-    fixed[0:many:2], fixed[1:many:2], fixed[many] = axis, level, not make_mesh.whole
+    fixed[0:many:2], fixed[1:many:2], fixed[many] = axis, level, not mesh.whole
     push = np.zeros(many)
     push[1::2] = elements.weights
     rows = np.repeat(elements.dofs, 8, axis=1).ravel(), np.tile(elements.dofs, 8).ravel()
     border = np.arange(many), np.full(many, many)
-    touch = 2 * make_mesh.surface + 1
+    touch = 2 * mesh.surface + 1
     for _ in range(60):
         inner, stiffness = elements.forces(u[:many], *lame)
         off = np.append(inner + u[many] * push, push @ u[:many])
-        height = make_mesh.x[make_mesh.surface, 1] + u[touch] - (1 - depth)
+        height = mesh.x[mesh.surface, 1] + u[touch] - (1 - depth)
         held = touch[height - off[touch] > 0]
         free = ~fixed
         free[held] = False
         force = -off[held].sum()
         miss = np.where(free, off, 0.0)
         change = np.zeros(size)
-        change[held] = 1 - depth - make_mesh.x[held // 2, 1] - u[held]
+        change[held] = 1 - depth - mesh.x[held // 2, 1] - u[held]
         if max(np.abs(miss).max(), np.abs(change).max()) < 1e-11:
             return u, float(force)
         values = np.concatenate([stiffness.ravel(), push, push])

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from phy124.boundaries import HalfSpace
 from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
-from phy124.monitor.wrenches import Wrenches
-from phy124.mpm import Model, Solver
-from phy124.studies.validation.bodies import ball_of_shells, mirrors
+from phy124.mpm import Model
+from phy124.studies.validation.bodies import part_of_ball
 from phy124.studies.validation.experiments import restitution
 from phy124.studies.validation.experiments.elastic_ball import Law, fit_law
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.pressed_block import hold_plates
 
 RADIUS, E, NU = 0.5, 1e5, 0.3
 """Radius [m], Young's modulus [Pa] and Poisson's ratio of the pressed ball."""
@@ -52,24 +50,14 @@ def press(
         phase: Final position of the plate relative to a node [cells], 0 to 1.
     """
     dx = RADIUS / cells
-    x, volume = ball_of_shells(RADIUS, dx / per_axis)
-    eighth = (x > 0).all(axis=1)
-    x, volume = x[eighth], volume[eighth]
-    x = x[order := np.argsort(x[:, 0])]
-    volume = volume[order] * (math.pi / 6 * RADIUS**3 / volume.sum())
+    x, volume = part_of_ball(RADIUS, dx / per_axis, 3)
     motion = Path(times=(0.0, MOVE), points=((0, 0, 0), (0, 0, -depth)))
     plate = HalfSpace(point=(0, 0, RADIUS), normal=(0, 0, -1.0), friction=0, motion=motion)
-    wrenches = Wrenches()
-    walls = wrenches.wrap_walls([plate, *mirrors(0, 1, 2)])
     rubber = NeoHookean(E=stiffer * E, nu=NU, damping=30.0)
     low = (-0.75 * dx, -0.75 * dx, (RADIUS - depth) % dx - (1 + phase) * dx)
     model = Model.of(x, volume, [rubber], dx=dx, origin=low, precision=precision)
-    solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
-    solver.advance(MOVE + HOLD / 2)
-    wrenches.before_attempt()
-    solver.advance(MOVE + HOLD)
-    forces = wrenches.contacts(solver, 2 / HOLD)
-    return 4 * abs(float(forces["half_space"].force[2]))
+    _, force = hold_plates(model, [plate], MOVE, HOLD)
+    return 4 * force
 
 
 def publish() -> tuple[Quantity, ...]:
@@ -115,16 +103,6 @@ def measure(cells: int, *, stiffer: float = 1.0) -> Values:
     return (*(force / hertz(depth) for force, depth in zip(forces, DEPTHS, strict=True)), time)
 
 
-def run(cells: int) -> Values:
-    """Measure with the correct material."""
-    return measure(cells)
-
-
-def control(cells: int) -> Values:
-    """Control: measure with a material that is 1.3 times as stiff."""
-    return measure(cells, stiffer=1.3)
-
-
 EXPERIMENT = Experiment(
     name="hertz",
     title="Hertz: force on a pressed ball, and contact time of a bouncing ball",
@@ -137,8 +115,8 @@ EXPERIMENT = Experiment(
     "bodies as half-spaces with small strain.",
     band="forces: ±5 %; time: ±1 %",
     published=publish,
-    run=run,
-    control=control,
+    run=measure,
+    control=lambda cells: measure(cells, stiffer=1.3),
     mistake="E is 30 % too large",
     grids=(12, 16, 22),
     across="the radius",

@@ -9,9 +9,8 @@ import numpy as np
 from phy124.boundaries import HalfSpace
 from phy124.forces import Gravity
 from phy124.materials import NeoHookean
-from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
-from phy124.studies.validation.bodies import lattice, mean_along
+from phy124.studies.validation.bodies import lattice, make_solver, mean_acceleration
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
@@ -56,16 +55,11 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
         x, g, way, wall = x @ np.array([along, (0, 1, 0), up]), (0.0, 0.0, -GRAVITY), along, up
     plane = HalfSpace(normal=wall or (0.0, 0.0, 1.0), friction=friction)
     rubber = NeoHookean(E=2e5, damping=600.0)
-    model = Model.of(
-        x, np.full(len(x), (dx / 2) ** 3), [rubber], dx=dx, origin=(0, 0, -FLOOR_NODE * dx)
-    )
-    solver = Solver(model, forces=[Gravity(g=g)], boundaries=[plane], threads=1)
+    world = {"forces": [Gravity(g=g)], "boundaries": [plane], "origin": (0, 0, -FLOOR_NODE * dx)}
+    volume = np.full(len(x), (dx / 2) ** 3)
+    solver = make_solver(x, volume, [rubber], dx=dx, threads=1, **world)
     solver.advance(SETTLING)
-    times, places = np.linspace(0, SLIDING, SAMPLES), []
-    for time in times:
-        solver.advance(SETTLING + float(time))
-        places.append(mean_along(solver, "x", way))
-    return float(2 * np.polyfit(times, places, 2)[0] / GRAVITY)
+    return mean_acceleration(solver, way, SETTLING, np.linspace(0, SLIDING, SAMPLES)) / GRAVITY
 
 
 def measure(cells: int, more: float) -> Values:
@@ -77,16 +71,6 @@ def measure(cells: int, more: float) -> Values:
     )
 
 
-def run(cells: int) -> Values:
-    """Measure the accelerations with the correct coefficient of friction."""
-    return measure(cells, 0.0)
-
-
-def control(cells: int) -> Values:
-    """Control: measure the accelerations with a coefficient of friction that is 0.05 too large."""
-    return measure(cells, 0.05)
-
-
 EXPERIMENT = Experiment(
     name="incline",
     title="Incline: Coulomb's friction",
@@ -95,8 +79,8 @@ EXPERIMENT = Experiment(
     "(gravity is tilted) or oblique to it (the wall is tilted).",
     band="±0.002 g, since the block still rocks slightly",
     published=publish,
-    run=run,
-    control=control,
+    run=lambda cells: measure(cells, 0.0),
+    control=lambda cells: measure(cells, 0.05),
     mistake="friction is 0.05 too large",
     grids=(6, 8, 10),
     across="the block",

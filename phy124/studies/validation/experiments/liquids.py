@@ -15,6 +15,7 @@ from phy124.materials import Fluid
 from phy124.mpm import Model, State
 from phy124.schema.region import Region
 from phy124.studies.validation.accuracy.problems import GRAVITY
+from phy124.studies.validation.bodies import find_zeros, host, lattice, record
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 DEPTH, WAVE, PERIODS = 0.5, 0.05, 5
@@ -41,8 +42,7 @@ def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
         cells: Cells per metre.
     """
     step = 0.5 / cells
-    axes = [(np.arange(round(side / step)) + 0.5) * step for side in size]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    return lattice([round(side / step) for side in size], step)
 
 
 def solver_of(
@@ -86,17 +86,13 @@ def slosh(cells: int, depth: float) -> Values:
     v[:, 2] = speed * np.cos(k * x[:, 0]) * np.sinh(k * x[:, 2])
     tank = Container(inside=Region(lower=(0, 0, 0), upper=(1, width, 9)), contact="slip")
     solver = solver_of(x, v, cells, [tank], GRAVITY)
-    times, places = [], []
-    for sample in range(PERIODS * SAMPLES + 1):
-        solver.advance((sample + 1) * period / SAMPLES)
-        x = solver.state.x.numpy().astype(float)
-        times.append(solver.clock.time)
-        places.append(x[:, 0].mean() - 0.5)
-    t, s = np.array(times), np.array(places)
-    turns = np.flatnonzero(s[:-1] * s[1:] < 0)
-    crossings = t[turns] - s[turns] * (t[turns + 1] - t[turns]) / (s[turns + 1] - s[turns])
+    ends = np.arange(1, PERIODS * SAMPLES + 2) * period / SAMPLES
+    times, places = record(
+        solver, ends, lambda: (solver.clock.time, host(solver.state.x)[:, 0].mean() - 0.5)
+    ).T
+    crossings = find_zeros(times, places)
     rate = (len(crossings) - 1) / 2 / (crossings[-1] - crossings[0])
-    return float(rate), float(x[:, 2].mean() / depth)
+    return float(rate), float(host(solver.state.x)[:, 2].mean() / depth)
 
 
 def fall(cells: int, viscosity: float) -> Values:
@@ -116,7 +112,7 @@ def fall(cells: int, viscosity: float) -> Values:
     x = fill((width, GAP, 1.5), fine)
     solver = solver_of(x, np.zeros_like(x), fine, [*plates, sides], PULL, viscosity)
     solver.advance(FALL)
-    x, v = (values.numpy().astype(float) for values in (solver.state.x, solver.state.v))
+    x, v = host(solver.state.x), host(solver.state.v)
     level = np.abs(x[:, 2] - x[:, 2].mean()) < 0.2
     middle = level & (np.abs(x[:, 1] / GAP - 0.5) < 0.1)
     return float(-v[middle, 2].mean()), float(-v[level, 2].mean())
@@ -151,13 +147,16 @@ def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
     sides = Container(inside=Region(lower=(0, 0, -9), upper=(99, 99, 99)), contact="slip")
     floor = HalfSpace(point=(0, 0, 0), normal=(0, 0, 1), contact="sticky")
     solver = solver_of(x, np.zeros_like(x), cells, [sides, floor], 1.0, 1000 * viscosity)
-    times, radii = start * np.geomspace(math.sqrt(longer), longer, 5), []
-    for time in times:
-        solver.advance(time - start)
-        x = solver.state.x.numpy().astype(float)
-        radii.append(math.sqrt(7 / 3 * np.mean(x[:, 0] ** 2 + x[:, 1] ** 2)))
-    prefactor = np.mean(np.array(radii) / (scale * times) ** 0.125)
+    times = start * np.geomspace(math.sqrt(longer), longer, 5)
+    squares = record(solver, times - start, lambda: _square_radius(host(solver.state.x)))
+    radii = np.sqrt(7 / 3 * squares)
+    prefactor = np.mean(radii / (scale * times) ** 0.125)
     return float(prefactor), float(np.polyfit(np.log(times), np.log(radii), 1)[0])
+
+
+def _square_radius(x: NDArray) -> float:
+    """Return the mean square of the distances from the vertical axis [m^2]."""
+    return float(np.mean(x[:, 0] ** 2 + x[:, 1] ** 2))
 
 
 SLOSHING = Experiment(

@@ -6,6 +6,7 @@ The moduli are Young's modulus, the confined modulus and the bulk modulus.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from phy124.boundaries.motion import Path
 from phy124.materials import NeoHookean
 from phy124.monitor.wrenches import Wrenches
 from phy124.mpm import Model, Solver
-from phy124.studies.validation.bodies import lattice, mirrors
+from phy124.studies.validation.bodies import host, lattice, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 E, NU, SIZE = 1e5, 0.3, 1.0
@@ -60,6 +61,13 @@ def publish() -> tuple[Quantity, ...]:
     )
 
 
+def measure(cells: int, nu: float) -> Values:
+    """Measure Poisson's ratio, and stress / (E strain) in the three cases of `publish`."""
+    free, ratio = press(cells, 1, 0, nu)
+    confined, bulk = press(cells, 1, 2, nu)[0], press(cells, 3, 0, nu)[0]
+    return ratio, free / E, confined / E, bulk / E
+
+
 def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
     """Simulate the block, and measure its axial stress and lateral strain.
 
@@ -76,19 +84,36 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
     half, dx = SIZE / 2, SIZE / 2 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
     plates = [_plate(axis, moves=n < moving) for n, axis in enumerate((2, 1, 0)[: moving + fixed])]
-    wrenches = Wrenches()
     volume, rubber = np.full(len(x), (dx / 2) ** 3), NeoHookean(E=E, nu=nu, damping=200.0)
     model = Model.of(x, volume, [rubber], dx=dx, origin=(-0.75 * dx,) * 3)
-    walls = wrenches.wrap_walls([*plates, *mirrors(0, 1, 2)])
-    solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
-    solver.advance(PRESS + HOLD / 2)
-    wrenches.before_attempt()
-    solver.advance(PRESS + HOLD)
-    forces = wrenches.contacts(solver, 2 / HOLD)
-    end = solver.state.x.numpy().astype(float)
+    solver, force = hold_plates(model, plates, PRESS, HOLD)
+    end = host(solver.state.x)
     slopes = [1 - np.polyfit(model.rest[:, axis], end[:, axis], 1)[0] for axis in range(3)]
     area = half**2 * (1 - slopes[0]) * (1 - slopes[1])
-    return abs(forces["half_space"].force[2]) / area / slopes[2], float(-slopes[0] / slopes[2])
+    return float(force / area / slopes[2]), float(-slopes[0] / slopes[2])
+
+
+def hold_plates(
+    model: Model, plates: Sequence[HalfSpace], moving: float, resting: float
+) -> tuple[Solver, float]:
+    """Simulate a body between plates and three symmetry planes through the origin.
+
+    Args:
+        model: The body.
+        plates: The plates.
+        moving: Duration for which the plates move [s].
+        resting: Duration for which the plates then rest [s].
+
+    Returns:
+        The solver, and the first plate's mean force along z [N] in the second half of `resting`.
+    """
+    wrenches = Wrenches()
+    walls = wrenches.wrap_walls([*plates, *mirrors(0, 1, 2)])
+    solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
+    solver.advance(moving + resting / 2)
+    wrenches.before_attempt()
+    solver.advance(moving + resting)
+    return solver, abs(float(wrenches.contacts(solver, 2 / resting)["half_space"].force[2]))
 
 
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
@@ -98,24 +123,6 @@ def _plate(axis: int, *, moves: bool) -> HalfSpace:
     path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None
     point = tuple((-SIZE / 2 * normal).tolist())
     return HalfSpace(point=point, normal=tuple(normal.tolist()), friction=0.0, motion=path)
-
-
-def measure(cells: int, nu: float) -> Values:
-    """Measure Poisson's ratio, and stress / (E strain) in the three cases of `publish`."""
-    free, ratio = press(cells, 1, 0, nu)
-    confined, _ = press(cells, 1, 2, nu)
-    bulk, _ = press(cells, 3, 0, nu)
-    return ratio, float(free / E), float(confined / E), float(bulk / E)
-
-
-def run(cells: int) -> Values:
-    """Simulate the correct material."""
-    return measure(cells, NU)
-
-
-def control(cells: int) -> Values:
-    """Control: measure with another Poisson's ratio."""
-    return measure(cells, NU + 0.03)
 
 
 EXPERIMENT = Experiment(
@@ -128,8 +135,8 @@ EXPERIMENT = Experiment(
     "forces from the impulses of a plate.",
     band="±0.5 %",
     published=publish,
-    run=run,
-    control=control,
+    run=lambda cells: measure(cells, NU),
+    control=lambda cells: measure(cells, NU + 0.03),
     mistake=f"Poisson's ratio is {NU + 0.03:g} instead of {NU:g}",
     grids=(4, 6, 8),
     across="half the block",

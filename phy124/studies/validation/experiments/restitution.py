@@ -7,17 +7,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
+from phy124.lattice.solver import LatticeSolver
 from phy124.materials import NeoHookean
-from phy124.mpm import Model, Solver, State
+from phy124.mpm import Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
-from phy124.studies.validation.bodies import ball_of_shells, mean_along, mirrors
+from phy124.studies.validation.bodies import (
+    UP,
+    make_solver,
+    mean_along,
+    mirrors,
+    part_of_ball,
+    record,
+)
 from phy124.studies.validation.experiments.elastic_ball import Law, fit_law
-from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
+from phy124.studies.validation.experiments.experiment import Experiment, Quantity
 
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball.
@@ -106,23 +115,24 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
         stiffer: Factor on E, for a control.
     """
     dx, v = RADIUS / cells, speed(depth)
-    x, volume = ball_of_shells(RADIUS, dx / 2)
-    quarter = (x[:, 0] > 0) & (x[:, 1] > 0)
-    x, volume = x[quarter] + [0, 0, RADIUS + 0.5 * dx], volume[quarter]
-    x = x[order := np.argsort(x[:, 0])]
-    volume = volume[order] * (math.pi / 3 * RADIUS**3 / volume.sum())
+    x, volume = part_of_ball(RADIUS, dx / 2, 2)
+    x += [0, 0, RADIUS + 0.5 * dx]
     damping = loss * duration(depth) * E / 2
     rubber = NeoHookean(E=stiffer * E, nu=0.0, density=DENSITY, damping=damping)
-    model = Model.of(x, volume, [rubber], dx=dx, origin=(-FLOOR_NODE * dx,) * 3)
-    state = State.of(model, np.tile([0, 0, -v], (len(x), 1)))
-    walls = [Ground(friction=0.0), *mirrors(0, 1)]
-    solver = Solver(model, state, boundaries=walls, threads=1)
+    world = {
+        "origin": (-FLOOR_NODE * dx,) * 3,
+        "boundaries": [Ground(friction=0.0), *mirrors(0, 1)],
+    }
+    falling = np.tile([0, 0, -v], (len(x), 1))
+    solver = make_solver(x, volume, [rubber], v=falling, dx=dx, threads=1, **world)
+    return observe(solver, depth)
+
+
+def observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
+    """Advance to the end of a bounce with a maximum depth / radius, and return the bounce."""
     times = np.linspace(0, FLIGHT * duration(depth), SAMPLES + 1)[1:]
-    speeds = []
-    for time in times:
-        solver.advance(float(time))
-        speeds.append(mean_along(solver, "v", (0, 0, 1)) / v)
-    return Bounce(times, np.array(speeds))
+    speeds = record(solver, times, partial(mean_along, solver, "v", UP))
+    return Bounce(times, speeds / speed(depth))
 
 
 LOSSES = (0.0, 0.02, 0.05)
@@ -138,16 +148,6 @@ def publish() -> tuple[Quantity, ...]:
     )
 
 
-def run(cells: int) -> Values:
-    """Measure the coefficients of restitution."""
-    return tuple(bounce(cells, loss, DEEP).restitution for loss in LOSSES)
-
-
-def control(cells: int) -> Values:
-    """Control: measure the coefficients of restitution with twice the damping."""
-    return tuple(bounce(cells, 2 * loss, DEEP).restitution for loss in LOSSES)
-
-
 EXPERIMENT = Experiment(
     name="restitution",
     title="Restitution of a damped ball",
@@ -159,8 +159,8 @@ EXPERIMENT = Experiment(
     "indents the ball by 12 % of its radius. t is Hertz's contact time.",
     band="±2 %, since the theory neglects waves in the ball",
     published=publish,
-    run=run,
-    control=control,
+    run=lambda cells: tuple(bounce(cells, loss, DEEP).restitution for loss in LOSSES),
+    control=lambda cells: tuple(bounce(cells, 2 * loss, DEEP).restitution for loss in LOSSES),
     mistake="twice the damping",
     grids=(8, 11, 14),
     across="the radius",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from phy124.progress import Progress
@@ -65,13 +64,16 @@ def run_all(
     """
     longest = sorted(experiments, key=lambda experiment: -experiment.seconds)
     todo = [run for experiment in longest for run in list_runs(experiment)]
-    ended: dict[str, list[Measured]] = {}
-    with closing(_run_all(todo, jobs, progress)) as measured:
-        for number, result in enumerate(measured, start=1):
-            progress("validate", number, len(todo))
-            results = ended.setdefault(result.run.experiment, [])
+    ended: dict[str, list[Measured]] = {experiment.name: [] for experiment in experiments}
+
+    def beat() -> None:
+        progress("validate", sum(map(len, ended.values())), len(todo))
+
+    with processes(jobs) as pool:
+        for run, result in as_done(pool, measure_run, todo, beat):
+            experiment, results = find_experiment(run.experiment), ended[run.experiment]
             results.append(result)
-            experiment = find_experiment(result.run.experiment)
+            beat()
             if len(results) == len(list_runs(experiment)):
                 yield conclude(experiment, results)
 
@@ -97,22 +99,3 @@ def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
     )
     lost = tuple(f"{e.quantity.name}: not measured" for e in each if math.isnan(e.value))
     return Outcome(experiment, each, seconds, lost)
-
-
-def _run_all(todo: Sequence[Run], jobs: int, progress: Progress) -> Generator[Measured, None, None]:
-    """Execute all runs, and yield each result as soon as the run has ended.
-
-    If the caller stops early, processes that are still running are stopped.
-    """
-    if jobs == 1:
-        yield from map(measure_run, todo)
-        return
-    ended: list[Run] = []
-
-    def beat() -> None:
-        progress("validate", len(ended), len(todo))
-
-    with processes(jobs) as pool:
-        for run, result in as_done(pool, measure_run, todo, beat):
-            ended.append(run)
-            yield result

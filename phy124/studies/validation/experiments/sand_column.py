@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import Sand
-from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE, GRAVITY
-from phy124.studies.validation.bodies import connected_end, mirrors, plane, sheet
+from phy124.studies.validation.bodies import connected_end, make_solver, mirrors, plane, sheet
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
@@ -67,11 +67,8 @@ def publish() -> tuple[Quantity, ...]:
 
     The band extends from 0.9 times this run-out to the run-out by Lajeunesse's law for glass beads.
     """
-    quantities = []
-    for aspect in ASPECTS:
-        low, high = run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)
-        quantities.append(Quantity(f"H/L = {aspect:g}", low, 0.9 * low, high, aspect))
-    return tuple(quantities)
+    ways = [(aspect, run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)) for aspect in ASPECTS]
+    return tuple(Quantity(f"H/L = {a:g}", low, 0.9 * low, high, a) for a, low, high in ways)
 
 
 def collapse(cells: int, aspect: float, angle: float) -> float:
@@ -86,23 +83,18 @@ def collapse(cells: int, aspect: float, angle: float) -> float:
     dx = 2 * WIDTH / across
     x = sheet((across, round(across * aspect)), dx / 2)
     sand = Sand(friction_angle=angle, E=STIFF * 1600 * GRAVITY * height)
-    volume, origin = np.full(len(x), dx**3 / 4), (-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx)
-    model = Model.of(x, volume, [sand], dx=dx, origin=origin)
     walls = [Ground(friction=math.tan(math.radians(SLOPE))), *mirrors(0), plane()]
-    solver = Solver(model, forces=[Gravity()], boundaries=walls, threads=1)
+    world = {"origin": (-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx), "forces": [Gravity()]}
+    volume = np.full(len(x), dx**3 / 4)
+    solver = make_solver(x, volume, [sand], dx=dx, boundaries=walls, threads=1, **world)
     solver.advance(DURATION * math.sqrt(height / GRAVITY))
     return connected_end(solver.state.x.numpy()[:, 0], dx) / WIDTH - 1
 
 
-def run(cells: int) -> Values:
-    """Measure the run-out of each column."""
-    return tuple(collapse(cells, aspect, plane_strain(SLOPE)) for aspect in ASPECTS)
-
-
-def control(cells: int) -> Values:
-    """Control: measure the three lowest columns with too large an angle of friction."""
-    some = [collapse(cells, aspect, 50.0) for aspect in ASPECTS[:3]]
-    return (*some, *[math.nan] * (len(ASPECTS) - len(some)))
+def measure(cells: int, aspects: Sequence[float], angle: float) -> Values:
+    """Measure the run-out of the first columns; the values of the other columns are NaN."""
+    ways = [collapse(cells, aspect, angle) for aspect in aspects]
+    return (*ways, *[math.nan] * (len(ASPECTS) - len(ways)))
 
 
 EXPERIMENT = Experiment(
@@ -115,8 +107,8 @@ EXPERIMENT = Experiment(
     "and 1.9 a^(2/3) to 2.3 a^(2/3) for high columns.",
     band="from 0.9 times the run-out by Lube's law to the run-out by Lajeunesse's law",
     published=publish,
-    run=run,
-    control=control,
+    run=lambda cells: measure(cells, ASPECTS, plane_strain(SLOPE)),
+    control=lambda cells: measure(cells, ASPECTS[:3], 50.0),
     mistake="friction_angle = 50°, too large for sand in a channel",
     grids=(10, 14, 20),
     across="a square of the column's area",

@@ -6,9 +6,8 @@ import numpy as np
 
 from phy124.boundaries import Ground
 from phy124.materials import Metal
-from phy124.mpm import Model, Solver, State
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
-from phy124.studies.validation.bodies import lattice, mirrors
+from phy124.studies.validation.bodies import host, lattice, make_solver, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 LENGTH, RADIUS = 32.4e-3, 3.2e-3
@@ -38,16 +37,17 @@ def strike(cells: int, copper: Metal) -> Values:
     x = lattice((2 * cells, 2 * cells, count), dx / 2) * [1, 1, LENGTH / (count * dx / 2)]
     x = x[np.hypot(x[:, 0], x[:, 1]) < RADIUS]
     volume = np.full(len(x), np.pi / 4 * RADIUS**2 * LENGTH / len(x))
-    model = Model.of(x, volume, [copper], dx=dx, origin=(-FLOOR_NODE * dx,) * 3)
-    state = State.of(model, np.tile([0, 0, -SPEED], (len(x), 1)))
-    walls = [Ground(friction=0.0), *mirrors(0, 1)]
-    solver = Solver(model, state, boundaries=walls, threads=1)
+    world = {
+        "origin": (-FLOOR_NODE * dx,) * 3,
+        "boundaries": [Ground(friction=0.0), *mirrors(0, 1)],
+    }
+    v = np.tile([0, 0, -SPEED], (len(x), 1))
+    solver = make_solver(x, volume, [copper], v=v, dx=dx, threads=1, **world)
     solver.advance(DURATION)
-    end = solver.state.x.numpy().astype(float)
-    F = solver.state.deformation.numpy().astype(float)
+    end, F = host(solver.state.x), host(solver.state.deformation)
     # The volume of a particle is a deformed cube, which extends half its edge beyond the centre.
     half = dx / 4
-    last = model.rest[:, 2] > LENGTH - 0.4 * dx
+    last = x[:, 2] > LENGTH - 0.4 * dx
     length = end[last, 2].mean() + half
     face = (end[:, 2] < dx) & (np.hypot(end[:, 0], end[:, 1]) > RADIUS)
     out = np.hypot(end[:, 0], end[:, 1])
@@ -55,16 +55,6 @@ def strike(cells: int, copper: Metal) -> Values:
     stretch = np.linalg.norm(np.einsum("pi,pij->pj", direction, F[:, :2]), axis=1)
     rim = np.sort((out + half * stretch)[face])
     return 1e3 * float(length), 1e3 * float(rim[-max(1, len(rim) // 50) :].mean())
-
-
-def run(cells: int) -> Values:
-    """Measure with the correct copper."""
-    return strike(cells, COPPER)
-
-
-def control(cells: int) -> Values:
-    """Control: measure with copper of a lower yield stress."""
-    return strike(cells, COPPER.model_copy(update={"yield_stress": 300e6}))
 
 
 EXPERIMENT = Experiment(
@@ -77,8 +67,8 @@ EXPERIMENT = Experiment(
     "of the bar is simulated between two symmetry planes, without friction.",
     band="between the lowest and the highest published value",
     published=publish,
-    run=run,
-    control=control,
+    run=lambda cells: strike(cells, COPPER),
+    control=lambda cells: strike(cells, COPPER.model_copy(update={"yield_stress": 300e6})),
     mistake="a yield stress of 300 MPa instead of 400",
     grids=(4, 6, 8),
     across="the radius",

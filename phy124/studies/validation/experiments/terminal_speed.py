@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from phy124.forces import Gravity, Wind
 from phy124.materials import NeoHookean
-from phy124.mpm import Model, Solver
 from phy124.studies.validation.accuracy.problems import GRAVITY
-from phy124.studies.validation.bodies import lattice, mean_along
+from phy124.studies.validation.bodies import UP, lattice, make_solver, mean_along, record
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 RATE, STREAM = 5.0, 1.0
@@ -51,24 +51,11 @@ def blow(cells: int, rate: float) -> Values:
     """
     dx = 0.4 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
-    model = Model.of(x, np.full(len(x), (dx / 2) ** 3), [NeoHookean(E=1e4)], dx=dx)
-    forces = [Gravity(), Wind(v=(0, 0, STREAM), rate=rate)]
-    solver, up, ways = Solver(model, forces=forces, threads=1), (0, 0, 1), []
-    start = mean_along(solver, "x", up)
-    for time in TIMES:
-        solver.advance(time / RATE)
-        ways.append(mean_along(solver, "x", up) - start)
-    return (*ways, mean_along(solver, "v", up))
-
-
-def run(cells: int) -> Values:
-    """Measure the displacements and the final velocity with the correct drag."""
-    return blow(cells, RATE)
-
-
-def control(cells: int) -> Values:
-    """Control: measure with a drag whose rate is 10 % too large."""
-    return blow(cells, 1.1 * RATE)
+    volume, forces = np.full(len(x), (dx / 2) ** 3), [Gravity(), Wind(v=(0, 0, STREAM), rate=rate)]
+    solver = make_solver(x, volume, [NeoHookean(E=1e4)], dx=dx, forces=forces, threads=1)
+    start = mean_along(solver, "x", UP)
+    heights = record(solver, np.array(TIMES) / RATE, partial(mean_along, solver, "x", UP))
+    return (*(heights - start).tolist(), mean_along(solver, "v", UP))
 
 
 EXPERIMENT = Experiment(
@@ -79,8 +66,8 @@ EXPERIMENT = Experiment(
     "stream.",
     band="±0.2 %",
     published=publish,
-    run=run,
-    control=control,
+    run=lambda cells: blow(cells, RATE),
+    control=lambda cells: blow(cells, 1.1 * RATE),
     mistake="the rate is 10 % too large",
     grids=(4, 6, 8),
     across="the block",

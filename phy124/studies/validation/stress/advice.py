@@ -46,7 +46,7 @@ def advice(setting: Setting) -> list[Check]:
 def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
     """Check that a scene is refused, and that each suggested remedy makes it acceptable."""
     try:
-        _run(scene, setting)
+        _prepare(scene, setting)
     except InputError as refusal:
         yield at_least(f"{name}: remedies given", len(refusal.remedies), 2)
         for remedy in refusal.remedies:
@@ -64,7 +64,7 @@ def _with_short_budget(scene: Scene, setting: Setting) -> Scene:
 
 def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
     try:
-        _run(scene.replaced(remedy.changes), setting)
+        _prepare(scene.replaced(remedy.changes), setting)
     except InputError:
         return False
     return True
@@ -73,12 +73,10 @@ def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
 def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
     """Check that a run stops early, and that each suggested remedy allows more frames."""
     stopped = _run(scene, setting)
-    stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 1)
     for remedy in stopped.remedies:
         again = _run(scene.replaced(remedy.changes), setting)
-        again.run()
         better = again.stopped is None or again.count > stopped.count
         yield equal(f"{name}: {remedy.words} helps", better)
 
@@ -89,7 +87,6 @@ def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
     A remedy must reduce the number of substeps, or increase the budget so that the run can finish.
     """
     name, stopped = "outruns its time budget", _run(scene, setting)
-    stopped.run()
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 2)
     few = {"time.frames": 3, "time.budget": 1000.0}
@@ -97,22 +94,24 @@ def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
     for remedy in stopped.remedies:
         helped = scene.replaced(remedy.changes)
         if "time.budget" in remedy.changes:
-            patient = _run(helped, setting)
-            patient.run()
-            yield equal(f"{name}: {remedy.words} helps", patient.stopped is None)
+            yield equal(f"{name}: {remedy.words} helps", _run(helped, setting).stopped is None)
         else:
             fraction = _substeps(helped.replaced(few), setting) / usual
             yield at_most(f"{name}: {remedy.words}: fraction of the substeps", fraction, 0.8)
 
 
 def _substeps(scene: Scene, setting: Setting) -> int:
-    run = _run(scene, setting)
-    run.run()
-    return run.solver.clock.substeps
+    return _run(scene, setting).solver.clock.substeps
+
+
+def _prepare(scene: Scene, setting: Setting) -> Simulation:
+    return Simulation(prepare(surface_of_ball(40), scene, RunContext(device=setting.device)))
 
 
 def _run(scene: Scene, setting: Setting) -> Simulation:
-    return Simulation(prepare(surface_of_ball(40), scene, RunContext(device=setting.device)))
+    simulation = _prepare(scene, setting)
+    simulation.run()
+    return simulation
 
 
 def _make_exploding(setting: Setting) -> Scene:

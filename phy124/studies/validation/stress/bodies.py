@@ -14,7 +14,7 @@ from phy124.kernels.arguments import types
 from phy124.materials import Material, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Solver
-from phy124.studies.validation.bodies import make_solver
+from phy124.studies.validation.bodies import host, make_solver
 from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
@@ -62,11 +62,6 @@ def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
     """
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
-
-
-def host(array: wp.array) -> Array:
-    """Copy an array to the host as float64."""
-    return array.numpy().astype(np.float64)
 
 
 def finite(solver: Solver) -> bool:

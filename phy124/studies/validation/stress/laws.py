@@ -20,7 +20,7 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
 from phy124.mpm.model import PRECISIONS
 from phy124.schema.region import Region
-from phy124.studies.validation.bodies import block, make_solver
+from phy124.studies.validation.bodies import block, lattice, make_solver
 from phy124.studies.validation.stress.bodies import Array, assign, body, finite, host, volume_ratios
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
@@ -147,9 +147,7 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
         setting: Device and precision.
     """
     dx, height = HEAP / cells, HEAP * math.tan(math.radians(steepness))
-    along = (np.arange(2 * cells) + 0.5) * dx / 2
-    up = (np.arange(int(2 * height / dx) + 1) + 0.5) * dx / 2
-    x = np.stack(np.meshgrid(along, along, up, indexing="ij"), axis=-1).reshape(-1, 3)
+    x = lattice((2 * cells, 2 * cells, int(2 * height / dx) + 1), dx / 2)
     x = x[x[:, 2] < height * (1 - np.hypot(x[:, 0], x[:, 1]) / HEAP)]
     walls = [Container(inside=Region(lower=(0, 0, -1e9)), contact="slip"), Ground(contact="sticky")]
     volume, grains = np.full(len(x), (dx / 2) ** 3), [Sand(repose_angle=angle, E=3e5)]

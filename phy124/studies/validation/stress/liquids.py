@@ -16,6 +16,7 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import MeanWork
 from phy124.mpm import Model, State
 from phy124.schema.region import Region
+from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
@@ -88,9 +89,8 @@ def _swing() -> Path:
 
 def _block(low: Sequence[float], high: Sequence[float]) -> Array:
     """Return particles between two corners, 8 in each cell [P,3], m."""
-    step = DX / 2
-    axes = [np.arange(a + step / 2, b, step) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    counts = [round(2 * (b - a) / DX) for a, b in zip(low, high, strict=True)]
+    return lattice(counts, DX / 2, low)
 
 
 def _model(setting: Setting, x: Array, materials: list[Any], **options: Any) -> Model:
