@@ -1,7 +1,5 @@
 """The kernels to compile for a scene: all that a run launches, except those in the cache."""
 
-from __future__ import annotations
-
 import pytest
 import warp as wp
 from warp._src.context import Module

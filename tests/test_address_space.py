@@ -9,16 +9,14 @@ import pytest
 resource = pytest.importorskip("resource")
 
 from phy124.runtime.memory import NEEDED, THREADS, refuse_narrow  # noqa: E402
+from support.processes import run_program  # noqa: E402
 
 
 def limited(
     kilobytes: int, words: str, which: str = "v", **options
 ) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+    return run_program(
         ["bash", "-c", f"ulimit -{which} {kilobytes}; exec {sys.executable} {words}"],
-        check=False,
-        capture_output=True,
-        text=True,
         timeout=300,
         **options,
     )

@@ -31,9 +31,9 @@ from phy124.rendering.render import Renderer
 from phy124.scene import Scene
 from support import ros_double
 from support.foxglove_client import Client
+from support.processes import until
 from support.ros_messages import decoded
 from support.steered import steered
-from support.waiting import until
 
 SIZE = (160, 120)
 IMAGE = "sensor_msgs/msg/Image"

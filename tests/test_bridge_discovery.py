@@ -3,7 +3,6 @@ network."""
 
 import json
 import os
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 
@@ -12,6 +11,7 @@ import pytest
 from bridge.discovery import Discovery, tuned_cyclone
 from phy124.errors import InputError
 from support import private_network
+from support.processes import run_program
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -99,8 +99,7 @@ def test_an_unknown_range_is_localhost_as_in_ros(monkeypatch, caplog):
 
 
 @pytest.mark.parametrize(
-    "variables",
-    [{"AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"LOCALHOST_ONLY": "1"}],
+    "variables", [{"AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, {"LOCALHOST_ONLY": "1"}]
 )
 def test_network_against_the_environment_is_refused(monkeypatch, variables):
     with pytest.raises(InputError, match="restricts discovery to this machine"):
@@ -128,9 +127,7 @@ def network():
 def test_stock_peers_hear_us(network, reach, heard):
     """Without a word of configuration on their side."""
     script = [sys.executable, private_network.__file__, reach, *heard]
-    run = subprocess.run(
-        private_network.inside(script), capture_output=True, text=True, check=True, timeout=120
-    )
+    run = run_program(private_network.inside(script), check=True, timeout=120)
     results = {line["peer"]: line["frames"] for line in map(json.loads, run.stdout.splitlines())}
     assert results == dict.fromkeys(heard, 4)
 

@@ -4,7 +4,6 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from bridge.options import Options
 from bridge.sinks.mcap import McapSink
 from phy124.errors import Incomplete, InputError
 from support.clips import random_clip
+from support.processes import run_program
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000
@@ -282,9 +282,7 @@ def test_disk_full_keeps_what_was_written(tmp_path):
     code = DISK_FULL.format(
         root=str(tests.parent), tests=str(tests), path=str(path), limit=1_000_000
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
+    run = run_program([sys.executable, "-c", code], check=True, timeout=60)
     safe, message = run.stdout.splitlines()
     assert int(safe) == 1_000_000 // 60_400
     assert message.startswith("1 the disk is full ([Errno 27] File too large)")
@@ -314,9 +312,7 @@ def node_modules(pytestconfig):
     if not (folder / "node_modules" / "@mcap").is_dir():
         install = ["npm", "install", "--no-audit", "--no-fund", "--no-save", *NODE_PACKAGES]
         (folder / "package.json").write_text("{}")
-        done = subprocess.run(
-            install, cwd=folder, check=False, capture_output=True, text=True, timeout=300
-        )
+        done = run_program(install, cwd=folder, timeout=300)
         if done.returncode:
             pytest.skip(f"npm cannot install the readers: {done.stderr.strip()[-200:]}")
     return folder
@@ -325,13 +321,7 @@ def node_modules(pytestconfig):
 def read_by_foxglove(bag, node_modules):
     """Lines that Foxglove's own packages print about a bag."""
     script = Path(__file__).parent / "support/read_bag.mjs"
-    run = subprocess.run(
-        ["node", script, node_modules, bag / f"{bag.name}_0.mcap"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    run = run_program(["node", script, node_modules, bag / f"{bag.name}_0.mcap"], timeout=60)
     assert run.returncode == 0, run.stderr
     return [json.loads(line) for line in run.stdout.splitlines()]
 

@@ -5,7 +5,6 @@ import json
 import os
 import runpy
 import shutil
-import subprocess
 import sys
 import types
 from importlib import import_module
@@ -20,6 +19,7 @@ import phy124
 from bridge import parameters, topics
 from bridge.options import Options
 from bridge.topics import ELLIPSOIDS, PLAYER, POINTS
+from support.processes import run_program
 
 ROOT = Path(__file__).parents[1]
 BRIDGE = ROOT / "bridge"
@@ -64,13 +64,7 @@ def test_package_xml_is_what_rep_149_asks_for():
 def test_package_xml_names_all_ros_dependencies():
     package = parse_package(str(BRIDGE / "package.xml"))
     depends = {each.name: each for each in package.exec_depends}
-    files = [
-        "node.py",
-        "ros_node.py",
-        "parameters.py",
-        "services.py",
-        "sinks/rclpy.py",
-    ]
+    files = ["node.py", "ros_node.py", "parameters.py", "services.py", "sinks/rclpy.py"]
     used = set().union(*map(imported, [*map(BRIDGE.joinpath, files), LAUNCH]))
     ros = {n for n in used if n.startswith(("rcl", "launch", "ament", "rosbag", "std_"))}
     every = {name: value for name, value in vars(topics).items() if isinstance(value, topics.Topic)}
@@ -273,9 +267,7 @@ def test_imports_stay_light():
         "heavy = {'rclpy', 'mcap', 'cyclonedds', 'foxglove', 'torch', 'warp', 'gradio', 'tyro'}\n"
         "print(sorted(heavy & sys.modules.keys()))"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
+    run = run_program([sys.executable, "-c", code], cwd=ROOT, check=True)
     assert run.stdout.strip() == "[]"
 
 
@@ -289,7 +281,7 @@ def colcon(pytestconfig):
         # Colcon calls setup.py itself, which setuptools 80 gave up.
         wanted = ["colcon-common-extensions", "setuptools<80"]
         command = [sys.executable, "-m", "pip", "install", "-q", "--target", str(folder), *wanted]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+        done = run_program(command, timeout=300)
         if done.returncode:
             pytest.skip(f"pip cannot install colcon: {done.stderr.strip()[-200:]}")
     return folder
@@ -304,13 +296,10 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
     environment = {**os.environ, "PYTHONPATH": str(colcon), "PYTHONDONTWRITEBYTECODE": "1"}
 
     def run_colcon(*arguments):
-        run = subprocess.run(
+        run = run_program(
             [sys.executable, str(colcon / "bin" / "colcon"), *arguments],
             cwd=tmp_path / "workspace",
             env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
         )
         assert run.returncode == 0, run.stdout + run.stderr
         return run.stdout
@@ -332,13 +321,10 @@ def test_colcon_builds_the_package(tmp_path, colcon, options):
     run_colcon("test", "--return-code-on-test-failure")
     # The launch test is skipped without ROS 2.
     assert "3 tests, 0 errors, 0 failures, 1 skipped" in run_colcon("test-result", "--verbose")
-    doctor = subprocess.run(
+    doctor = run_program(
         ["bash", "-c", f". {installed.parent}/setup.bash && {installed}/lib/{NAME}/bridge doctor"],
         env=environment,
         cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert "mcap: ready" in doctor.stdout, doctor.stderr
 
@@ -350,9 +336,7 @@ def test_installing_beside_ros_leaves_its_packages_alone(tmp_path):
     base = getattr(sys, "_base_executable", sys.executable)
 
     def run(*command):
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False, timeout=500
-        )
+        done = run_program(command, env=environment, timeout=500)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

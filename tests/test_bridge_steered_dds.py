@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from support.pages import ROOT
+from support.processes import until
 from support.steered import OPTIONS, WEIGHTLESS, steered
-from support.waiting import until
 
 pytest.importorskip("cyclonedds")
 

@@ -2,7 +2,6 @@
 
 import inspect
 import os
-import subprocess
 import sys
 
 import pytest
@@ -19,6 +18,7 @@ from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.io.formats import write_gaussians
 from phy124.schema.arguments.words import list_fields
+from support.processes import run_program
 from support.shapes import ball
 
 
@@ -28,10 +28,7 @@ from support.shapes import ball
         ("generat x.png", "command = generat: there is no such command. Did you mean generate?"),
         ("dance", "command = dance: there is no such command. Choose one of generate, "),
         ("--scene drop generate x.png", "command = --scene: the command comes first."),
-        (
-            "generate",
-            "image = nothing: it is required. It is: Picture of one object (PNG, JPEG",
-        ),
+        ("generate", "image = nothing: it is required. It is: Picture of one object (PNG, JPEG"),
         ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
         ("generate x.png --frames ten", "frames = ten: it is not a whole number."),
         ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),
@@ -264,13 +261,7 @@ def test_bash_completes_a_command(tmp_path, capsys):
         main(["--tyro-print-completion", "bash"])
     (tmp_path / "phy124").write_text(capsys.readouterr().out)
     typed = "COMP_WORDS=(phy124 gen); COMP_CWORD=1; _tyro_phy124; echo ${COMPREPLY[@]}"
-    run = subprocess.run(
-        ["bash", "-c", f"source ./phy124; {typed}"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    run = run_program(["bash", "-c", f"source ./phy124; {typed}"], cwd=tmp_path, check=True)
     assert run.stdout == "generate\n", run.stderr
 
 

@@ -8,7 +8,6 @@ import ast
 import json
 import os
 import re
-import subprocess
 import sys
 from itertools import product
 from pathlib import Path
@@ -21,11 +20,9 @@ from races.conflicts import conflicts
 from races.parts import by_parts
 from races.record import ATOMIC, ENTRY, READ, WRITE, unusable
 from support.pages import ROOT
+from support.processes import run_program
 
-GROUPS = (
-    *("laws", "walls", "forces", "monitors", "pictures", "presets"),
-    *("lattices", "liquids"),
-)
+GROUPS = (*("laws", "walls", "forces", "monitors", "pictures", "presets"), *("lattices", "liquids"))
 KERNELS = ROOT / "phy124/kernels"
 MOTIONS = ("moving", "still")
 EXTREMES = ("maxima_out", "fastest_out", "range_out", "low_out", "high_out")
@@ -61,9 +58,7 @@ def asked(what: str, group: str, cache: Path) -> dict[str, Any]:
     command = [sys.executable, "-m", "races", what, group, str(cache)]
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     environment = {**os.environ, "PYTHONPATH": paths}
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, cwd=ROOT, check=False
-    )
+    done = run_program(command, env=environment, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 

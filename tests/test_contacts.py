@@ -10,11 +10,11 @@ from phy124.io.clip import Clip
 from phy124.materials import NeoHookean
 from phy124.monitor.contacts import Contacts
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
+from support.runs import resumed
 from support.shapes import ball
 
 PARTICLES = {"accuracy": {"cells": 8, "solver": "mpm"}}
@@ -124,9 +124,5 @@ def test_forces_are_kept_only_if_asked_for_and_change_nothing(base, tmp_path):
 def test_a_paused_run_goes_on_with_its_forces(base, tmp_path):
     scene = Scene.named("press").replaced({**base, "contacts": True})
     whole, paused = run(scene).run(), run(scene)
-    for frame in paused:
-        if frame.index == 1:
-            break
-    resume.save(paused, tmp_path / "pause.safetensors")
-    again = resume.load(tmp_path / "pause.safetensors").run()
+    again = resumed(paused, 1, tmp_path / "pause.safetensors").run()
     assert np.array_equal(whole.contacts, again.contacts)

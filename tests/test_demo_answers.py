@@ -1,7 +1,5 @@
 """Panels that ask one question at a time: the server answers each, whatever has become of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

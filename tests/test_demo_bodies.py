@@ -1,7 +1,5 @@
 """Bodies of requests: what their JSON may hold."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 

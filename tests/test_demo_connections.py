@@ -1,7 +1,5 @@
 """Connections: which one is closed, and when."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import uvicorn

@@ -1,7 +1,5 @@
 """The server as it is put together: each limit stands in front of the page."""
 
-from __future__ import annotations
-
 import asyncio
 from functools import partial
 from pathlib import Path

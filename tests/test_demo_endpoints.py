@@ -1,7 +1,5 @@
 """Requests of programs: their arguments as models."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("gradio", reason="the extra demo is not installed")

@@ -1,7 +1,5 @@
 """Formats on demand, pictures corrected by brush, and the report as HTML."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os
@@ -225,13 +223,7 @@ def _stroke(keep: bool, *points: tuple[float, float], width: float = 0.2) -> Str
 
 def test_strokes_keep_and_remove_and_the_last_one_counts():
     marks = np.asarray(
-        paint(
-            [
-                _stroke(True, (0.1, 0.5), (0.9, 0.5)),
-                _stroke(False, (0.9, 0.5)),
-            ],
-            (100, 100),
-        )
+        paint([_stroke(True, (0.1, 0.5), (0.9, 0.5)), _stroke(False, (0.9, 0.5))], (100, 100))
     )
     assert (marks[50, 10], marks[50, 90], marks[10, 50]) == (2, 1, 0)
     portrait = np.asarray(paint([_stroke(True, (0.25, 0.9))], (50, 100)))

@@ -1,7 +1,5 @@
 """A visitor's video goes back to the softness of a result: limits, whose it is, and its end."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time
@@ -29,7 +27,7 @@ from phy124.scene import Scene
 from phy124.studies.fit import Fit
 from phy124.studies.fit.interval import Undecided
 from support.clips import FIT, falling
-from support.waiting import until
+from support.processes import until
 
 SIDE = 32
 LONG = Deadline(60)

@@ -1,7 +1,5 @@
 """The page's own folder: emptied at the start, gone at the end, swept after a kill."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Files of Gaussians in place of a picture: read apart, drawn all ways up, or refused in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page's guard: host names, origins, headers."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -1,7 +1,5 @@
 """Behind the buttons: pieces of work, whose they are, and cut-outs that hang stop nobody else."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time
@@ -26,7 +24,7 @@ from phy124.imaging import codecs, cutout
 from phy124.runtime import isolated
 from phy124.scene import Scene
 from support.hostile import PHONE, heic_claiming
-from support.waiting import until
+from support.processes import until
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 

@@ -1,7 +1,5 @@
 """A visitor's inputs about the object in addition to its picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -6,7 +6,7 @@ import pytest
 
 from demo.line import Job, Line
 from phy124.errors import InputError
-from support.waiting import until
+from support.processes import until
 
 
 def _line() -> tuple[Line, Job, list[str]]:

@@ -1,7 +1,5 @@
 """Answers to panels: no two are equal, and no handler notices."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Further objects of a scene on the page: from pictures of their own."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

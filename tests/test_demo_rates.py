@@ -1,7 +1,5 @@
 """Costs of stages: measured at the start, and not to be spoilt by any single visitor."""
 
-from __future__ import annotations
-
 import pytest
 
 from demo.forecast import Estimator

@@ -1,7 +1,5 @@
 """The served page without a browser: endpoints, refusals, limits, and what is left behind."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

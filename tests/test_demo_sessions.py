@@ -1,7 +1,5 @@
 """Gradio's sessions are small, few per address, and removed when their visitor has left."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Settings from the environment, and the catalogue that the page is built from."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

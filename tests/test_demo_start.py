@@ -1,11 +1,8 @@
 """Before the page is served: where it listens, and what it does not send through proxies."""
 
-from __future__ import annotations
-
 import inspect
 import os
 import socket
-import subprocess
 import sys
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
@@ -18,6 +15,7 @@ from demo.server import check_address, reach_itself, tool_routes, without_cors
 from demo.settings import Settings
 from demo.visitors import Visitors
 from phy124.errors import InputError
+from support.processes import run_program
 from support.served import ROOT
 
 
@@ -25,13 +23,7 @@ def test_busy_port_is_reported_in_a_sentence(tmp_path):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        ended = subprocess.run(
-            [sys.executable, ROOT / "app.py", "--port", str(port)],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        ended = run_program([sys.executable, ROOT / "app.py", "--port", str(port)], cwd=tmp_path)
     assert ended.returncode == 2 and "Traceback" not in ended.stderr
     assert f"port = {port}: Another program listens there." in ended.stderr
 

@@ -1,7 +1,5 @@
 """Streams: how many a cookie, an address and all may have, and how long one lives."""
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -1,7 +1,5 @@
 """The error of a visitor's own scene: measured as a job like a run, kept, and told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

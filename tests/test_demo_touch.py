@@ -1,7 +1,5 @@
 """Touch without a browser: tickets, the relay and its limits, and what travels to the browser."""
 
-from __future__ import annotations
-
 import json
 import struct
 import time

@@ -1,7 +1,5 @@
 """Turns: how many requests are answered at the same time, and whose."""
 
-from __future__ import annotations
-
 import asyncio
 
 from demo import traffic

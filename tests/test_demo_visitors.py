@@ -1,7 +1,5 @@
 """Visitors' folders: keys by content, grace, clean-up by silence, number and size."""
 
-from __future__ import annotations
-
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The work behind the page: stages that run only when needed, and stop when asked."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

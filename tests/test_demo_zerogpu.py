@@ -1,7 +1,5 @@
 """The time that a job declares on ZeroGPU, with a module in place of the package `spaces`."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from importlib.machinery import ModuleSpec

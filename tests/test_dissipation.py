@@ -10,11 +10,11 @@ from phy124.generators.shapes import make_shape
 from phy124.materials import Metal, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.dissipation import Dissipation
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
+from support.runs import resumed
 
 
 def bar_after_a_period(damping):
@@ -143,11 +143,7 @@ def test_a_paused_run_goes_on_with_the_same_sums(tmp_path):
     body = make_shape("box", (1, 1, 0.5), (0.5, 0.5, 0.5))
     whole = Simulation(prepare(body, scene, RunContext(threads=1))).run()
     run = Simulation(prepare(body, scene, RunContext(threads=1)))
-    for frame in run:
-        if frame.index == 2:
-            break
-    resume.save(run, tmp_path / "pause.safetensors")
-    clip = resume.load(tmp_path / "pause.safetensors").run()
+    clip = resumed(run, 2, tmp_path / "pause.safetensors").run()
     assert np.array_equal(clip.means, whole.means)
     assert clip.report["energy"] == whole.report["energy"]
     two = Simulation(prepare(body, scene, RunContext(threads=2))).run()

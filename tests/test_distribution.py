@@ -3,7 +3,6 @@
 import os
 import re
 import shutil
-import subprocess
 import sys
 import sysconfig
 import venv
@@ -19,6 +18,7 @@ from bridge import PROGRAM
 from demo import exports
 from phy124.io.ply import write_ply
 from phy124.scene.files import read_toml
+from support.processes import run_program
 from support.served import serving
 from support.shapes import ball
 
@@ -30,9 +30,7 @@ FOLDERS = {"phy124": "phy124", "phy124_demo": "demo", "phy124_bridge": "bridge"}
 def run(*command: object, cwd: Path = ROOT, fails: bool = False) -> str:
     """Return the output of a command that does not know the checkout."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [*map(str, command)], cwd=cwd, env=environment, capture_output=True, text=True, check=False
-    )
+    done = run_program([*map(str, command)], cwd=cwd, env=environment)
     assert (done.returncode != 0) == fails, f"{command}\n{done.stdout}\n{done.stderr}"
     return done.stdout + done.stderr
 

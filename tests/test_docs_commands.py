@@ -19,6 +19,7 @@ from phy124.__main__ import _parse
 from phy124.errors import InputError
 from phy124.schema.arguments.words import join_repeats
 from support.pages import BLOCK, PAGES, ROOT, blocks
+from support.processes import run_program
 
 NOT_RUN = {"ros2", "own", "network", "long", "server"}
 """Why a block is only parsed: it needs ROS 2, the reader's files, the network, hours, or Ctrl-C."""
@@ -134,14 +135,7 @@ def newcomer() -> dict[str, str]:
 
 
 def typed(folder: Path, text: str) -> None:
-    run = subprocess.run(
-        ["bash", "-e", "-c", text],
-        cwd=folder,
-        env=newcomer(),
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = run_program(["bash", "-e", "-c", text], cwd=folder, env=newcomer())
     assert run.returncode == 0, f"{text}\n{run.stdout[-2000:]}\n{run.stderr[-2000:]}"
 
 

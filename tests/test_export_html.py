@@ -1,7 +1,5 @@
 """The player's file: packed clips can be unpacked, and the page needs nothing but itself."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re

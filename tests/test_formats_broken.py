@@ -6,7 +6,6 @@ import os
 import random
 import resource
 import struct
-import subprocess
 import sys
 import warnings
 import zipfile
@@ -21,6 +20,7 @@ from PIL import Image
 from phy124.errors import InputError
 from phy124.io.formats import read_gaussians, spz
 from support.hostile import cut, flip
+from support.processes import run_program
 from support.quantisation import many
 
 FOREIGN = Path(__file__).parent / "support" / "formats"
@@ -201,7 +201,7 @@ def limited(folder: Path, count: int) -> str:
     """Return the output of `main` in a process with limited memory."""
     command = [sys.executable, __file__, str(folder), str(count)]
     paths = {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}", "OMP_NUM_THREADS": "1"}
-    run = subprocess.run(command, cwd=ROOT, env=paths, capture_output=True, text=True, check=False)
+    run = run_program(command, cwd=ROOT, env=paths)
     assert run.returncode == 0, run.stderr[-2000:]
     return run.stdout
 

@@ -1,7 +1,5 @@
 """Meshes of clips, read by trimesh and compared with the density of the Gaussians."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -173,12 +171,7 @@ def test_mesh_of_the_user_keeps_its_texture_and_follows(tmp_path, spun):
 def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
     sphere = trimesh.creation.icosphere(subdivisions=1)
     sphere.export(tmp_path / "sphere.ply")
-    words = [
-        "export",
-        _saved(tmp_path, spun),
-        "--surface",
-        str(tmp_path / "sphere.ply"),
-    ]
+    words = ["export", _saved(tmp_path, spun), "--surface", str(tmp_path / "sphere.ply")]
     assert run_command([*words, "--to", "mesh"]) == 2
     assert "It is for --to moving-mesh" in capsys.readouterr().err
     assert run_command([*words, "--to", "moving-mesh"]) == 0

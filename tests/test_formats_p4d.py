@@ -1,11 +1,8 @@
 """P4D files, read by the readers of the guide, which share no code with phy124."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +16,7 @@ from phy124.io.clip import Clip
 from phy124.io.content import Y_DOWN
 from phy124.io.formats.lattice4d import TOLERANCE, write_lattice4d
 from phy124.io.html import VIEWER
+from support.processes import run_program
 
 GUIDE = Path(__file__).parents[1] / "docs/guide"
 TURN = orientation(*Y_DOWN).T
@@ -97,9 +95,7 @@ def test_javascript_reader_agrees_with_python(tmp_path, reader):
         const centres = new Float32Array(bytes.buffer, bytes.byteOffset, bytes.length / 4);
         console.log(JSON.stringify(Array.from(await film.frame(2, centres))));
     """
-    done = subprocess.run(
-        [node, "--input-type=module", "--eval", script], check=True, capture_output=True, text=True
-    )
+    done = run_program([node, "--input-type=module", "--eval", script], check=True)
     places = np.array(json.loads(done.stdout)).reshape(-1, 3)
     np.testing.assert_allclose(places, film.frame(2), atol=1e-5)
 
@@ -130,9 +126,7 @@ def test_file_is_fetched_once_without_ranges(tmp_path):
         const {{ moved }} = await film.displacements(1);
         console.log(asked, moved.length === 3 * film.about.nodes + 3);
     """
-    done = subprocess.run(
-        [node, "--input-type=module", "--eval", script], check=True, capture_output=True, text=True
-    )
+    done = run_program([node, "--input-type=module", "--eval", script], check=True)
     assert done.stdout.split() == ["1", "true"]
 
 
@@ -162,9 +156,7 @@ def test_player_can_load_a_frame_again(tmp_path):
         await pack.load(1);
         console.log(first, pack.loaded[1]);
     """
-    done = subprocess.run(
-        [node, "--input-type=module", "--eval", script], check=False, capture_output=True, text=True
-    )
+    done = run_program([node, "--input-type=module", "--eval", script])
     assert done.stdout.split() == ["lost", "true"], done.stderr
 
 
@@ -182,9 +174,7 @@ def test_player_says_that_a_file_is_cut_short(tmp_path):
             .catch((error) => console.log(error.message));
         }}
     """
-    done = subprocess.run(
-        [node, "--input-type=module", "--eval", script], check=True, capture_output=True, text=True
-    )
+    done = run_program([node, "--input-type=module", "--eval", script], check=True)
     assert done.stdout.splitlines() == 2 * ["The .p4d file is cut short."]
 
 

@@ -15,12 +15,12 @@ from phy124.monitor.external_work import ExternalWork
 from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.mpm.free import STAGE
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, bodies, prepare
 from phy124.studies.validation.bodies import lattice, make_solver
 from support.balls import elements, pressed_on_box
+from support.runs import resumed
 from support.shapes import ball, watch_run
 
 DX, G = 0.05, 9.81
@@ -489,10 +489,7 @@ def test_a_free_solid_falls_rests_is_kept_and_goes_on(tmp_path):
     np.testing.assert_allclose(exchanged - [0, 0, weight], kept, atol=0.02 * weight)
 
     paused = Simulation(prepare(ball(400), declared, RunContext(threads=1)))
-    for _ in range(12):
-        paused.step()
-    resume.save(paused, tmp_path / "pause.safetensors")
-    again = resume.load(tmp_path / "pause.safetensors").run()
+    again = resumed(paused, 11, tmp_path / "pause.safetensors").run()
     assert np.array_equal(again.means, clip.means) and np.array_equal(again.quats, clip.quats)
     assert again.report["objects"]["box"]["poses"] == report["objects"]["box"]["poses"]
 

@@ -3,7 +3,6 @@
 import io
 import json
 import random
-import subprocess
 import sys
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from phy124.io.ply import write_ply
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.hostile import cut, flip
+from support.processes import run_program
 from support.shapes import ball
 
 STATUSES = {0, 1, 2, 3}
@@ -137,11 +137,6 @@ def test_many_broken_files(name, samples, tmp_path, capsys):
     for seed in range(2000, 2012):
         folder = tmp_path / str(seed)
         arguments = damaged(name, samples, folder, seed)
-        run = subprocess.run(
-            [sys.executable, "-m", "phy124", *arguments],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        run = run_program([sys.executable, "-m", "phy124", *arguments])
         assert "Traceback" not in run.stderr, run.stderr
         sound(folder, name, run.returncode, run.stdout)

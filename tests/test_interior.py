@@ -10,11 +10,10 @@ from phy124.monitor.interior import Interior
 from phy124.monitor.tearing import APART
 from phy124.particles import make_particles
 from phy124.particles.grains import SIZE
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from support.runs import TORN
+from support.runs import TORN, resumed
 from support.shapes import ball
 
 
@@ -69,11 +68,7 @@ def test_torn_material_may_have_no_interior():
 def test_a_paused_run_goes_on_with_what_lay_open(torn, tmp_path):
     run, whole = torn
     again = Simulation(prepare(ball(400), run.scene, RunContext(threads=1)))
-    for frame in again:
-        if frame.index == 4:
-            break
-    resume.save(again, tmp_path / "pause.safetensors")
-    clip = resume.load(tmp_path / "pause.safetensors").run()
+    clip = resumed(again, 4, tmp_path / "pause.safetensors").run()
     assert np.array_equal(clip.means, whole.means) and np.array_equal(clip.scales, whole.scales)
 
 

@@ -179,7 +179,7 @@ class Interrupting:
 sys.meta_path.insert(0, Interrupting())
 import {program}.__main__
 """
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    run = program([sys.executable, "-c", code])
     assert (run.returncode, run.stderr) == (130, said)
 
 

@@ -12,7 +12,7 @@ import pytest
 from phy124.errors import Cancelled, InputError
 from phy124.imaging.grabcut import _initial_labels, _run_grabcut, grabcut
 from phy124.runtime.isolated import Deadline, RemoteTraceback, Unfinished, run
-from support.waiting import until
+from support.processes import run_program, until
 
 NOTE_AND_SLEEP = "import os, time; open({!r}, 'w').write(str(os.getpid())); time.sleep(600)"
 
@@ -118,7 +118,7 @@ def test_scripts_need_no_main_guard_and_threads_can_wait(tmp_path):
         "[t.join() for t in threads]\n"
         "print(*found)\n"
     )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    done = run_program([sys.executable, script], check=True)
     assert sorted(done.stdout.split()) == ["3", "4", "4", "4", "started"]
     assert done.stderr == ""
 

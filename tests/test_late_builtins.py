@@ -1,9 +1,8 @@
 """Warp's functions give the same results in Python and in kernels if their variants are late."""
 
-from __future__ import annotations
-
-import subprocess
 import sys
+
+from support.processes import run_program
 
 PROGRAM = """
 import sys
@@ -28,9 +27,7 @@ except Exception as error:
 
 def test_late_variants_give_the_same_results() -> None:
     usual, late = (
-        subprocess.run(
-            [sys.executable, "-c", PROGRAM, mode], check=True, capture_output=True, text=True
-        ).stdout.splitlines()
+        run_program([sys.executable, "-c", PROGRAM, mode], check=True).stdout.splitlines()
         for mode in ("usual", "late")
     )
     assert int(late[0]) < int(usual[0]) / 2
@@ -62,7 +59,5 @@ print(len(done))
 
 
 def test_threads_that_call_a_function_first_at_once() -> None:
-    run = subprocess.run(
-        [sys.executable, "-c", THREADS], check=True, capture_output=True, text=True
-    )
+    run = run_program([sys.executable, "-c", THREADS], check=True)
     assert run.stdout.strip() == "20", run.stderr

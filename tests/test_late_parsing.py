@@ -1,7 +1,5 @@
 """Device functions of phy124 are parsed when a kernel needs them, all others at once."""
 
-from __future__ import annotations
-
 import threading
 from types import SimpleNamespace
 from typing import Any

@@ -14,7 +14,6 @@ from phy124.materials import FixedCorotated, Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.mpm import FreeBody, Pair
-from phy124.pipeline import resume
 from phy124.pipeline.report_keys import Energy
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -23,6 +22,7 @@ from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import fill_solid, surface_of_ball
 from support.lattices import DAMPED, DX, SOFT, block, fork_at, make_bodies
+from support.runs import resumed
 
 G = 9.81
 CUBE = (0.3, 0.3, 0.3)
@@ -307,10 +307,7 @@ def simulate(scene, threads=1):
 
 def test_report_divides_the_loss_of_several_objects(tmp_path):
     paused = simulate(stacked())
-    for frame in paused:
-        if frame.index == 4:
-            break
-    resume.save(paused, tmp_path / "pause.safetensors")
+    again = resumed(paused, 4, tmp_path / "pause.safetensors")
     report = paused.run().report
     whole = report["energy"]
     assert whole.keys() <= Energy.__annotations__.keys()
@@ -327,7 +324,7 @@ def test_report_divides_the_loss_of_several_objects(tmp_path):
     works = sum(whole[name] for name in ("forces", "walls", "held", "solids", "stiffening"))
     assert whole["kinetic"] + whole["elastic"] == pytest.approx(works - whole["lost"], abs=1e-12)
     assert "work of forces, stress and contact" in report["effects"]["ran"]
-    assert resume.load(tmp_path / "pause.safetensors").run().report["energy"] == whole
+    assert again.run().report["energy"] == whole
     off = simulate(stacked(checks={"energy": False})).run()
     assert "energy" not in off.report
 

@@ -1,13 +1,13 @@
 """phy124.runtime.light_imports: without the parts that only documentation and tests need."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
+from support.processes import run_program
 from support.shapes import ball
 
 UNUSED = ["numpy.f2py", "numpy.polynomial", "numpy.testing", "unittest.mock", "asyncio", "ssl"]
@@ -18,7 +18,7 @@ def imported_after(code: str) -> list[str]:
     last = f"import sys; print(*(name for name in {UNUSED} if name in sys.modules))"
     program = f"{code}\n{last}"
     words = [sys.executable, "-c", program]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = run_program(words)
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
 
@@ -94,8 +94,6 @@ def test_schemas_are_imported_without_their_dictionaries() -> None:
 def test_scenes_are_listed_without_warp_and_numpy() -> None:
     code = "import sys\nfrom phy124.__main__ import main\nassert main(['scenes', '--json']) == 0"
     last = "print(*({'warp', 'numpy', 'pydantic'} & sys.modules.keys()))"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}\n{last}"], capture_output=True, text=True, check=True
-    )
+    done = run_program([sys.executable, "-c", f"{code}\n{last}"], check=True)
     listed, loaded = done.stdout.splitlines()
     assert json.loads(listed)["press"].startswith("A plate comes down") and not loaded

@@ -11,12 +11,12 @@ from phy124.kernels.liquid.energies import make_push_work
 from phy124.kernels.work import EXCHANGE, WORK
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import MeanWork
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from support.liquids import DENSITY, TANK, G, block, liquid, run
+from support.runs import resumed
 from support.shapes import ball
 
 
@@ -171,11 +171,7 @@ def test_report_divides_the_loss_of_a_liquid(tmp_path):
     work = whole["forces"] + whole["walls"] - whole["lost"]
     assert work == pytest.approx(whole["kinetic"], rel=1e-9)
     paused = simulate(basin())
-    for frame in paused:
-        if frame.index == 8:
-            break
-    resume.save(paused, tmp_path / "pause.safetensors")
-    assert resume.load(tmp_path / "pause.safetensors").run().report["energy"] == whole
+    assert resumed(paused, 8, tmp_path / "pause.safetensors").run().report["energy"] == whole
     two = simulate(basin(), threads=2).run().report["energy"]
     assert two["material"] == pytest.approx(whole["material"], rel=0.02)
 

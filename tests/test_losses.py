@@ -1,7 +1,5 @@
 """Results of runs that cannot end normally: no disk space, no encoder, a film that fails."""
 
-from __future__ import annotations
-
 import errno
 import importlib
 import json
@@ -185,10 +183,7 @@ def test_results_go_where_there_is_room(tmp_path, monkeypatch, temporary, done):
 
 @pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 def test_loss_of_all_frames_is_reported(tmp_path, monkeypatch, temporary):
-    with (
-        full(monkeypatch, tmp_path),
-        pytest.raises(Incomplete, match="could not be saved"),
-    ):
+    with full(monkeypatch, tmp_path), pytest.raises(Incomplete, match="could not be saved"):
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", keep=True)
     assert list(temporary.iterdir()) == [] and not (tmp_path / "out").exists()
 

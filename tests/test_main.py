@@ -20,6 +20,7 @@ from phy124.io.clip import Clip
 from phy124.io.ply import read_ply, write_ply
 from phy124.rendering.render import Renderer
 from phy124.scene import Scene
+from support.processes import run_program
 from support.shapes import ball
 from support.videos import read_video
 
@@ -330,10 +331,10 @@ def test_program_ends_after_threads_and_exit_functions(argument, status):
         "sys.freed = Freed()\n"
         "main = threading.main_thread()\n"
         "threading.Thread(target=lambda: (main.join(), print('thread', flush=True))).start()\n"
-        "program()\n"
+        "run_program()\n"
     )
     words = [sys.executable, "-c", program, argument]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = run_program(words)
     assert done.returncode == status, done.stderr
     assert done.stdout.splitlines()[-2:] == ["thread", "exit function"]
 
@@ -354,7 +355,7 @@ def test_program_ends_after_threads_and_exit_functions(argument, status):
 def test_importing_is_light(code, absent):
     """Neither the package nor a command pulls in what only others need."""
     code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    run = run_program([sys.executable, "-c", code], check=True)
     assert absent & set(run.stdout.split()) == set()
 
 

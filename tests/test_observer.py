@@ -24,6 +24,7 @@ from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped, prepare
+from support.runs import resumed
 from support.shapes import ball
 
 QUICK = {
@@ -105,11 +106,7 @@ def test_an_observer_from_outside_ends_a_run(monkeypatch):
 
 def test_an_observer_from_outside_is_resumed(tmp_path):
     whole, run = throw(), throw()
-    for frame in run:
-        if frame.index == 2:
-            break
-    resume.save(run, tmp_path / "pause.safetensors")
-    again = resume.load(tmp_path / "pause.safetensors", observers=(*OBSERVERS, Height))
+    again = resumed(run, 2, tmp_path / "pause.safetensors", observers=(*OBSERVERS, Height))
     assert again.run().report["height"] == whole.run().report["height"]
     assert "height" not in resume.load(tmp_path / "pause.safetensors").run().report
 

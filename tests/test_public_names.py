@@ -2,7 +2,6 @@
 
 import ast
 import pkgutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 import phy124
+from support.processes import run_program
 from support.shapes import ball
 
 HEAVY = {
@@ -23,7 +23,7 @@ def test_the_package_itself_is_light(use):
     """So that importing it takes no time, and Ctrl-C is clean from the start."""
     code = "import sys, phy124\n" + ("import phy124.__main__" if "main" in use else use)
     code += "\nprint(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    run = run_program([sys.executable, "-c", code], check=True)
     assert HEAVY & set(run.stdout.split()) == set()
 
 

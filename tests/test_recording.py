@@ -16,9 +16,9 @@ from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import recording, run_folder
+from support.processes import until
 from support.runs import RESULTS, SCENE, WITH, copied_at, names, same
 from support.shapes import ball
-from support.waiting import until
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
 

@@ -11,6 +11,7 @@ from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene
 from phy124.simulation import Interrupted, Simulation, prepare
+from support.runs import resumed
 from support.shapes import ball
 
 SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
@@ -30,11 +31,7 @@ def test_a_paused_run_goes_on_bit_for_bit(tmp_path, changes):
     scene = Scene.named("press").replaced({**SCENE, **changes})
     whole = Simulation(prepare(ball(800), scene)).run()
     run = Simulation(prepare(ball(800), scene))
-    for frame in run:
-        if frame.index == 4:
-            break
-    resume.save(run, tmp_path / "pause.safetensors")
-    clip = resume.load(tmp_path / "pause.safetensors").run()
+    clip = resumed(run, 4, tmp_path / "pause.safetensors").run()
     for name in ("means", "quats", "scales", "velocities", "times"):
         assert np.array_equal(getattr(clip, name), getattr(whole, name)), name
     assert clip.report["substeps"] == whole.report["substeps"]

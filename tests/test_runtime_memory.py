@@ -1,7 +1,5 @@
 """The heaps of a process that runs many simulations."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess
@@ -10,6 +8,7 @@ import sys
 import pytest
 
 from phy124.runtime.memory import HEAPS
+from support.processes import run_program
 
 COUNT = """
 import ctypes, sys, threading
@@ -66,11 +65,6 @@ for count in range(1, 31):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_repeated_runs_keep_their_memory():
-    done = subprocess.run(
-        [sys.executable, "-c", REPEATED],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = run_program([sys.executable, "-c", REPEATED], check=True)
     before, after = map(int, done.stdout.split()[-2:])
     assert after < before + 16_000, "kB"

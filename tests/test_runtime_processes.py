@@ -8,7 +8,7 @@ import pytest
 
 from phy124.errors import Cancelled
 from phy124.runtime.processes import as_done, processes
-from support.waiting import until
+from support.processes import until
 
 
 def test_tasks_return_results_and_running_ones_stop():

@@ -1,7 +1,5 @@
 """Every value of a scene, at its bounds and beyond: taken and run, or refused in words."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

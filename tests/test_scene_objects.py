@@ -19,7 +19,6 @@ from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
 from phy124.motion.scenery import Scenery
 from phy124.particles import Particles, compute_bounds
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Pair, Scene
 from phy124.scene.objects import find_pair
@@ -27,6 +26,7 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import notes
 from support.clips import random_clip
 from support.pages import blocks
+from support.runs import resumed
 from support.shapes import ball
 
 if sys.version_info >= (3, 11):
@@ -154,9 +154,7 @@ def test_particles_are_sorted_by_object(run):
 
 def test_run_of_several_objects_resumes_unchanged(run, tmp_path):
     half = Simulation(prepare(run.setup.source, run.scene, RunContext(threads=1)))
-    next(iter(half))
-    resume.save(half, tmp_path / "pause")
-    again = resume.load(tmp_path / "pause").run()
+    again = resumed(half, 0, tmp_path / "pause").run()
     assert np.array_equal(again.means, run.clip().means)
     assert np.array_equal(again.object_id, run.clip().object_id)
 
@@ -412,10 +410,7 @@ def test_a_moved_object_pushes_and_what_it_gives_is_known(tmp_path):
     np.testing.assert_allclose(exchanged, kept, rtol=1e-4, atol=1e-4 * abs(kept[0]))
     assert kept[0] / made.solver.model.total_mass > 1, "faster than 1 m/s"
     paused = Simulation(prepare(ball(400), declared, RunContext(threads=1)))
-    for _ in range(6):
-        paused.step()
-    resume.save(paused, tmp_path / "pause.safetensors")
-    again = resume.load(tmp_path / "pause.safetensors").run()
+    again = resumed(paused, 5, tmp_path / "pause.safetensors").run()
     assert np.array_equal(again.means, clip.means)
     gap = clip.means[:, ~selected, 0].min(axis=1) - clip.means[:, selected, 0].max(axis=1)
     assert gap.min() > -0.6 * declared.dx, "a soft ball, hit at 3 m/s"

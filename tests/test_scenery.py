@@ -10,10 +10,10 @@ from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.particles import make_particles
-from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.simulation.materials import assign_materials
+from support.runs import resumed
 from support.shapes import ball
 
 COUNT = 300
@@ -152,11 +152,7 @@ def test_all_ways_to_pick_them_and_later_parts_win(tmp_path):
 
 def test_a_paused_run_with_static_gaussians_goes_on_bit_for_bit(tmp_path, clip):
     run = Simulation(prepare(two_balls(), drop(PAIR | STATIC)))
-    for frame in run:
-        if frame.index == 1:
-            break
-    resume.save(run, tmp_path / "pause")
-    again = resume.load(tmp_path / "pause").run()
+    again = resumed(run, 1, tmp_path / "pause").run()
     assert np.array_equal(again.means, clip.means)
 
 

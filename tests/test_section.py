@@ -1,7 +1,5 @@
 """Declared options take values of the declared type, and scenes no endless nesting."""
 
-from __future__ import annotations
-
 import pytest
 
 from demo.settings import Settings

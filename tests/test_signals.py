@@ -1,13 +1,13 @@
 """Signals that ask to end: all are handling while inside, and none is left changed."""
 
 import signal
-import subprocess
 import sys
 import threading
 
 import pytest
 
 from phy124.runtime.signals import NAMES, handling, interrupt
+from support.processes import run_program
 
 NUMBERS = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
 
@@ -56,7 +56,5 @@ def test_idle_process_ends_with_status_and_message():
         "import signal; from phy124.runtime.signals import ending, handling\n"
         "with handling(ending(130, 'bye')): signal.raise_signal(signal.SIGINT)"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
-    )
+    run = run_program([sys.executable, "-c", code], timeout=60)
     assert (run.returncode, run.stderr) == (130, "bye")

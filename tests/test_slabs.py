@@ -3,7 +3,6 @@
 Two cores are enough: threads without a core wait their turn.
 """
 
-import itertools
 import threading
 from functools import cache
 
@@ -16,13 +15,13 @@ from phy124.forces import Gravity, ParticleForce, Wind
 from phy124.materials import LAWS, NeoHookean, Sand
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Unstable
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import MOST_THREADS
 from phy124.scene import Scene
 from phy124.scene.scene import preset_names
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import make_solver
+from support.runs import resumed
 from support.shapes import ball
 
 COUNTS = (2, 3, 4, 7, 16)
@@ -165,9 +164,8 @@ def whole():
 @pytest.mark.parametrize("threads", [None, 3, 2, 1])
 def test_resume_is_exact_or_names_other_threads(tmp_path, whole, threads):
     run = Simulation(prepare(ball(600), Scene.named("wind").replaced(SCENE), RunContext(threads=3)))
-    list(itertools.islice(run, 3))
-    resume.save(run, tmp_path / "pause.safetensors")
-    clip = resume.load(tmp_path / "pause.safetensors", RunContext(threads=threads)).run()
+    context = RunContext(threads=threads)
+    clip = resumed(run, 2, tmp_path / "pause.safetensors", context=context).run()
     said = [note for note in clip.report["notes"] if "thread" in note]
     if threads in (None, 3):
         assert np.array_equal(clip.means, whole.means) and not said

@@ -14,6 +14,7 @@ from phy124.pipeline import resume
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import lattice
+from support.runs import resumed
 from support.shapes import ball
 
 UP = (0.0, 0.0, 1.0)
@@ -158,11 +159,7 @@ def test_a_run_paused_asleep_goes_on_bit_for_bit(tmp_path, pause):
     chosen = scene(forces=[BLOW])
     whole = Simulation(prepare(ball(300), chosen)).run()
     run = Simulation(prepare(ball(300), chosen))
-    for frame in run:
-        if frame.index == pause:
-            break
-    resume.save(run, tmp_path / "pause.safetensors")
-    again = resume.load(tmp_path / "pause.safetensors")
+    again = resumed(run, pause, tmp_path / "pause.safetensors")
     clip = again.run()
     assert np.array_equal(clip.means, whole.means)
     assert clip.report["sleep"] == whole.report["sleep"]

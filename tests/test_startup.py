@@ -2,7 +2,6 @@
 
 import os
 import stat
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import warp as wp
 
 from phy124.io.files import writable
 from phy124.runtime import startup
+from support.processes import run_program
 
 NAMED = ("WARP_CACHE_PATH", "XDG_CACHE_HOME", "PYTHONWARNINGS")
 
@@ -89,11 +89,9 @@ def test_only_the_missing_driver_line_is_filtered(capfd):
 
 
 def test_command_prints_one_line_about_the_cache():
-    run = subprocess.run(
+    run = run_program(
         [sys.executable, "-m", "phy124", "effects", "press"],
         env={k: v for k, v in os.environ.items() if k not in NAMED} | {"HOME": "/dev/null"},
-        capture_output=True,
-        text=True,
         check=True,
     )
     assert "CUDA" not in run.stderr

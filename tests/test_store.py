@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +10,7 @@ import warp as wp
 from phy124.kernels import transfer
 from phy124.kernels.native import code
 from phy124.materials import NeoHookean
+from support.processes import run_program
 
 STORE = code("reduction:store")
 WARP = Path(__file__).parent / "races" / "warp_threads.cpp"
@@ -24,7 +24,7 @@ def built(folder: Path, code: str) -> Path:
     (folder / "store.inc").write_text(code)
     program = folder / "warp"
     order = [compiler, "-std=c++20", "-O1", "-g", "-fsanitize=thread", f"-I{folder}", str(WARP)]
-    done = subprocess.run([*order, "-o", str(program)], check=False, capture_output=True, text=True)
+    done = run_program([*order, "-o", str(program)])
     if "tsan" in done.stderr:
         pytest.skip("g++ has no thread sanitizer")
     assert done.returncode == 0, done.stderr
@@ -34,7 +34,7 @@ def built(folder: Path, code: str) -> Path:
 def run(program: Path, particles: int, *, reversed_: bool = False) -> tuple[int, int, int]:
     """Exit status, wrong numbers, and matrices that their own thread has written."""
     order = [str(program), str(particles), str(int(reversed_))]
-    done = subprocess.run(order, check=False, capture_output=True, text=True)
+    done = run_program(order)
     wrong, alone = map(int, done.stdout.split())
     return done.returncode, wrong, alone
 

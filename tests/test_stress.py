@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -14,13 +13,8 @@ import warp as wp
 from phy124.__main__ import main
 from phy124.studies.validation.stress import CASES, Setting, examine
 from phy124.studies.validation.stress.bodies import alike
-from phy124.studies.validation.stress.tips import (
-    PIERCED,
-    check_depth,
-    depth_in_body,
-    hairs,
-    needle,
-)
+from phy124.studies.validation.stress.tips import PIERCED, check_depth, depth_in_body, hairs, needle
+from support.processes import run_program
 
 PACKAGE = Path(__file__).parents[1] / "phy124"
 PRECISIONS = ["float32", pytest.param("float64", marks=pytest.mark.slow)]
@@ -206,13 +200,7 @@ def test_a_broken_build_fails(number, tmp_path):
     shutil.copytree(PACKAGE, tmp_path / "phy124", ignore=shutil.ignore_patterns("__pycache__"))
     path = tmp_path / "phy124" / sabotage.file
     path.write_text(path.read_text().replace(sabotage.old, sabotage.new))
-    run = subprocess.run(
-        [sys.executable, "-c", EXAMINE, str(tmp_path), str(number)],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
+    run = run_program([sys.executable, "-c", EXAMINE, str(tmp_path), str(number)], cwd=tmp_path)
     verdict = (run.stdout.split() or ["died"])[-1]
     assert (verdict == "fail") or run.returncode < 0, (sabotage.what, run.stdout, run.stderr)
 

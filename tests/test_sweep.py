@@ -35,8 +35,8 @@ from phy124.studies.sweep.manifest import read_manifest
 from phy124.studies.sweep.report import format_lines, write_page
 from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import needs_of, write_row
-from support.killing import clips_of
 from support.pages import ROOT, blocks
+from support.processes import clips_of
 from support.shapes import ball
 
 

@@ -13,7 +13,7 @@ from phy124.simulation import Simulation
 from phy124.studies.sweep import Plan, Sweep, run, running, work
 from phy124.studies.sweep.manifest import read_manifest
 from phy124.studies.sweep.storage import Storage
-from support.killing import clips_of
+from support.processes import clips_of
 from support.shapes import ball
 
 

@@ -18,7 +18,7 @@ from phy124.studies.sweep import Dataset, Plan, Sweep, run
 from phy124.studies.sweep.manifest import read_manifest
 from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Needs, Order
-from support.killing import clips_of, killer, made
+from support.processes import clips_of, killer, made
 from support.shapes import ball
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]

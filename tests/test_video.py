@@ -217,7 +217,7 @@ def test_transparent_films_are_decoded_with_their_alpha(tmp_path, ending, codec,
         pictures.append(picture)
     assert write_film(path, iter(pictures), fps=12) == 4
     program = imageio_ffmpeg.get_ffmpeg_exe()
-    shown = subprocess.run([program, "-i", path], capture_output=True, text=True, check=False)
+    shown = program([program, "-i", path])
     assert codec in shown.stderr and "12 fps" in shown.stderr and "48x32" in shown.stderr
     command = [
         program,

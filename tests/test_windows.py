@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from phy124.io.ply import write_ply
+from support.processes import run_program
 from support.served import ROOT, serving
 from support.shapes import ball
 
@@ -37,10 +38,8 @@ def test_run_is_simulated_and_filmed(tmp_path):
     write_ply(tmp_path / "ball.ply", ball(300))
     code = "from phy124.__main__ import main\nsys.exit(main(sys.argv))"
     options = "--frames 2 --size 32 --views front --device cpu --json --set accuracy.cells=8"
-    done = subprocess.run(
-        [sys.executable, write_script(tmp_path, code), "simulate", "ball.ply", *options.split()],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    command = [sys.executable, write_script(tmp_path, code), "simulate", "ball.ply"]
+    done = run_program([*command, *options.split()], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["complete"]
     assert (tmp_path / "out/ball-press/front.mp4").is_file()

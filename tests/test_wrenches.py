@@ -12,13 +12,13 @@ from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
 from phy124.monitor.wrenches import Wrenches, summary, wall_names
-from phy124.pipeline import resume
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import block, make_solver
 from support.pages import ROOT
+from support.runs import resumed
 from support.shapes import ball
 
 SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "wrenches": True}
@@ -117,11 +117,7 @@ def test_a_paused_run_goes_on_with_them(tmp_path):
     scene = Scene.named("press").replaced(SCENE)
     whole = Simulation(prepare(ball(300), scene, RunContext(threads=1))).run()
     run = Simulation(prepare(ball(300), scene, RunContext(threads=1)))
-    for frame in run:
-        if frame.index == 1:
-            break
-    resume.save(run, tmp_path / "pause.safetensors")
-    again = resume.load(tmp_path / "pause.safetensors").run()
+    again = resumed(run, 1, tmp_path / "pause.safetensors").run()
     assert np.array_equal(whole.wrenches, again.wrenches)
 
 

@@ -1,7 +1,5 @@
 """A hostile visitor who sends raw requests to the page, without any client library."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import secrets

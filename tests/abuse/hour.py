@@ -6,8 +6,6 @@ At its end every honest visitor had a run, memory and disk are within their limi
 process and no file of anybody is left. It prints how long /health took.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

@@ -1,7 +1,5 @@
 """A proxy that delays every answer until it is complete, as some proxies do."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import threading

@@ -3,8 +3,6 @@
 Each test is an attacker; the last ones look at what all of them have left behind.
 """
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import io

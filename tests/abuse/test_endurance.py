@@ -1,7 +1,5 @@
 """Long tests of the page (pytest -m slow): many runs, and a permanent crowd of visitors."""
 
-from __future__ import annotations
-
 import pytest
 from attacker import Attacker
 

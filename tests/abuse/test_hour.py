@@ -1,7 +1,5 @@
 """The beginning of the hostile hour (tests/abuse/hour.py), which is run by hand."""
 
-from __future__ import annotations
-
 import pytest
 from hour import SETTINGS, attack, check
 

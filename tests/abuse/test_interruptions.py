@@ -5,8 +5,6 @@ Prints how many of how many were survived. PHY124_INTERRUPTIONS sets their numbe
 moments.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -30,6 +28,7 @@ from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import PAUSE
 from support.groups import limited
+from support.processes import run_program
 from support.shapes import ball
 
 pytestmark = [
@@ -63,7 +62,7 @@ class Kind:
         self.name, self.command = name, [*map(str, command)]
         self.whole = folder / f"whole-{name}"
         begun = time.monotonic()
-        done = subprocess.run(self.at(self.whole), capture_output=True, text=True, check=False)
+        done = run_program(self.at(self.whole))
         assert done.returncode == 0, done.stderr
         self.seconds = time.monotonic() - begun
 
@@ -82,7 +81,7 @@ class Kind:
             more = ["--overwrite"] if out.exists() else []
         else:
             more = ["--resume"] if (out / PAUSE).exists() else []
-        done = subprocess.run(self.at(out, *more), capture_output=True, text=True, check=False)
+        done = run_program(self.at(out, *more))
         assert done.returncode == 0, done.stderr
 
 

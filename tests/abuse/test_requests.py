@@ -1,8 +1,6 @@
 """Requests that the page would never send, one by one, and the tools for agents; nothing
 remains."""
 
-from __future__ import annotations
-
 import base64
 import json
 import urllib.request

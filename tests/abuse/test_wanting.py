@@ -3,8 +3,6 @@
 The server has little room and few open files; whatever is tried, others are served.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

@@ -4,8 +4,6 @@ Run `python tests/benchmarks/abuse.py`; it prints one line per case and takes a 
 those of the table: a cube of 512 particles (1,728 in impacts) with E = 1e5 Pa.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable

@@ -5,8 +5,6 @@ python tests/benchmarks/cutouts.py                    the examples, each on 12 g
 python tests/benchmarks/cutouts.py PICTURES MASKS     pictures, and masks named alike (.png); prints
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections import Counter

@@ -5,8 +5,6 @@ PHY124_NODE_MODULES=FOLDER/node_modules python tests/benchmarks/foreign.py
 See tests/support/foreign.py for what to install.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

@@ -3,8 +3,6 @@
 python tests/benchmarks/formats.py out/duck-press/clip.safetensors
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import time

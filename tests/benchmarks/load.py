@@ -8,8 +8,6 @@ Generate to the second frame in the viewer and to the finished videos, and of th
 time relative to the true one, for visitors who waited at least five seconds.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

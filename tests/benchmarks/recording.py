@@ -3,8 +3,6 @@
 `python tests/benchmarks/recording.py [PAIRS]` prints seconds of each, and the difference.
 """
 
-from __future__ import annotations
-
 import statistics
 import sys
 import tempfile

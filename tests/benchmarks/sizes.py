@@ -8,8 +8,6 @@ copies the tables to docs/results/scale.md. With --most 5_000_000 and --longest 
 about ten minutes on two idle cores. `finer.py` makes the files of many Gaussians.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

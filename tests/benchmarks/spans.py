@@ -7,8 +7,6 @@ updated. The program prints a line per run, asserts nothing, and takes a quarter
 busy machine. If numbers of loops are passed, only these are measured, one round for each.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -3,8 +3,6 @@
 Run `python tests/benchmarks/stability.py OUT`; it takes about two minutes on one core.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -3,8 +3,6 @@
 python tests/benchmarks/starts.py
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -26,7 +26,7 @@ from phy124.studies.sweep.running import _orders
 from phy124.studies.sweep.storage import Storage
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from support.killing import clips_of, killer
+from support.processes import clips_of, killer
 
 ROOT = Path(__file__).parents[2]
 PRICE = 0.04

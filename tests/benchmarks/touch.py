@@ -11,8 +11,6 @@ told, which other work on the machine changes less than the rest. `--film` write
 pictures as an animated WebP.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

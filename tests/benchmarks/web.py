@@ -4,8 +4,6 @@ Wall-clock seconds and processor seconds of the server, with a warm kernel cache
 those of a quiet machine only where nothing else runs; the second hardly change.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

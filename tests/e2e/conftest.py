@@ -1,7 +1,5 @@
 """One server and one Chromium for all browser tests."""
 
-from __future__ import annotations
-
 import pytest
 from visit import CHROMIUM, FLAGS, Visit
 

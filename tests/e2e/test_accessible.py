@@ -1,7 +1,5 @@
 """The page by the rules of axe-core, in every state, light and dark; and by keyboard alone."""
 
-from __future__ import annotations
-
 import pytest
 from visit import DUCK, Visit
 

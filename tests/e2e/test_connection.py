@@ -1,7 +1,5 @@
 """Lost connections and reloads in a real headless Chromium: nothing is lost with them."""
 
-from __future__ import annotations
-
 import pytest
 
 pytestmark = pytest.mark.browser

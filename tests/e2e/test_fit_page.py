@@ -1,7 +1,5 @@
 """A video is dropped on a result in a real browser, and the next run has its softness."""
 
-from __future__ import annotations
-
 import pytest
 from visit import LONG
 

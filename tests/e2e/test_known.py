@@ -1,7 +1,5 @@
 """Optional inputs about the object on the page."""
 
-from __future__ import annotations
-
 import pytest
 from visit import DUCK
 

@@ -1,7 +1,5 @@
 """Actions that come faster than the server answers, in a real headless Chromium."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Pictures of the further objects of a scene, in the page."""
 
-from __future__ import annotations
-
 import pytest
 from visit import DUCK, Visit
 

@@ -1,7 +1,5 @@
 """Single panels in a real headless Chromium, without a server: their messages when a job ends."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Pictures in a real headless Chromium: chosen, refused, reduced, photographed, corrected."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The player alone in a real headless Chromium: an exported file, opened offline."""
 
-from __future__ import annotations
-
 import json
 from contextlib import contextmanager
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """Refusals in a real headless Chromium: repeated, shown in full, and removed when they no longer
 apply."""
 
-from __future__ import annotations
-
 import pytest
 from visit import DUCK, Visit
 

@@ -1,7 +1,5 @@
 """The server is started again under an open page, in a real headless Chromium."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import pytest

@@ -1,7 +1,5 @@
 """The display of a run in a real headless Chromium: while it grows, next to others, on a phone."""
 
-from __future__ import annotations
-
 import pytest
 from visit import Visit
 

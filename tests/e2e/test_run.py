@@ -1,7 +1,5 @@
 """A run in a real headless Chromium, from the upload to the files taken away."""
 
-from __future__ import annotations
-
 import json
 import re
 import zipfile

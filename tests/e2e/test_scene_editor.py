@@ -1,7 +1,5 @@
 """The scene editor alone in a real headless Chromium: changes of a law or kind."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

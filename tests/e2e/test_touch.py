@@ -1,7 +1,5 @@
 """Touch in a real browser: the object is dragged, follows, comes back, and becomes a clip."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

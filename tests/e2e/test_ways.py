@@ -1,7 +1,5 @@
 """A file of Gaussians in place of a picture: which way is up is chosen by its pictures."""
 
-from __future__ import annotations
-
 import pytest
 
 from phy124.io import ply

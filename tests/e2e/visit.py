@@ -1,7 +1,5 @@
 """A visitor's tab in a real browser, and what its player draws."""
 
-from __future__ import annotations
-
 import base64
 import io
 import shutil

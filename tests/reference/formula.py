@@ -3,8 +3,6 @@
 The golden outputs of the original networks were made with exactly these weights.
 """
 
-from __future__ import annotations
-
 import math
 import zlib
 

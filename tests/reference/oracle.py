@@ -4,8 +4,6 @@ Each takes F [N,3,3], the velocity gradient C [N,3,3], history h [N,2] and one r
 nothing with the device code: no series, no closed-form eigenvalues, no Newton iteration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Collects all values that a scene declares from the schema, so that new fields are included."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from functools import partial

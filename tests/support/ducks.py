@@ -1,7 +1,5 @@
 """A run of the page in which a duck is pressed, and a video of a stiffer duck."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from demo.jobs import Studio

@@ -11,8 +11,6 @@ spz-js of npm cannot be used, because it reads only version 2, and phy124 writes
 Files that spz-js wrote are read in tests/test_formats.py.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Linux control groups, to test runs with little memory or few processors."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -10,6 +8,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+
+from support.processes import run_program
 
 
 @contextmanager
@@ -38,4 +38,4 @@ def within(group: Path, *command: object) -> subprocess.CompletedProcess:
     """Run Python in a control group."""
     enter = f'echo $$ > {group}/cgroup.procs && exec "$0" "$@"'
     whole = ["sh", "-c", enter, sys.executable, *map(str, command)]
-    return subprocess.run(whole, check=False, capture_output=True, text=True, timeout=300)
+    return run_program(whole, timeout=300)

@@ -1,7 +1,5 @@
 """Harmful pictures, pictures with false headers, and functions that damage a file."""
 
-from __future__ import annotations
-
 import random
 import struct
 import zlib

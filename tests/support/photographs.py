@@ -1,7 +1,5 @@
 """Makes files of photographs with EXIF tags, colour profiles, or several pictures."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Iterable

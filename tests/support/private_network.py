@@ -4,8 +4,6 @@ As a program, it sends frames through DdsSink to ROS 2 peers in separate process
 JSON line for each: `private_network.py RANGE PEER...`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from phy124.io.clip import Clip
+from phy124.pipeline import resume
 from phy124.scene import Scene
+from phy124.simulation import Simulation
 
 CHANGES = {"accuracy": {"cells": 8}, "time.frames": 6, "view.size": 32, "view.views": ["front"]}
 SCENE = Scene.named("press").replaced(CHANGES)
@@ -24,7 +26,7 @@ WITH = {
                 "sides": [0.4, 0.4, 0.2],
                 "on": "object",
                 "motion": {"kind": "free", "density": 400},
-            },
+            }
         ],
     },
     "at rest": {"boundaries": [{"kind": "ground"}], "time.frames": 9},
@@ -66,3 +68,11 @@ def copied_at(frame_number: int, out: Path, copy: Path):
             shutil.copytree(out, copy, ignore=lambda *_: [])
 
     return each
+
+
+def resumed(run: Simulation, frame: int, path: Path, **options) -> Simulation:
+    """Pause a run after a frame; return the run that goes on, loaded with the options."""
+    while run.step().index < frame:
+        pass
+    resume.save(run, path)
+    return resume.load(path, **options)

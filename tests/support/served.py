@@ -1,7 +1,5 @@
 """A real server of the page for tests: `python app.py` with its own port and folder."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

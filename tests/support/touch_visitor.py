@@ -1,7 +1,5 @@
 """A visitor who uses *Touch*, also as a separate process: `python -m support.touch_visitor`."""
 
-from __future__ import annotations
-
 import json
 import socket
 import struct

@@ -1,7 +1,5 @@
 """Mocks of a live run's process for tests of the relay; they import no large packages."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct

@@ -1,7 +1,5 @@
 """A minimal websocket (RFC 6455) that can break connections in ways that good libraries avoid."""
 
-from __future__ import annotations
-
 import base64
 import os
 import socket

@@ -7,8 +7,6 @@ DDS, there is one callback per spin, queues have a limited depth, and acknowledg
 heartbeat.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 import sys

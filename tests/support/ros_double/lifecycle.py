@@ -1,7 +1,5 @@
 """A mock of a node whose states are changed by a manager."""
 
-from __future__ import annotations
-
 import enum
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The action of simulation_interfaces and its server."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -5,8 +5,6 @@ pictures from `VIEWS`, the depth and the volume. The pictures are drawn once and
 temporary folder.
 """
 
-from __future__ import annotations
-
 import hashlib
 import tempfile
 from collections.abc import Sequence

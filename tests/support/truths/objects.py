@@ -3,8 +3,6 @@
 Units are arbitrary; x is towards the viewer, y to the right, z up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from typing import NamedTuple

@@ -1,13 +1,36 @@
-"""Kills workers of a sweep while the sweep runs."""
-
-from __future__ import annotations
+"""Programs in other processes: they are run, waited for, and killed."""
 
 import os
 import signal
+import subprocess
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+LIMIT = 60.0
+"""Longest wait [s], chosen for a machine that runs ten other programs."""
+
+
+def run_program(
+    command: Any, *, check: bool = False, **options: Any
+) -> subprocess.CompletedProcess:
+    """Run a program to its end; return its status and the text that it wrote.
+
+    Raises:
+        subprocess.CalledProcessError: If `check`, and its status is not 0.
+    """
+    return subprocess.run(command, capture_output=True, text=True, check=check, **options)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait until a condition is true."""
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
 
 
 def made(out: Path) -> int:
