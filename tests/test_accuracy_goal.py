@@ -42,11 +42,7 @@ def test_goal_values_have_the_units_of_the_scene():
         format_error("pixels", 2.04),
         format_error("fraction", 0.012),
         format_error("metres", 0.0034),
-    ] == [
-        "2.0 px",
-        "1.2 %",
-        "3.4 mm",
-    ]
+    ] == ["2.0 px", "1.2 %", "3.4 mm"]
 
 
 def test_search_names_the_error_of_each_grid():

@@ -104,10 +104,7 @@ def test_whole_numbers_do_for_numbers(ros, tmp_path, name, whole):
             {"qos_overrides./phy124/points.publisher.reliability": "sure"},
             "ROS 2 refuses these overrides (Unexpected QoS override",
         ),
-        (
-            {"qos_overrides./phy124/points.publisher.depth": "deep"},
-            "expecting type 'INTEGER'",
-        ),
+        ({"qos_overrides./phy124/points.publisher.depth": "deep"}, "expecting type 'INTEGER'"),
     ],
 )
 def test_a_refusal_is_one_line_at_fatal(ros, tmp_path, arguments, sentence):

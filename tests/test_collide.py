@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from phy124.boundaries import (
-    Box,
-    Capsule,
-    Container,
-    Ground,
-    HalfSpace,
-    Held,
-    Sphere,
-)
+from phy124.boundaries import Box, Capsule, Container, Ground, HalfSpace, Held, Sphere
 from phy124.forces import Gravity
 from phy124.kernels import collide
 from phy124.kernels.build import kernel

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.materials import NeoHookean, Rigid, Sand
-from phy124.monitor.diagnostics import (
-    broken_particles,
-    describe_particle,
-    describe_substep,
-    law_of,
-)
+from phy124.monitor.diagnostics import broken_particles, describe_particle, describe_substep, law_of
 from phy124.studies.validation.bodies import block, make_solver
 
 

@@ -153,8 +153,7 @@ def test_ply_of_the_original_enters_at_our_size(folder, expected):
 
 
 @pytest.mark.parametrize(
-    ("build", "table"),
-    [(zero123.unet, "zero123_unet"), (zero123.vision, "zero123_clip_vit_l14")],
+    ("build", "table"), [(zero123.unet, "zero123_unet"), (zero123.vision, "zero123_clip_vit_l14")]
 )
 def test_zero123_has_the_public_shapes(folder, build, table):
     with torch.device("meta"):

@@ -14,13 +14,7 @@ from phy124.errors import InputError
 from phy124.io.formats import usd
 from phy124.io.ply import read_ply
 from phy124.rendering import film as film_module
-from phy124.rendering.film import (
-    describe_playback,
-    film,
-    film_notes,
-    playback,
-    refuse_unfilmable,
-)
+from phy124.rendering.film import describe_playback, film, film_notes, playback, refuse_unfilmable
 from phy124.scene import Scene, View
 from support.clips import AWAY, flight
 from support.videos import read_video

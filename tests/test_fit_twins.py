@@ -39,10 +39,7 @@ def declared(tmp_path, picture, scene, cells, **more):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("picture", "scene", "cells", "find"),
-    [
-        (DUCK, "press", 32, "1e4..2e5"),
-        (SUNFLOWER, "sway", 40, "3e4..1e6"),
-    ],
+    [(DUCK, "press", 32, "1e4..2e5"), (SUNFLOWER, "sway", 40, "3e4..1e6")],
 )
 def test_stiffness_within_a_tenth(tmp_path, picture, scene, cells, find):
     asked, material = declared(tmp_path, picture, scene, cells, find={"material.E": find})

@@ -88,10 +88,7 @@ FORCE = st.one_of(
     force("attraction", g=decades(1e-2, 1e4), radius=decades(1e-3, 1e3)),
     force("zone", a=vectors(STRENGTH)),
 )
-CONTACT = {
-    "contact": st.sampled_from(["sticky", "slip", "separate"]),
-    "friction": st.floats(0, 10),
-}
+CONTACT = {"contact": st.sampled_from(["sticky", "slip", "separate"]), "friction": st.floats(0, 10)}
 MOTION = st.one_of(
     st.none(),
     st.fixed_dictionaries(
@@ -259,10 +256,7 @@ def run_particles(cloud: Cloud, scene: Scene) -> None:
 
 
 @settings(max_examples=2000, **COMMON)
-@given(
-    cloud=CLOUDS,
-    scene=scenes(st.sampled_from(["float32", "float64"]), st.one_of(PLAIN, LOOSE)),
-)
+@given(cloud=CLOUDS, scene=scenes(st.sampled_from(["float32", "float64"]), st.one_of(PLAIN, LOOSE)))
 def run_two_thousand(cloud: Cloud, scene: Scene) -> None:
     check(cloud, scene)
 

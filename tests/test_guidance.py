@@ -11,12 +11,7 @@ from safetensors.torch import save_file
 from phy124.errors import InputError
 from phy124.generators.neural.dreamgaussian import zero123
 from phy124.generators.neural.dreamgaussian.generator import WITH_IMAGEDREAM, fit, start
-from phy124.generators.neural.dreamgaussian.guidance import (
-    Pose,
-    add_noise,
-    alphas_cumprod,
-    sds,
-)
+from phy124.generators.neural.dreamgaussian.guidance import Pose, add_noise, alphas_cumprod, sds
 from phy124.generators.neural.dreamgaussian.multiview import MultiView
 from phy124.generators.neural.imagedream.unet import load_unet
 from reference import formula

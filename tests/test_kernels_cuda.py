@@ -6,15 +6,7 @@ import re
 import pytest
 import warp as wp
 
-from phy124.kernels import (
-    collide,
-    forces,
-    grid,
-    measure,
-    timestep,
-    transfer,
-    work,
-)
+from phy124.kernels import collide, forces, grid, measure, timestep, transfer, work
 from phy124.materials import FixedCorotated, NeoHookean, Sand
 from phy124.mpm import free
 from phy124.scene import Scene, preset_names

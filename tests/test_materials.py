@@ -10,14 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from phy124.kernels import measure, transfer
 from phy124.kernels.diagnostics import make_probe
-from phy124.materials import (
-    AnyMaterial,
-    Fluid,
-    Hencky,
-    Plasticine,
-    Rigid,
-    Sand,
-)
+from phy124.materials import AnyMaterial, Fluid, Hencky, Plasticine, Rigid, Sand
 from phy124.studies.validation.bodies import make_solver
 from reference.material_point import (
     EYE,

@@ -199,10 +199,9 @@ def test_a_mesh_far_away_in_double_precision_keeps_its_shape(tmp_path, name):
         scene.export(path)
     else:
         body.vertices += EARTH
-        texts = {
-            "obj": ["v {} {} {}\n", "f {} {} {}\n"],
-            "ply": ["{} {} {}\n", "3 {} {} {}\n"],
-        }[path.suffix[1:]]
+        texts = {"obj": ["v {} {} {}\n", "f {} {} {}\n"], "ply": ["{} {} {}\n", "3 {} {} {}\n"]}[
+            path.suffix[1:]
+        ]
         first = 1 if name == "far.obj" else 0
         lines = [texts[0].format(*map(repr, row)) for row in body.vertices.tolist()]
         lines += [texts[1].format(*row) for row in (body.faces + first).tolist()]

@@ -307,11 +307,7 @@ def test_a_settled_block_touches_the_floor(contact):
     x = block() - [0, 0, 1 - 0.25]
     floor = Ground(height=0.0, contact=contact)
     s = solver(
-        x,
-        NeoHookean(E=1e6),
-        forces=[Gravity()],
-        boundaries=[floor],
-        origin=(0, 0, -0.75 * DX),
+        x, NeoHookean(E=1e6), forces=[Gravity()], boundaries=[floor], origin=(0, 0, -0.75 * DX)
     )
     for _ in range(20):
         s.advance(s.clock.time + 0.02)

@@ -91,11 +91,7 @@ SCENES = {
     "degree 1": (lambda rng: cloud(rng, degree=1), Camera.orbit(90, 89, 1.3, 64), (1, 1, 1)),
     "degree 2": (lambda rng: cloud(rng, degree=2), Camera.orbit(0, 90, 1.3, 64), (1, 1, 1)),
     "around the camera": (around_camera, Camera.orbit(0, 0, 1.5, (80, 96)), (1, 1, 1)),
-    "opaque": (
-        lambda rng: cloud(rng, 1500, sizes=0.06),
-        Camera.orbit(0, 0, 1.2, 80),
-        (1, 1, 1),
-    ),
+    "opaque": (lambda rng: cloud(rng, 1500, sizes=0.06), Camera.orbit(0, 0, 1.2, 80), (1, 1, 1)),
 }
 
 

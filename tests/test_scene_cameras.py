@@ -120,10 +120,7 @@ def test_camera_path_longer_than_the_clip_is_noted(clip):
         ([{"kind": "crane"}], "view.cameras.0.kind = crane: there is no such kind"),
         ([{"kind": "dolly", "first": 0.1}], "view.cameras.0.first = 0.1: it must be a number"),
         ([{"kind": "path", "keys": []}], "view.cameras.0.keys"),
-        (
-            [{"kind": "path", "keys": [{"time": 1}, {"time": 1}]}],
-            "must increase. Sort them",
-        ),
+        ([{"kind": "path", "keys": [{"time": 1}, {"time": 1}]}], "must increase. Sort them"),
     ],
 )
 def test_cameras_that_cannot_be_are_refused(moving, sentence):

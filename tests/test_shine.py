@@ -13,15 +13,7 @@ from phy124.rendering.film import film
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes
-from phy124.rendering.shine import (
-    GLOSSES,
-    LAMP,
-    Shine,
-    add_gloss,
-    make_shine,
-    reflect,
-    runs_of,
-)
+from phy124.rendering.shine import GLOSSES, LAMP, Shine, add_gloss, make_shine, reflect, runs_of
 from phy124.runtime.context import RunContext
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import Scene

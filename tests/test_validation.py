@@ -5,13 +5,7 @@ import pytest
 
 from phy124.boundaries import Container, Ground, Held
 from phy124.forces import Gravity
-from phy124.materials import (
-    Fluid,
-    Material,
-    NeoHookean,
-    Rigid,
-    Sand,
-)
+from phy124.materials import Fluid, Material, NeoHookean, Rigid, Sand
 from phy124.mpm import Solver
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import lattice, make_solver

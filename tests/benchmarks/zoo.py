@@ -46,11 +46,7 @@ from tables import processor
 
 ROOT = Path(__file__).parents[2]
 ROWS = Path(__file__).with_suffix(".jsonl.gz")
-GRIDS = {
-    "draft": (6, 8, 16, 32),
-    "standard": (10, 12, 16, 20, 32, 64),
-    "fine": (18, 24, 48, 96),
-}
+GRIDS = {"draft": (6, 8, 16, 32), "standard": (10, 12, 16, 20, 32, 64), "fine": (18, 24, 48, 96)}
 """Name -> cells across the object: companions, the grid that is judged, and last the truth."""
 COLOUR = (0.6, 0.4, 0.3)
 TOP = {"lower": (-1e9, -1e9, 0.5)}

@@ -28,9 +28,7 @@ SCENES = {
     "one particle for each Gaussian": {"binding": "particles"},
     "float64": {"accuracy": {"cells": 8, "precision": "float64"}},
     "contacts and velocities": {"contacts": True, "velocities": True},
-    "two materials": {
-        "parts": [{"region": {"upper": [1, 1, 0.5]}, "material": {"law": "fluid"}}],
-    },
+    "two materials": {"parts": [{"region": {"upper": [1, 1, 0.5]}, "material": {"law": "fluid"}}]},
     "stiffness that varies": {"stiffness": {"kind": "gradient", "first": 1.0, "last": 0.3}},
 }
 
