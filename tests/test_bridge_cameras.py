@@ -32,7 +32,7 @@ from phy124.scene import Scene
 from support import ros_double
 from support.foxglove_client import Client
 from support.processes import until
-from support.ros_messages import decoded
+from support.ros_double import decoded
 from support.steered import steered
 
 SIZE = (160, 120)

@@ -8,7 +8,7 @@ import pytest
 from bridge import cdr
 from bridge.steering.entities import INVALID_POSE, Code
 from bridge.steering.standard import Feature, Standard
-from support.ros_messages import JAZZY
+from support.ros_double import JAZZY
 from support.steered import OPTIONS, WEIGHTLESS, header, steered, transform, triple
 
 

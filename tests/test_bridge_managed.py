@@ -6,8 +6,7 @@ import pytest
 
 from bridge import managed, node
 from support.clips import random_clip
-from support.ros_double import Node
-from support.ros_messages import statuses, values
+from support.ros_double import Node, statuses, values
 
 FRAMES = 5
 PLAYED = ("configure", "activate")

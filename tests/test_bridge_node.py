@@ -15,8 +15,7 @@ from phy124.generators.ply_file import Reading
 from phy124.imaging.cutting import Cutting
 from phy124.scene import Scene
 from support.clips import random_clip
-from support.ros_double import Node
-from support.ros_messages import clouds, statuses, values
+from support.ros_double import Node, clouds, statuses, values
 
 FOREVER = 1000
 """Spins after which a test's script gives up."""

@@ -17,8 +17,7 @@ from bridge.topics import POINTS, PUSH, Controls, Message, Service, contact
 from phy124.errors import InputError
 from support import ros_double
 from support.clips import random_clip
-from support.ros_double import POLICIES, Node
-from support.ros_messages import clouds, decoded, statuses, values
+from support.ros_double import POLICIES, Node, clouds, decoded, statuses, values
 from support.steered import OPTIONS, steered, transform, wrench
 
 FOREVER = 1000

@@ -24,7 +24,7 @@ from phy124.live import Live
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, Stopped, prepare
-from support.ros_messages import JAZZY
+from support.ros_double import JAZZY
 from support.steered import EPOCH, OPTIONS, WEIGHTLESS, point, scene, steered, transform, wrench
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from phy124.gaussians import SH_C0
 from phy124.io.formats import read_as_is
-from support.plys import ply_of
+from support.model_files import ply_of
 
 STANDARD = {
     "x": [0.0, 1.0, 2.0], "y": 0.0, "z": 0.0, "f_dc_0": 0.5, "f_dc_1": 0.0, "f_dc_2": -0.5,

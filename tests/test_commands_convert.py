@@ -13,7 +13,7 @@ from phy124.generators import make, needs_image
 from phy124.io.clip import Clip
 from phy124.io.formats import FORMATS, read_as_is, read_gaussians, write_gaussians
 from phy124.io.ply import raw_table
-from support.plys import ply_of
+from support.model_files import ply_of
 from support.quantisation import many
 from support.shapes import ball
 

@@ -23,7 +23,7 @@ from demo.guard import COOKIE
 from demo.settings import Settings
 from demo.touch import Table, relay, socket_route
 from support import touching
-from support.touch_visitor import Visitor
+from support.websocket import Visitor
 
 HERE = Path(__file__).parent
 ORDER = SimpleNamespace(gaussians=1000, scene=SimpleNamespace(names=["object"]))
@@ -62,7 +62,7 @@ class Site:
 
 def in_a_process(port: int, visitor: str, ticket: str) -> None:
     """A visitor whose process is killed."""
-    module = [sys.executable, "-m", "support.touch_visitor"]
+    module = [sys.executable, "-m", "support.websocket"]
     command = [*module, str(port), f"{COOKIE}={visitor}", ticket]
     with subprocess.Popen(command, cwd=HERE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

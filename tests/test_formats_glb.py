@@ -12,7 +12,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Gaussians, join
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.formats import glb, read_as_is, read_gaussians, write_gaussians
-from support.glbs import edited
+from support.model_files import edited
 from support.quantisation import many
 from support.shapes import ball
 

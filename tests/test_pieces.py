@@ -8,8 +8,7 @@ import pytest
 from phy124.particles.lattice import cells_of, lattice_of, points_of
 from phy124.particles.solid import Solid
 from phy124.studies.validation.bodies import fill_solid
-from support.lattices import DX, block, fork, rod
-from support.linear import E, Statics
+from support.lattices import DX, E, Statics, block, fork, rod
 
 PLACES = [(0, 0, 0), (0.1, 0.7, 0.8), (0.5, 0.5, 0.3)]
 

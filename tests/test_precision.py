@@ -18,8 +18,7 @@ from phy124.particles.thickness import Proportions
 from phy124.pipeline.capture import capture
 from phy124.scene import Scene
 from support.captures import captured
-from support.glbs import edited
-from support.plys import ply_of
+from support.model_files import edited, ply_of
 from support.shapes import ball
 
 EARTH = np.array([500_000, 0, 4.6e6])

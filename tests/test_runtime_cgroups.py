@@ -9,7 +9,7 @@ import pytest
 
 from phy124.io.ply import write_ply
 from phy124.runtime.cgroups import cpu_quota, memory_left
-from support.groups import limited, within
+from support.processes import limited, within
 from support.shapes import ball
 
 MB = 1_000_000

@@ -27,8 +27,7 @@ from bridge.recover import recover
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import PAUSE
-from support.groups import limited
-from support.processes import run_program
+from support.processes import limited, run_program
 from support.shapes import ball
 
 pytestmark = [

@@ -1,14 +1,17 @@
-"""Programs in other processes: they are run, waited for, and killed."""
+"""Programs in other processes: they are run, waited for, limited, and killed."""
 
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 LIMIT = 60.0
 """Longest wait [s], chosen for a machine that runs ten other programs."""
@@ -81,3 +84,32 @@ def killer(out: Path, every: float) -> Iterator[list[int]]:
     finally:
         done.set()
         thread.join()
+
+
+@contextmanager
+def limited(controller: str, limits: Mapping[str, int]) -> Iterator[Path]:
+    """Provide a Linux control group of either version; skip the test if none can be created."""
+    first = Path("/sys/fs/cgroup")
+    mount = first / controller if (first / controller).is_dir() else first
+    group = mount / f"phy124-test-{os.getpid()}"
+    made = False
+    try:
+        with suppress(OSError):
+            group.mkdir()
+            for name, value in limits.items():
+                if (group / name).exists():
+                    (group / name).write_text(str(value))
+                    made = True
+        if not made:
+            pytest.skip("this machine lets us make no control group")
+        yield group
+    finally:
+        with suppress(OSError):
+            group.rmdir()
+
+
+def within(group: Path, *command: object) -> subprocess.CompletedProcess:
+    """Run Python in a control group."""
+    enter = f'echo $$ > {group}/cgroup.procs && exec "$0" "$@"'
+    whole = ["sh", "-c", enter, sys.executable, *map(str, command)]
+    return run_program(whole, timeout=300)

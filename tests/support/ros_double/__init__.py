@@ -15,6 +15,8 @@ import types
 from types import SimpleNamespace
 from typing import Any
 
+from rosbags.typesys import Stores, get_typestore
+
 from support.ros_double.lifecycle import LifecycleNode, TransitionCallbackReturn
 from support.ros_double.node import POLICIES, Context, Node
 from support.ros_double.parameters import (
@@ -137,3 +139,22 @@ def install(monkeypatch: Any) -> SimpleNamespace:
     services = ("Seek", "SetRate", "TogglePaused", "IsPaused", "PlayNext")
     module("rosbag2_interfaces.srv", **{name: type(name, (), {}) for name in services})
     return state
+
+
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+
+
+def decoded(publisher, kind):
+    return [JAZZY.deserialize_cdr(data, kind) for data in publisher.sent]
+
+
+def clouds(made):
+    return decoded(made.publishers["points"], "sensor_msgs/msg/PointCloud2")
+
+
+def statuses(made):
+    return decoded(made.publishers["~/status"], "diagnostic_msgs/msg/DiagnosticStatus")
+
+
+def values(status):
+    return {pair.key: pair.value for pair in status.values}

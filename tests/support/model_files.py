@@ -1,5 +1,7 @@
-"""PLY files of any columns."""
+"""PLY files of any columns, and GLB files with another description."""
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -27,3 +29,15 @@ def ply_of(path: Path, columns: dict, *, kinds=None, ascii=False, comments=()) -
         body = "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist()).encode()
     path.write_bytes("\n".join([*head, "end_header\n"]).encode() + body)
     return path
+
+
+def edited(data: bytes, change) -> bytes:
+    """Return a GLB with another JSON description."""
+    (size,) = struct.unpack_from("<I", data, 12)
+    tree = json.loads(data[20 : 20 + size])
+    change(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    return head + struct.pack("<II", len(text), 0x4E4F534A) + text + rest
