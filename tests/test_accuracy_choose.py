@@ -21,31 +21,6 @@ from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 
-@pytest.mark.parametrize(
-    ("text", "kind", "value"),
-    [
-        ("2px", "pixels", 2),
-        ("1%", "fraction", 0.01),
-        ("3mm", "metres", 0.003),
-        (" .5 cm", "metres", 0.005),
-    ],
-)
-def test_goals_are_read(text, kind, value):
-    goal = Goal.error(text)
-    assert (goal.kind, goal.value) == (kind, pytest.approx(value))
-
-
-@pytest.mark.parametrize("text", ["", "2", "px", "-1px", "0%", "1e3px", "2 apples"])
-def test_invalid_error_goals_are_refused(text):
-    with pytest.raises(InputError, match="it is not a positive number with a unit"):
-        Goal.error(text)
-
-
-def test_invalid_time_goals_are_refused():
-    with pytest.raises(InputError, match="positive number of seconds"):
-        Goal.time(-1)
-
-
 @pytest.fixture
 def quick(monkeypatch) -> Scene:
     monkeypatch.setattr(choose, "FIRST", (6, 8, 12))

@@ -35,7 +35,11 @@ def test_metres_fraction_and_worst_frame_are_those_of_the_step(clips):
 def test_pixels_scale_with_the_picture(clips):
     small = pixel_distance(clips[1], clips[0], VIEW)
     large = pixel_distance(clips[1], clips[0], VIEW.model_copy(update={"size": (128, 128)}))
-    assert large == pytest.approx(2 * small, rel=1e-4) and small > 0
+    assert large == pytest.approx(2 * small, rel=1e-4)
+    level = VIEW.model_copy(update={"elevation": 0.0, "fit": False})
+    per_metre = 64 / (2 * np.tan(np.radians(level.fov / 2)) * level.distance)
+    moved = pixel_distance(clips[1], clips[0], level)
+    assert moved == pytest.approx(STEP / np.sqrt(3) * per_metre, rel=0.02)
 
 
 def test_clips_of_different_length_are_refused(clips):

@@ -9,11 +9,9 @@ from PIL import Image
 
 from phy124.__main__ import main
 from phy124.accuracy.convergence import Convergence
-from phy124.accuracy.difference import difference
 from phy124.accuracy.promises import Promise, format_percent
 from phy124.commands.accuracy import KEPT, ShowAccuracy
 from phy124.errors import Cancelled, InputError
-from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.monitor.tearing import Tearing
 from phy124.runtime.context import RunContext
@@ -333,29 +331,6 @@ def test_a_study_without_convergence_still_draws(study, tmp_path):
     plots.save_picture(bare, tmp_path / "a.png")
     plots.save_page(bare, tmp_path / "a.html")
     assert "no convergence" in (tmp_path / "a.html").read_text()
-
-
-def shifted(by: float) -> Clip:
-    means = np.zeros((2, 2, 3), np.float32)
-    means[:, 1, 2] = 1
-    means[1] += [0, by, 0]
-    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (2, 2, 1))
-    scales, opacities = np.full((2, 2, 3), 0.05, np.float32), np.ones(2, np.float32)
-    return Clip(means, quats, scales, opacities, np.zeros((2, 1, 3), np.float32), np.arange(2) / 24)
-
-
-def test_difference_of_a_known_shift():
-    view = Scene().view.model_copy(update={"size": (64, 64), "elevation": 0.0, "fit": False})
-    apart = difference(shifted(0.1), shifted(0.0), view)
-    assert apart.metres == pytest.approx(0.1 / np.sqrt(2), rel=1e-5)
-    assert apart.relative == pytest.approx(apart.metres, rel=1e-5)
-    assert apart.worst_frame == 1
-    assert apart.worst == pytest.approx(0.1, rel=1e-5)
-    pixels = 64 / (2 * np.tan(np.radians(view.fov / 2)) * view.distance)
-    assert apart.pixels == pytest.approx(apart.metres * pixels, rel=0.02)
-    same = difference(shifted(0.0), shifted(0.0), view)
-    assert same.metres == 0
-    assert same.psnr == np.inf
 
 
 def test_levels_that_are_done_survive_an_interrupt():

@@ -307,11 +307,7 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
     ("name", "data", "message"),
     [
         ("bomb.png", bomb(16_000), "more than 25 million pixels"),
-        ("huge.png", bomb(30_000), "more than 25 million pixels"),
-        ("empty.png", b"", "is empty"),
-        ("text.png", b"hello " * 100, "not a PNG, JPEG, WebP, AVIF or HEIC"),
         ("cut.png", DUCK.read_bytes()[:9000], "broken or cut short"),
-        ("white.png", (255, 255, 255), "No object was found"),
         ("red.png", (255, 0, 0), "No object was found"),
     ],
 )
@@ -363,26 +359,6 @@ def test_pictures_inside_a_request_are_measured_too(tmp_path, url, message):
     with pytest.raises(gradio.Error, match=message):
         image.preprocess(gradio.FileData(path="a.png", url=url))
     assert image.preprocess(None) is None
-
-
-def test_a_chunked_upload_without_a_length_is_cut_off(server):
-    import http.client
-
-    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
-    connection.putrequest("POST", "/gradio_api/queue/join")
-    connection.putheader("Transfer-Encoding", "chunked")
-    connection.endheaders()
-    block = b"%x\r\n" % 100_000 + bytes(100_000) + b"\r\n"
-    try:
-        for _ in range(200):
-            connection.send(block)
-        connection.send(b"0\r\n\r\n")
-        assert connection.getresponse().status >= 400
-    except OSError:
-        pass  # The server has hung up: that is the point.
-    finally:
-        connection.close()
-    assert server.health()["status"] == "ok"
 
 
 @pytest.mark.parametrize(

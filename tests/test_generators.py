@@ -1,6 +1,5 @@
 """The table of generators, and the generator that reads a PLY."""
 
-import subprocess
 import sys
 
 import numpy as np
@@ -20,11 +19,6 @@ def box(rng, count=2000, opacity=0.9):
     means = rng.uniform(-0.5, 0.5, (count, 3)) * [4, 2, 1] + [10, 0, 3]
     quats, scales = np.tile([1, 0, 0, 0], (count, 1)), np.full((count, 3), 0.04)
     return Gaussians(means, quats, scales, np.full(count, opacity), np.zeros((count, 1, 3)))
-
-
-def test_table_imports_nothing_heavy():
-    code = "import phy124.generators, sys; assert not {'torch', 'scipy', 'cv2'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_every_entry_can_be_made():

@@ -30,6 +30,7 @@ from phy124.scene import Scene
 from phy124.studies.validation import stress
 from phy124.studies.validation.accuracy import verify as verifying
 from phy124.studies.validation.accuracy.verify import Verdict
+from support.processes import run_program
 from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
@@ -179,7 +180,7 @@ class Interrupting:
 sys.meta_path.insert(0, Interrupting())
 import {program}.__main__
 """
-    run = program([sys.executable, "-c", code])
+    run = run_program([sys.executable, "-c", code])
     assert (run.returncode, run.stderr) == (130, said)
 
 

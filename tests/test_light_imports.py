@@ -4,12 +4,21 @@ import json
 import sys
 from pathlib import Path
 
+import pytest
+
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.processes import run_program
 from support.shapes import ball
 
+HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
+HUB = HEAVY | {"huggingface_hub"}
+SCIPY = {f"scipy.{part}" for part in ("fft", "linalg", "ndimage", "sparse", "spatial", "special")}
+LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
+BRIDGE = "bridge.live, bridge.node, bridge.backends, bridge.recover, bridge.sinks.mcap, "
+BRIDGE += "bridge.sinks.dds, bridge.sinks.rclpy, bridge.sinks.foxglove"
+MAIN = "from phy124.__main__ import main; "
 UNUSED = ["numpy.f2py", "numpy.polynomial", "numpy.testing", "unittest.mock", "asyncio", "ssl"]
 
 
@@ -21,6 +30,28 @@ def imported_after(code: str) -> list[str]:
     done = run_program(words)
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        ("import phy124; phy124.__all__, dir(phy124)", LIBRARIES | {"tqdm", "imageio"}),
+        ("import phy124, phy124.__main__, phy124.commands", LIBRARIES | {"tyro", "safetensors"}),
+        ("import phy124.scene, phy124.generators", HEAVY | SCIPY | {"cv2", "scipy"}),
+        ("import phy124.commands.generate, phy124.commands.fit", HEAVY | SCIPY),
+        ("import phy124.commands.sweep", HEAVY | SCIPY),
+        ("import phy124.weights.store, phy124.weights.checkpoints, phy124.metrics", HUB),
+        ("import phy124.imaging.u2net", HUB),
+        (f"import phy124, {BRIDGE}", HEAVY | {"cyclonedds", "foxglove", "warp", "tyro"}),
+        (MAIN + "main(['--help'])", LIBRARIES),
+        (MAIN + "main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
+    ],
+)
+def test_importing_is_light(code, absent):
+    """Neither a package nor a command pulls in what only others need."""
+    code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
+    run = run_program([sys.executable, "-c", code], check=True)
+    assert absent & set(run.stdout.split()) == set()
 
 
 def test_scipy_is_imported_without_test_helpers() -> None:

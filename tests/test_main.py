@@ -316,11 +316,6 @@ sys.exit(main(["generate", {str(DUCK)!r}, "--out", {str(tmp_path / "out")!r}]))
         os.kill(int(note.read_text()), 0)
 
 
-HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
-SCIPY = {f"scipy.{part}" for part in ("fft", "linalg", "ndimage", "sparse", "spatial", "special")}
-LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
-
-
 @pytest.mark.parametrize(("argument", "status"), [("--version", 0), ("nonsense", 2)])
 def test_program_ends_after_threads_and_exit_functions(argument, status):
     program = (
@@ -337,26 +332,6 @@ def test_program_ends_after_threads_and_exit_functions(argument, status):
     done = run_program(words)
     assert done.returncode == status, done.stderr
     assert done.stdout.splitlines()[-2:] == ["thread", "exit function"]
-
-
-@pytest.mark.parametrize(
-    ("code", "absent"),
-    [
-        ("import phy124, phy124.commands", LIBRARIES | {"tyro"}),
-        ("import phy124.scene", HEAVY | SCIPY | {"cv2"}),
-        (
-            "import phy124.commands.generate, phy124.commands.fit, phy124.commands.sweep",
-            HEAVY | SCIPY,
-        ),
-        ("from phy124.__main__ import main; main(['--help'])", LIBRARIES),
-        ("from phy124.__main__ import main; main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),
-    ],
-)
-def test_importing_is_light(code, absent):
-    """Neither the package nor a command pulls in what only others need."""
-    code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
-    run = run_program([sys.executable, "-c", code], check=True)
-    assert absent & set(run.stdout.split()) == set()
 
 
 def test_a_photograph_is_cut_out(tmp_path, capsys):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import warp as wp
 
-from phy124.boundaries import Ground, HalfSpace, Held
+from phy124.boundaries import Ground, HalfSpace
 from phy124.errors import Cancelled
 from phy124.forces import Acceleration, Gravity, ParticleForce, SetVelocity, TotalForce
 from phy124.kernels import transfer
 from phy124.kernels.build import kernel
 from phy124.kernels.transfer import spline
-from phy124.materials import FixedCorotated, NeoHookean
+from phy124.materials import NeoHookean
 from phy124.mpm import Solver, Unstable
 from phy124.mpm.timestep import Maxima
 from phy124.mpm.workers import HOST
@@ -145,11 +145,10 @@ def test_simd_rows_and_plain_loops_are_one_algorithm(rng):
     assert transfer.scatter_rows is not transfer.scatter
 
 
-def test_two_threads_do_as_one(rng):
-    """Two workers add in another order; together or one after the other they agree bit for bit."""
+def test_two_slabs_one_after_the_other_do_as_one(rng):
     x, v = block(16), rng.normal(size=(4096, 3))
 
-    def run(threads: int, alone: bool = False) -> np.ndarray:
+    def run(threads: int) -> np.ndarray:
         walls = [Ground(height=0.7), HalfSpace(point=(0, 0.3, 1), normal=(0, -1, 0))]
         s = solver(
             x[np.argsort(x[:, 0])],
@@ -159,18 +158,11 @@ def test_two_threads_do_as_one(rng):
             dx=DX / 2,
             threads=threads,
         )
-        if alone:
-            for _ in range(40):
-                s.step(2e-3, 2e-3)
-        else:
-            s.clock.ceiling = 2e-3
-            s.advance(0.08)
+        for _ in range(40):
+            s.step(2e-3, 2e-3)
         return s.state.x.numpy()
 
-    single, two = run(1), run(2)
-    assert np.abs(single - two).max() < 1e-5
-    assert np.array_equal(two, run(2))
-    assert np.abs(run(2, alone=True) - run(1, alone=True)).max() < 1e-5
+    assert np.abs(run(2) - run(1)).max() < 1e-5
 
 
 def test_each_thread_measures_its_own_particles(rng):
@@ -215,44 +207,6 @@ def test_fault_of_the_second_thread_is_raised(monkeypatch):
                 s.advance(s.clock.time + 0.01)
         assert threading.active_count() == before
         s.advance(s.clock.time + 0.01)
-
-
-@pytest.mark.parametrize("law", [NeoHookean, FixedCorotated])
-def test_repeats_are_bitwise_equal(law, rng):
-    v = rng.normal(size=(512, 3))
-
-    def run() -> np.ndarray:
-        s = solver(block(), law(E=1e4), v=v, boundaries=[Ground(height=0.7)])
-        s.advance(0.1)
-        return s.state.x.numpy()
-
-    assert np.array_equal(run(), run())
-
-
-def test_golden_jelly_falls_as_physgaussian_has_it(golden):
-    """MLS-MPM evolves F with C and not with the spline's gradient; the rest is the same."""
-    data = np.load(golden / "mpm/a_jelly_fall_sticky.npz")
-
-    class Sticky(Ground):
-        def reach(self, dx: float) -> float:
-            return -1e-6
-
-    s = make_solver(
-        data["x0"],
-        data["vol"],
-        [FixedCorotated(E=1e5, nu=0.3, density=200)],
-        dx=2 / 32,
-        v=data["v0"],
-        forces=[Gravity(g=(0, 0, -9.8))],
-        boundaries=[Sticky(height=0.5, contact="sticky")],
-    )
-    for step in range(1, 401):
-        s.step(4e-4, 4e-4)
-        if step in (1, 20, 100, 400):
-            k = list(data["steps"]).index(step)
-            x, size = s.state.x.numpy(), np.ptp(data["x0"], axis=0).max()
-            assert np.abs(x.mean(axis=0) - data["x"][k].mean(axis=0)).max() < 0.005 * size
-            assert np.abs(x - data["x"][k]).max() < 0.01 * size
 
 
 def test_particle_force_is_newtons_on_each_particle():
@@ -301,39 +255,6 @@ def test_a_region_without_particles_is_a_clear_error():
         solver(block(), forces=[Acceleration(region=Region(lower=(5, 5, 5)))])
 
 
-@pytest.mark.parametrize("contact", ["separate", "sticky", "slip"])
-def test_a_settled_block_touches_the_floor(contact):
-    """It rests within a fifth of a cell of the physical floor, not hovering above it."""
-    x = block() - [0, 0, 1 - 0.25]
-    floor = Ground(height=0.0, contact=contact)
-    s = solver(
-        x, NeoHookean(E=1e6), forces=[Gravity()], boundaries=[floor], origin=(0, 0, -0.75 * DX)
-    )
-    for _ in range(20):
-        s.advance(s.clock.time + 0.02)
-        s.state.v.zero_()
-        s.state.C.zero_()
-    half_spacing = 0.5 / 8 / 2
-    gap = s.state.x.numpy()[:, 2].min() - half_spacing
-    assert abs(gap) < 0.2 * DX
-
-
-def test_slip_keeps_the_tangential_velocity():
-    x = block() - [0, 0, 1 - 0.25]
-    s = solver(x, v=np.tile([1.0, 0, 0], (512, 1)), boundaries=[Ground(contact="slip")])
-    s.advance(0.1)
-    assert np.abs(s.state.v.numpy()[:, 0] - 1).max() < 1e-5
-
-
-def test_a_held_region_stays():
-    held = Held(lower=(-9, -9, -9), upper=(9, 9, 0.9))
-    s = solver(block(), forces=[Gravity(g=(3.0, 0, 0))], boundaries=[held])
-    s.advance(0.2)
-    moved = np.linalg.norm(s.state.x.numpy() - s.model.rest, axis=1)
-    assert moved[s.model.rest[:, 2] < 0.8].max() < 2.5e-3
-    assert moved[s.model.rest[:, 2] > 1.2].min() > 1e-2
-
-
 def test_the_window_follows_the_particles():
     s = solver(block(), v=np.tile([30.0, 0, 0], (512, 1)))
     s.advance(0.2)
@@ -379,9 +300,3 @@ def test_snapshot_and_restore_go_on_bit_for_bit(rng):
     s.restore(kept)
     s.advance(0.1)
     assert np.array_equal(s.state.x.numpy(), first)
-
-
-def test_particles_must_be_sorted_by_law():
-    laws, unsorted = [NeoHookean(), FixedCorotated()], np.arange(512)[::-1] % 2
-    with pytest.raises(ValueError, match="sorted by constitutive law"):
-        make_solver(block(), np.ones(512), laws, dx=DX, material=unsorted)

@@ -12,7 +12,6 @@ from phy124.commands.cutout import PictureOptions
 from phy124.commands.generate import Generate, Simulate
 from phy124.commands.options import SceneOptions
 from phy124.commands.plan import PlanOptions
-from phy124.errors import InputError
 from phy124.generators.ply_file import Reading
 from phy124.io.ply import write_ply
 from phy124.scene import Scene
@@ -143,11 +142,6 @@ def test_a_time_that_cannot_be_met_says_what_can(file, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "the coarsest grid, D/8, takes about " in said
     assert "Use --max-seconds " in said and "time.frames = 2" not in said
-
-
-def test_two_wishes_are_one_too_many():
-    with pytest.raises(InputError, match="Give one of the two"):
-        PlanOptions(max_error="2px", max_seconds=3).goal()
 
 
 def test_causes_of_slow_runs_are_named_before_them(file, tmp_path, capsys):

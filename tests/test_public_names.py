@@ -2,29 +2,13 @@
 
 import ast
 import pkgutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import phy124
-from support.processes import run_program
 from support.shapes import ball
-
-HEAVY = {
-    "numpy", "scipy", "warp", "torch", "cv2", "PIL", "pydantic", "tyro", "tqdm", "imageio",
-    "safetensors", "gradio", "mcap",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("use", ["phy124.__main__", "phy124.__all__, dir(phy124)"])
-def test_the_package_itself_is_light(use):
-    """So that importing it takes no time, and Ctrl-C is clean from the start."""
-    code = "import sys, phy124\n" + ("import phy124.__main__" if "main" in use else use)
-    code += "\nprint(*sys.modules)"
-    run = run_program([sys.executable, "-c", code], check=True)
-    assert HEAVY & set(run.stdout.split()) == set()
 
 
 @pytest.mark.parametrize("name", phy124.__all__)

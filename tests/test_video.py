@@ -17,6 +17,7 @@ from phy124.io import video
 from phy124.io.video import write_animation, write_film, write_mp4
 from phy124.rendering.frames import render_frames
 from phy124.runtime.failures import Kind, failure
+from support.processes import run_program
 from support.videos import ffmpeg, read_video, stream
 
 
@@ -217,7 +218,7 @@ def test_transparent_films_are_decoded_with_their_alpha(tmp_path, ending, codec,
         pictures.append(picture)
     assert write_film(path, iter(pictures), fps=12) == 4
     program = imageio_ffmpeg.get_ffmpeg_exe()
-    shown = program([program, "-i", path])
+    shown = run_program([program, "-i", path])
     assert codec in shown.stderr and "12 fps" in shown.stderr and "48x32" in shown.stderr
     command = [
         program,
