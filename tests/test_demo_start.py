@@ -3,29 +3,27 @@
 import inspect
 import os
 import socket
-import sys
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 
 import pytest
 
-from demo.__main__ import import_gradio
+from demo.__main__ import import_gradio, main
 from demo.jobs import Studio
 from demo.server import check_address, reach_itself, tool_routes, without_cors
 from demo.settings import Settings
 from demo.visitors import Visitors
 from phy124.errors import InputError
-from support.processes import run_program
-from support.served import ROOT
 
 
-def test_busy_port_is_reported_in_a_sentence(tmp_path):
+def test_busy_port_is_reported_in_a_sentence(capsys):
     pytest.importorskip("gradio", reason="the extra demo is not installed")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        ended = run_program([sys.executable, ROOT / "app.py", "--port", str(port)], cwd=tmp_path)
-    assert ended.returncode == 2 and "Traceback" not in ended.stderr
-    assert f"port = {port}: Another program listens there." in ended.stderr
+        assert main(["--port", str(port)]) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    assert f"port = {port}: Another program listens there." in said
 
 
 def test_apps_are_made_without_answers_for_other_sites():

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from phy124 import generators
@@ -154,7 +155,6 @@ def test_seconds_are_work_over_speed():
 
 
 def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
-    pytest.importorskip("torch")
     from phy124.generators.neural import imagedream
     from phy124.generators.neural.lgm import generator as lgm
 
@@ -178,7 +178,6 @@ def test_lgm_tells_its_effort_and_passes_its_options_on(monkeypatch):
 
 
 def test_short_memory_uses_half_precision_and_no_cache(monkeypatch):
-    torch = pytest.importorskip("torch")
     from phy124.generators.neural import precision
 
     monkeypatch.setattr(precision, "multiplies_bfloat16", lambda: False)
@@ -195,7 +194,6 @@ def test_short_memory_uses_half_precision_and_no_cache(monkeypatch):
 
 
 def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
-    torch = pytest.importorskip("torch")
     from phy124.generators.neural import precision
 
     for features, chosen in (
@@ -218,7 +216,6 @@ def test_the_processor_says_whether_it_multiplies_bfloat16(monkeypatch):
 
 
 def test_speed_is_measured_by_kind():
-    torch = pytest.importorskip("torch")
     from phy124.generators import options as effort
 
     kinds = []
@@ -232,7 +229,6 @@ def test_speed_is_measured_by_kind():
 
 @pytest.mark.slow
 def test_the_work_of_the_networks_is_what_torch_counts():
-    torch = pytest.importorskip("torch")
     from torch.utils.flop_counter import FlopCounterMode
 
     from phy124.generators.neural.imagedream import AROUND, PARAMETERS, STEP, encoders

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from phy124.errors import InputError
@@ -91,7 +92,6 @@ def test_other_files_are_refused(tmp_path):
 
 def test_isnet_input_is_the_original_one(picture):
     """Bilinear without a wider filter, rounded down to 8 bits, minus one half."""
-    torch = pytest.importorskip("torch")
     rgb = np.asarray(picture[0])
     pixels = torch.tensor(rgb, dtype=torch.float32).permute(2, 0, 1)[None]
     small = torch.nn.functional.interpolate(pixels, [SIZE, SIZE], mode="bilinear")
