@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import sys
 import tempfile
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -100,6 +101,15 @@ def gpu(request, monkeypatch) -> str:
         pytest.skip("this machine has no CUDA device (--device cpu rehearses)")
     monkeypatch.setattr("phy124.mpm.solver.usable", lambda device: True)
     return name
+
+
+@pytest.fixture(scope="session")
+def gradio() -> Any:
+    """Gradio, imported in a few processes only, as the page does it: in two thirds of the time."""
+    from demo.__main__ import import_gradio
+
+    import_gradio()
+    return sys.modules["gradio"]
 
 
 @pytest.fixture

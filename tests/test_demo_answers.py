@@ -16,8 +16,6 @@ from demo.visitors import Visitors
 from demo.work import Done
 from phy124.scene import Scene
 
-gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
-
 GONE = "The server no longer has"
 TEDDY = Path(__file__).parents[1] / "demo/examples/teddy.png"
 
@@ -28,7 +26,7 @@ def studio(tmp_path) -> Studio:
 
 
 @pytest.fixture
-def handlers(monkeypatch):
+def handlers(monkeypatch, gradio):
     """The page's handlers, for visitor a."""
     from demo import handlers
 
@@ -38,6 +36,8 @@ def handlers(monkeypatch):
 
 
 def _event(**data: Any) -> Any:
+    import gradio
+
     return gradio.EventData(None, data)
 
 
@@ -52,7 +52,7 @@ def test_a_forgotten_job_is_answered(studio, handlers):
     assert history == {"runs": []}
 
 
-def test_a_result_without_its_clip_is_not_listed(studio, handlers):
+def test_a_result_without_its_clip_is_not_listed(studio, handlers, gradio):
     """More films than clips are kept."""
     visitor = studio.visitors.get("a")
     clip, films, study = (visitor.folder / name / "x" for name in ("clips", "films", "studies"))

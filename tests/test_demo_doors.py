@@ -13,8 +13,6 @@ from demo.connections import Patient
 from demo.settings import Settings
 from demo.visitors import Visitors
 
-pytest.importorskip("gradio", reason="the extra demo is not installed")
-
 
 class Page:
     """A page that never answers, behind all that stands in front of it."""

@@ -1,13 +1,9 @@
 """Requests of programs: their arguments as models."""
 
-import pytest
 
-pytest.importorskip("gradio", reason="the extra demo is not installed")
+def test_extras_leave_out_the_scene_and_compose(gradio):
+    from demo.endpoints import GenerateRequest, MeasureRequest
 
-from demo.endpoints import GenerateRequest, MeasureRequest
-
-
-def test_extras_leave_out_the_scene_and_compose():
     asked = {"image": "a.png", "preset": "press", "accuracy": "draft", "side": "b.png"}
     extras = MeasureRequest(**asked).extras
     assert extras["side"] == "b.png" and not {"image", "preset", "compose"} & set(extras)

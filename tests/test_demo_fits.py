@@ -232,7 +232,7 @@ def test_stopped_fit_resumes_and_leaves_with_its_visitor(studio):
 
 
 @pytest.fixture
-def handlers(monkeypatch):
+def handlers(monkeypatch, gradio):
     """The page's handlers, for visitor a."""
     from demo import handlers
 

@@ -348,8 +348,7 @@ def test_uploads_beyond_the_limit_are_refused_however_they_come(server, client, 
         ("data:image/png,abc", "broken"),
     ],
 )
-def test_pictures_inside_a_request_are_measured_too(tmp_path, url, message):
-    gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+def test_pictures_inside_a_request_are_measured_too(tmp_path, gradio, url, message):
     from demo.jobs import Studio
     from demo.photo import photo
     from demo.settings import Settings

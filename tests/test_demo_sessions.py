@@ -5,13 +5,7 @@ from typing import Any
 
 import pytest
 
-gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
-
-from gradio.blocks import BlocksConfig  # noqa: E402
-
-from demo import sessions  # noqa: E402
-from demo.sessions import ADDRESS, ASKER, Sessions  # noqa: E402
-from demo.visitors import Visitors  # noqa: E402
+from demo.visitors import Visitors
 
 
 @pytest.fixture
@@ -20,21 +14,37 @@ def visitors(tmp_path) -> Visitors:
 
 
 @pytest.fixture
-def page() -> Any:
+def page(gradio) -> Any:
     """The parts of a page that sessions need; a real page opens event loops."""
+    from gradio.blocks import BlocksConfig
+
     root: Any = SimpleNamespace(renderables=[])
     config = BlocksConfig(root)
     config.blocks = {1: gradio.State(None, render=False), 2: gradio.HTML("", render=False)}
     return SimpleNamespace(default_config=config, blocks=config.blocks, state_session_capacity=9)
 
 
-def _ask(kept: Sessions, name: str, visitor: str | None = None, address: str = "10.0.0.1") -> Any:
+@pytest.fixture
+def sessions(gradio) -> Any:
+    """The module, which imports gradio."""
+    from demo import sessions
+
+    return sessions
+
+
+@pytest.fixture
+def kept(sessions, page, visitors) -> Any:
+    return sessions.Sessions(page, visitors)
+
+
+def _ask(kept: Any, name: str, visitor: str | None = None, address: str = "10.0.0.1") -> Any:
+    from demo.sessions import ASKER
+
     ASKER.set((visitor, address))
     return kept[name]
 
 
-def test_a_session_keeps_states_and_describes_nothing(page, visitors):
-    kept = Sessions(page, visitors)
+def test_a_session_keeps_states_and_describes_nothing(page, kept):
     state, html = page.blocks
     session = _ask(kept, "a")
     session[state] = "a picture"
@@ -44,23 +54,22 @@ def test_a_session_keeps_states_and_describes_nothing(page, visitors):
     assert list(session.components) == []
 
 
-def test_an_address_has_few_sessions_and_its_visitor_stays(page, visitors):
-    kept = Sessions(page, visitors)
+def test_an_address_has_few_sessions_and_its_visitor_stays(sessions, kept, visitors):
+    most = sessions.ADDRESS
     visitors.get("here")
     _ask(kept, "first", "here")
     _ask(kept, "elsewhere", "other", "10.0.0.2")
-    for number in range(3 * ADDRESS):
+    for number in range(3 * most):
         _ask(kept, f"new {number}", f"cookie {number}")
-    assert len(kept.session_data) == ADDRESS + 1 == len(kept._origins)
-    assert "first" in kept and "elsewhere" in kept and f"new {3 * ADDRESS - 1}" in kept
+    assert len(kept.session_data) == most + 1 == len(kept._origins)
+    assert "first" in kept and "elsewhere" in kept and f"new {3 * most - 1}" in kept
     visitors.get("many")
-    for number in range(3 * ADDRESS):
+    for number in range(3 * most):
         _ask(kept, f"more {number}", "many")
-    assert "first" in kept and len(kept.session_data) == ADDRESS + 1
+    assert "first" in kept and len(kept.session_data) == most + 1
 
 
-def test_a_session_goes_with_its_visitor(page, visitors, monkeypatch):
-    kept = Sessions(page, visitors)
+def test_a_session_goes_with_its_visitor(sessions, kept, visitors, monkeypatch):
     visitors.get("a")
     visitors.get("session program")
     for name, visitor in (("one", "a"), ("two", "b"), ("program", None)):

@@ -17,7 +17,6 @@ from phy124.errors import InputError
 
 
 def test_busy_port_is_reported_in_a_sentence(capsys):
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert main(["--port", str(port)]) == 2
@@ -26,8 +25,7 @@ def test_busy_port_is_reported_in_a_sentence(capsys):
     assert f"port = {port}: Another program listens there." in said
 
 
-def test_apps_are_made_without_answers_for_other_sites():
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
+def test_apps_are_made_without_answers_for_other_sites(gradio):
     from gradio import routes
 
     usual, app = routes.CustomCORSMiddleware, object()
@@ -36,8 +34,7 @@ def test_apps_are_made_without_answers_for_other_sites():
     assert routes.CustomCORSMiddleware is usual
 
 
-def test_gradio_is_imported_without_declarations_for_editors(monkeypatch):
-    gradio = pytest.importorskip("gradio", reason="the extra demo is not installed")
+def test_gradio_is_imported_without_declarations_for_editors(monkeypatch, gradio):
     from gradio import component_meta
 
     read: list[str] = []

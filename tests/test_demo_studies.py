@@ -115,8 +115,8 @@ def test_torn_grids_are_kept_as_such(study, monkeypatch):
 
 
 @pytest.fixture
-def handlers():
-    """The page's handlers; not imported with this module, as few test processes need gradio."""
+def handlers(gradio):
+    """The page's handlers."""
     from demo import handlers
 
     return handlers
@@ -161,9 +161,7 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatc
     assert "error not measured" not in after
 
 
-def test_report_includes_a_later_study(visit, handlers, monkeypatch):
-    import gradio as gr
-
+def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
     for module in (handlers.results, handlers.event):
         monkeypatch.setattr(module, "visitor_of", lambda _: "a")
     studio, cutout, data = visit
@@ -178,9 +176,9 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch):
     studio.visitors.get("a").remember(study)
     shown.study.write_text(measurement(0.08, 0.06, 0.04).model_dump_json(), "utf-8")
     study.end("done", result=Measured(shown.study))
-    event = gr.EventData(None, {"job": study.name})
+    event = gradio.EventData(None, {"job": study.name})
     finished = handlers.on_job_end(studio)(cutout, data, None, shown, 1, event, None)
-    assert finished[1] == gr.skip(), "the same run is shown"
+    assert finished[1] == gradio.skip(), "the same run is shown"
     assert "about 6.0 %" in finished[handlers.results.REPORT - 4]["tables"]
     again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})
     assert again.wait(300) and again.progress.result.films != shown.films

@@ -13,9 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-
-pytest.importorskip("gradio", reason="the extra demo is not installed")
-
 import uvicorn
 from starlette.applications import Starlette
 

@@ -7,8 +7,6 @@ from types import ModuleType
 
 import pytest
 
-pytest.importorskip("gradio", reason="the extra demo is not installed")
-
 from demo import zerogpu
 from demo.jobs import Studio
 from demo.settings import Settings

@@ -326,7 +326,7 @@ def test_program_ends_after_threads_and_exit_functions(argument, status):
         "sys.freed = Freed()\n"
         "main = threading.main_thread()\n"
         "threading.Thread(target=lambda: (main.join(), print('thread', flush=True))).start()\n"
-        "run_program()\n"
+        "program()\n"
     )
     words = [sys.executable, "-c", program, argument]
     done = run_program(words)

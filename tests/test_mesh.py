@@ -288,7 +288,6 @@ def test_external_command_may_write_a_mesh(tmp_path):
 
 @pytest.mark.slow
 def test_page_opens_a_mesh(tmp_path):
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
     from demo.source import open_gaussians
 
     path = saved(tmp_path / "ball.glb", ball())

@@ -59,7 +59,6 @@ assert not root.exists() and allow_connections() == 256 and video.resource is No
 
 @pytest.mark.slow
 def test_page_starts_and_ends(tmp_path):
-    pytest.importorskip("gradio")
     script = write_script(tmp_path, "from demo.__main__ import main\nsys.exit(main([]))")
     with serving(tmp_path, (sys.executable, script), warm=False) as server:
         with urllib.request.urlopen(f"{server.url}/") as answer:

@@ -39,7 +39,6 @@ SLOW, FILES = 2000, 1024
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
         tmp_path_factory.mktemp("abuse"),
         files=FILES,

@@ -19,7 +19,6 @@ between, bytes."""
 
 @pytest.fixture
 def server(tmp_path):
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(tmp_path, gaussians=4000) as running:
         yield running
 

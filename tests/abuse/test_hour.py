@@ -9,7 +9,6 @@ from support.served import serving
 @pytest.mark.slow
 def test_a_hostile_minute(tmp_path):
     """Every attack, while others want a run."""
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(tmp_path, **SETTINGS) as server:
         record = attack(server, seconds=60.0, visitors=10)
         check(server, record, seconds=60.0, visitors=10)

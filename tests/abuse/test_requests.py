@@ -13,8 +13,6 @@ from attacker import Attacker
 from phy124.scene import Scene
 from support.served import ROOT, TIMEOUT, serving
 
-pytest.importorskip("gradio", reason="the extra demo is not installed")
-
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
 
 

@@ -26,7 +26,6 @@ EACH, ALL, VISITORS = 5, 20, 40
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    pytest.importorskip("gradio", reason="the extra demo is not installed")
     with serving(
         tmp_path_factory.mktemp("wanting"),
         files=FILES,
