@@ -49,6 +49,26 @@ def bend(amount: float):
     return move
 
 
+@pytest.fixture
+def javascript(tmp_path):
+    """A function that runs a script and returns what it prints; `read` reads from a.p4d."""
+    write_lattice4d(tmp_path / "a.p4d", clip_of([bend(0), bend(0.3), tear]))
+    if (node := shutil.which("node")) is None:
+        pytest.skip("node is not installed")
+
+    def run(script: str) -> str:
+        head = f"""
+            import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
+            const data = new Uint8Array(readFileSync('{tmp_path / "a.p4d"}'));
+            const read = (offset, length) => data.slice(offset, offset + length);
+        """
+        done = run_program([node, "--input-type=module", "--eval", head + script])
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
 def tear(x):
     return x + np.where(x[:, :1] > 0, 0.5, -0.5) * [1, 0, 0]
 
@@ -80,23 +100,17 @@ def test_every_gaussian_is_within_its_bound(tmp_path, reader, last):
     np.testing.assert_allclose(*scales, atol=0.05)
 
 
-def test_javascript_reader_agrees_with_python(tmp_path, reader):
-    if (node := shutil.which("node")) is None:
-        pytest.skip("node is not installed")
-    path = tmp_path / "a.p4d"
-    write_lattice4d(path, clip_of([bend(0), bend(0.3), tear]))
-    film = reader(lambda offset, length: path.read_bytes()[offset : offset + length])
+def test_javascript_reader_agrees_with_python(tmp_path, reader, javascript):
+    data = (tmp_path / "a.p4d").read_bytes()
+    film = reader(lambda offset, length: data[offset : offset + length])
     film.means.astype("<f4").tofile(tmp_path / "centres")
     script = f"""
-        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
-        const data = new Uint8Array(readFileSync('{path}'));
-        const film = await P4D.open((offset, length) => data.slice(offset, offset + length));
+        const film = await P4D.open(read);
         const bytes = readFileSync('{tmp_path / "centres"}');
         const centres = new Float32Array(bytes.buffer, bytes.byteOffset, bytes.length / 4);
         console.log(JSON.stringify(Array.from(await film.frame(2, centres))));
     """
-    done = run_program([node, "--input-type=module", "--eval", script], check=True)
-    places = np.array(json.loads(done.stdout)).reshape(-1, 3)
+    places = np.array(json.loads(javascript(script))).reshape(-1, 3)
     np.testing.assert_allclose(places, film.frame(2), atol=1e-5)
 
 
@@ -111,40 +125,27 @@ def test_single_gaussian_is_written(tmp_path, reader):
         np.testing.assert_allclose(film.frame(k), clip.means[k] @ TURN.T, atol=1e-3)
 
 
-def test_file_is_fetched_once_without_ranges(tmp_path):
+def test_file_is_fetched_once_without_ranges(javascript):
     """Simple servers, such as Python's, send the whole file, whatever the range."""
-    if (node := shutil.which("node")) is None:
-        pytest.skip("node is not installed")
-    path = tmp_path / "a.p4d"
-    write_lattice4d(path, clip_of([bend(0), bend(0.3)]))
-    script = f"""
-        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
+    script = """
         let asked = 0;
-        const file = readFileSync('{path}');
-        globalThis.fetch = async () => {{ asked += 1; return new Response(file); }};
+        globalThis.fetch = async () => { asked += 1; return new Response(data); };
         const film = await P4D.fetch('a.p4d');
-        const {{ moved }} = await film.displacements(1);
+        const { moved } = await film.displacements(1);
         console.log(asked, moved.length === 3 * film.about.nodes + 3);
     """
-    done = run_program([node, "--input-type=module", "--eval", script], check=True)
-    assert done.stdout.split() == ["1", "true"]
+    assert javascript(script).split() == ["1", "true"]
 
 
-def test_player_can_load_a_frame_again(tmp_path):
+def test_player_can_load_a_frame_again(javascript):
     """A frame that could not be read, as during a short loss of the network, is read later."""
-    if (node := shutil.which("node")) is None:
-        pytest.skip("node is not installed")
-    path = tmp_path / "a.p4d"
-    write_lattice4d(path, clip_of([bend(0), bend(0.3)]))
     script = f"""
-        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
-        const data = new Uint8Array(readFileSync('{path}'));
         const code = readFileSync('{VIEWER / "pack.js"}');
         const Phy124Pack = new Function(code + '; return Phy124Pack;')();
         let broken = false;
         const film = await P4D.open((offset, length) => {{
           if (broken) throw new Error('lost');
-          return data.slice(offset, offset + length);
+          return read(offset, length);
         }});
         const n = film.about.count, floats = (k) => new Float32Array(k * n).fill(0.5);
         const colours = new Uint8Array(4 * n), quats = floats(4);
@@ -156,39 +157,24 @@ def test_player_can_load_a_frame_again(tmp_path):
         await pack.load(1);
         console.log(first, pack.loaded[1]);
     """
-    done = run_program([node, "--input-type=module", "--eval", script])
-    assert done.stdout.split() == ["lost", "true"], done.stderr
+    assert javascript(script).split() == ["lost", "true"]
 
 
-def test_player_says_that_a_file_is_cut_short(tmp_path):
-    if (node := shutil.which("node")) is None:
-        pytest.skip("node is not installed")
-    path = tmp_path / "a.p4d"
-    write_lattice4d(path, clip_of([bend(0), bend(0.3)]))
-    script = f"""
-        import {{ readFileSync }} from 'fs'; import {{ P4D }} from '{VIEWER / "p4d.mjs"}';
-        const data = new Uint8Array(readFileSync('{path}'));
-        for (const size of [100, data.length >> 1]) {{
+def test_player_says_that_a_file_is_cut_short(javascript):
+    script = """
+        for (const size of [100, data.length >> 1]) {
           const cut = data.slice(0, size);
           await P4D.open((offset, length) => cut.slice(offset, offset + length))
             .catch((error) => console.log(error.message));
-        }}
+        }
     """
-    done = run_program([node, "--input-type=module", "--eval", script], check=True)
-    assert done.stdout.splitlines() == 2 * ["The .p4d file is cut short."]
+    assert javascript(script).splitlines() == 2 * ["The .p4d file is cut short."]
 
 
 def test_empty_clip_is_refused(tmp_path):
-    empty = clip_of([bend(0)])
-    empty = Clip(
-        **{
-            **vars(empty),
-            "means": empty.means[:0],
-            "quats": empty.quats[:0],
-            "scales": empty.scales[:0],
-            "times": empty.times[:0],
-        }
-    )
+    clip = clip_of([bend(0)])
+    none = {name: getattr(clip, name)[:0] for name in ("means", "quats", "scales", "times")}
+    empty = Clip(**{**vars(clip), **none})
     with pytest.raises(InputError, match="no frames"):
         write_lattice4d(tmp_path / "a.p4d", empty)
     assert not list(tmp_path.iterdir())

@@ -217,7 +217,6 @@ def test_energy_from_nowhere_is_noticed():
     v[5] *= 3
     s.state.v.assign(v)
     problem = watch.after_attempt()
-    assert problem is not None
     assert re.search(
         r"\d+% of the energy has no physical source, most of the energy is in particle 5 of law "
         r"hencky, at \(.+\) m at rest and now at \(.+\) m with .+ m/s$",
@@ -233,7 +232,6 @@ def test_momentum_from_nowhere_is_noticed():
     v[9] *= 1.001
     s.state.v.assign(v)
     problem = watch.after_attempt()
-    assert problem is not None
     assert re.search(
         r"1.00% of the momentum has no physical source, the fastest is particle 9 of law "
         r"neo_hookean, at "
@@ -243,13 +241,17 @@ def test_momentum_from_nowhere_is_noticed():
     assert problem.causes == ("precision",)
 
 
-def test_particles_turned_inside_out_are_noticed():
+def noticed(name: str, which, value):
+    """Return what the watchdog says of a state in which some particles have this value."""
     s, watch = followed()
-    F = s.state.F.numpy().copy()
-    F[:20] = np.diag([1, 1, -1])
-    s.state.F.assign(F)
-    problem = watch.after_attempt()
-    assert problem is not None
+    values = getattr(s.state, name).numpy().copy()
+    values[which] = value
+    getattr(s.state, name).assign(values)
+    return watch.after_attempt()
+
+
+def test_particles_turned_inside_out_are_noticed():
+    problem = noticed("F", slice(20), np.diag([1, 1, -1]))
     assert re.search(
         r"20 particles are turned inside out, first particle 0 of law neo_hookean, at .+",
         problem.what,
@@ -258,12 +260,7 @@ def test_particles_turned_inside_out_are_noticed():
 
 
 def test_numbers_that_are_none_are_noticed_with_their_particle():
-    s, watch = followed()
-    v = s.state.v.numpy().copy()
-    v[7] = np.nan
-    s.state.v.assign(v)
-    problem = watch.after_attempt()
-    assert problem is not None
+    problem = noticed("v", 7, np.nan)
     assert re.search(r"1 particles are NaN or infinite, first particle 7 of law", problem.what)
 
 
