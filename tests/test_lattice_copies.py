@@ -32,7 +32,7 @@ def positions(solver):
     return surface.x + np.einsum("pk,pki->pi", surface.weights, u)
 
 
-def test_lattice_with_copies_keeps_mass_centre_and_linear_motions():
+def test_copies_keep_mass_centre_and_linear_motions():
     lattice = make(fork()).lattice
     x, points = lattice.x, lattice.points_of(np.arange(len(lattice.rows))).reshape(-1, 3) * DX
     repeated = lattice.source != np.arange(len(lattice))
@@ -44,7 +44,7 @@ def test_lattice_with_copies_keeps_mass_centre_and_linear_motions():
     assert np.allclose(lattice.respond(1000 * volume), 1)
 
 
-def test_nodes_that_only_their_repetitions_serve_move_with_the_body():
+def test_nodes_served_only_by_repetitions_move_with_the_body():
     solver = make(fork(), v=(1, 2, 3))
     lattice = solver.lattice
     assert len(np.unique(lattice.nodes_of())) < len(lattice)

@@ -325,7 +325,7 @@ def test_piston_raises_the_level():
     assert solver.state.x.numpy()[:, 0].min() > 0.1 - 0.25 * solver.model.dx
 
 
-def test_no_liquid_is_behind_a_piston_that_is_as_fast_as_a_cell_per_step():
+def test_no_liquid_is_behind_a_piston_of_a_cell_per_step():
     motion = Path(times=(0.0, 0.1), points=((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)), smooth=False)
     piston = HalfSpace(point=(0, 0, 0), normal=(1, 0, 0), contact="slip", motion=motion)
     tank = Container(inside=Region(lower=(-1, 0, 0), upper=(1, 1, 1e9)), contact="slip")

@@ -190,7 +190,7 @@ def test_ball_that_lands_in_a_pool_is_pushed_by_the_water():
     assert clip.report["walls"]["container_z_low"]["largest_force"] > 1000
 
 
-def test_press_starts_above_all_bodies_and_not_at_the_surface_of_the_liquid():
+def test_press_starts_above_all_bodies_not_at_the_surface():
     solver = with_block(0.5 * DENSITY, 0.35, walls=(TANK, Press()))
     press = solver.liquid.walls.all[-2]
     assert press.name == "tank_1"
@@ -199,7 +199,7 @@ def test_press_starts_above_all_bodies_and_not_at_the_surface_of_the_liquid():
     assert np.array(press.geometry)[2] == pytest.approx(highest)
 
 
-def test_run_stops_where_walls_leave_too_little_room_for_liquid_and_body():
+def test_run_stops_where_walls_leave_too_little_room():
     press = {"kind": "press", "depth": 0.85, "down": 0.2}
     walls = [*pool().data()["boundaries"], press]
     scene = pool(boundaries=walls, accuracy={"cells": 5})

@@ -80,7 +80,7 @@ def test_zone_does_the_work_that_a_free_drop_gains(threads):
     assert outside.work == pytest.approx(energy["change"], rel=0.01)
 
 
-def test_unresisted_force_does_work_on_velocities_and_their_gradients():
+def test_unresisted_force_works_on_velocities_and_gradients():
     mass, dx = wp.array(np.arange(1.0, 8.0), dtype=wp.float64), 0.1
     before, after = np.random.default_rng(0).normal(size=(2, 7, 4, 3)) * np.array(
         [[1], [10], [10], [10]]
