@@ -98,7 +98,17 @@ def test_probe_of_a_graph_leaves_the_state(monkeypatch):
     assert (run.solver.state.x.numpy() == x).all() and run.solver.clock.substeps == 0
 
 
-def test_a_liquid_at_rest_is_probed():
-    scene = Scene.named("water").replaced({"accuracy": {"cells": 8}, "time.frames": 2})
-    cost, nodes, _ = probe(Simulation(prepare(ball(200), scene)))
+@pytest.mark.parametrize("viscosity", [0.0, 1.0])
+def test_a_liquid_at_rest_is_probed(monkeypatch, viscosity):
+    """At rest, a viscous liquid allows a substep of minutes, which the probe must not simulate."""
+    changes = {"accuracy": {"cells": 8}, "time.frames": 2, "material.viscosity": viscosity}
+    run = Simulation(prepare(ball(200), Scene.named("water").replaced(changes)))
+    advance = run.solver.advance
+
+    def soon(until, **options):
+        assert until - run.solver.clock.time < 3
+        return advance(until, **options)
+
+    monkeypatch.setattr(run.solver, "advance", soon)
+    cost, nodes, _ = probe(run)
     assert cost.particle > 0 and nodes > 0

@@ -58,8 +58,11 @@ FILMED, TRIES = (2, 6), 2
 The fastest repetition is used. The two lengths separate the fixed cost of a video from the cost per
 frame.
 """
-SHORT_STEP = 1e-3
-"""Largest length of a substep [s]."""
+SHORT_STEP, LONG_STEP = 1e-3, 0.1
+"""Length of a substep if nothing limits it, and length above which nothing limits it [s].
+
+A viscous liquid at rest may have a stable substep of minutes, until forces act.
+"""
 NODE_STAGES = ("clear", "grid")
 """Stages, besides boundaries, whose time is proportional to the number of nodes."""
 
@@ -175,10 +178,10 @@ def _advance(solver: AnySolver, substeps: int, after: Callable[[], None] | None)
     if limit is None:
         solver.step(0.0, 0.0)
         limit = solver.clock.stable()
-    if not math.isfinite(limit.dt):  # a liquid at rest does not limit the substep until forces act
+    if limit.dt > LONG_STEP:  # a liquid at rest does not limit the substep until forces act
         solver.advance(solver.clock.time + SHORT_STEP)
         limit = solver.clock.stable()
-    dt = limit.dt if math.isfinite(limit.dt) else SHORT_STEP
+    dt = limit.dt if limit.dt <= LONG_STEP else SHORT_STEP
     solver.advance(solver.clock.time + substeps * dt, after=after)
 
 
