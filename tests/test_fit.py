@@ -276,7 +276,7 @@ def test_pixels_move_with_the_gaussians_in_front():
 
 def test_points_off_the_object_or_late_are_refused():
     _, rest = falling()
-    with pytest.raises(InputError, match="away from the object"):
+    with pytest.raises(InputError, match=r"away from the object.* pictures of --side \(pixels\)"):
         Points(tracked(np.full((2, 3), 5.0), np.array([0, 0.1]), ["a", "a"]), rest)
     with pytest.raises(InputError, match="point b is not seen at the first time"):
         Points(tracked(np.zeros((2, 3)), np.array([0, 0.1]), ["a", "b"]), rest)

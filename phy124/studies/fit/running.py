@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from phy124.io.clip import Clip
 from phy124.io.files import staging, write_whole
 from phy124.io.video import refuse_missing_encoder
+from phy124.pipeline import write_json
 from phy124.progress import Progress, silent
 from phy124.scene import Scene
 from phy124.studies.fit.budget import Budget, Outlook, make_outlook
@@ -104,17 +104,13 @@ def _write(target: Target, runs: Runs, budget: Budget, estimated: Estimate, out:
     report = make_report(target, runs, estimated, clip, seconds=budget.spent)
     with staging(out, keeps=True) as folder:
         write_whole(folder / SCENE, scene.to_toml())
-        _write_report(folder, report)
+        write_json(folder / REPORT, report)
         if target.film is not None:
             report["pictures"] = report_pictures(target, runs, clip)
-            _write_report(folder, report)
+            write_json(folder / REPORT, report)
             _compare(target, target.film, clip, report, folder)
         names = sorted(path.name for path in folder.iterdir())
     return Fitted(scene, report, tuple(out / name for name in names))
-
-
-def _write_report(folder: Path, report: dict[str, Any]) -> None:
-    write_whole(folder / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
 
 
 def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from phy124.io.clip import Clip
 from phy124.studies.sweep.manifest import read_manifest
-from phy124.studies.sweep.storage import Storage
+from phy124.studies.sweep.storage import Storage, fetch
 from phy124.studies.sweep.work import Row
 
 
@@ -60,7 +60,7 @@ class Dataset:
         name = f"{row['folder']}/clip.safetensors"
         if self._storage.here is not None:
             return Clip.load(self._storage.here / name)
-        with self._storage.local(name) as path:
+        with fetch(self._storage.place(name)) as path:
             clip = Clip.load(path)
             arrays = {
                 name: np.array(value)

@@ -107,12 +107,6 @@ class Storage:
         if self.here is not None:
             sweep_parts(self.here / folder)
 
-    @contextmanager
-    def local(self, name: str) -> Iterator[Path]:
-        """Provide a file of the storage as a local file; a downloaded copy is removed later."""
-        with fetch(self.place(name)) as path:
-            yield path
-
 
 def _deliver(place: Path) -> int:
     """Move files to their final local folder, and return their size [bytes]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -69,16 +69,26 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
     low, high = ([getattr(f.quantity, side) for f in estimates] for side in ("low", "high"))
     axes.fill_between(places, low, high, color=GREEN, alpha=0.25, label="published", linewidth=0)
     axes.plot(places, [f.quantity.published for f in estimates], color=GREEN, linewidth=1)
-    for k, cells in enumerate(experiment.grids):
-        values = [f.levels[k] for f in estimates]
-        axes.plot(places, values, "o", color=SHADES[k], markersize=4, label=f"{cells} cells")
-    values, errors = [f.value for f in estimates], [f.error for f in estimates]
-    axes.errorbar(
-        places, values, errors, fmt="D", color=BLUE, capsize=3, label="limit of the grids"
-    )
-    axes.plot(places, [f.control for f in estimates], "x", color=ORANGE, label=experiment.mistake)
+    _draw_values(axes, outcome, lambda values: (places, values), yerr=[f.error for f in estimates])
     axes.set(xlabel=experiment.axis, ylabel=experiment.unit)
     axes.grid(alpha=0.3)
+
+
+def _draw_values(
+    axes: Any, outcome: Outcome, at: Callable[[list[float]], tuple[Any, Any]], **errors: list[float]
+) -> None:
+    """Draw the values of each grid, their limit with errors along x or y, and the control.
+
+    `at` returns the x and y coordinates of points from one value per quantity.
+    """
+    experiment, estimates = outcome.experiment, outcome.estimates
+    for k, cells in enumerate(experiment.grids):
+        dots = {"color": SHADES[k], "markersize": 4, "label": f"{cells} cells"}
+        axes.plot(*at([f.levels[k] for f in estimates]), "o", **dots)
+    style = {"fmt": "D", "color": BLUE, "capsize": 3, "label": "limit of the grids"}
+    axes.errorbar(*at([f.value for f in estimates]), **errors, **style)
+    controls = at([f.control for f in estimates])
+    axes.plot(*controls, "x", color=ORANGE, label=experiment.mistake)
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
@@ -86,7 +96,7 @@ def _draw_rows(axes: Any, outcome: Outcome) -> None:
 
     The deviations are relative, but absolute if the published value is zero.
     """
-    experiment, estimates = outcome.experiment, outcome.estimates
+    estimates = outcome.estimates
     rows = range(len(estimates))
 
     def deviate(values: list[float]) -> list[float]:
@@ -100,15 +110,8 @@ def _draw_rows(axes: Any, outcome: Outcome) -> None:
     )
     widths = [b - a for a, b in zip(low, high, strict=True)]
     axes.barh(rows, widths, left=low, height=0.7, color=GREEN, alpha=0.25, label="published")
-    for k, cells in enumerate(experiment.grids):
-        values = deviate([f.levels[k] for f in estimates])
-        axes.plot(values, rows, "o", color=SHADES[k], markersize=4, label=f"{cells} cells")
     errors = [100 * f.error / (abs(f.quantity.published) or 1.0) for f in estimates]
-    values, style = deviate([f.value for f in estimates]), {"fmt": "D", "color": BLUE, "capsize": 3}
-    axes.errorbar(values, rows, xerr=errors, label="limit of the grids", **style)
-    axes.plot(
-        deviate([f.control for f in estimates]), rows, "x", color=ORANGE, label=experiment.mistake
-    )
+    _draw_values(axes, outcome, lambda values: (deviate(values), rows), xerr=errors)
     axes.set_yticks(rows, [f.quantity.name for f in estimates], fontsize=8)
     axes.invert_yaxis()
     axes.set(xlabel="off the published value [%]")
