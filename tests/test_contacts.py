@@ -7,15 +7,13 @@ from phy124.boundaries import Box, Ground
 from phy124.budget.effects import Effects
 from phy124.forces import Gravity
 from phy124.io.clip import Clip
-from phy124.materials import NeoHookean
 from phy124.monitor.contacts import Contacts
-from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
+from phy124.monitor.external_work import IMPULSES, WALL
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
-from phy124.studies.validation.bodies import block, make_solver
 from support.runs import resumed
-from support.shapes import ball
+from support.shapes import ball, thrown_block
 
 PARTICLES = {"accuracy": {"cells": 8, "solver": "mpm"}}
 SCENE = {**PARTICLES, "time.frames": 4, "time.fps": 60.0, "object.lift": 0.0}
@@ -30,20 +28,9 @@ def run(scene, count=300):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
-    walls, x = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], block(middle=(0, 0, 0.5))
-    external, contacts = ExternalWork(), Contacts()
-    solver = make_solver(
-        x,
-        np.full(len(x), 1e-4),
-        [NeoHookean(E=1e4)],
-        dx=0.125,
-        v=np.tile((1.0, 0.0, -2.0), (len(x), 1)),
-        threads=threads,
-        forces=external.wrap_forces([Gravity()]),
-        boundaries=external.wrap_walls(walls, contacts.wrap_walls(walls)),
-        accumulators=[external, contacts],
-        precision="float64",
-    )
+    walls, contacts = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], Contacts()
+    options = {"v": (1.0, 0.0, -2.0), "threads": threads, "forces": [Gravity()]}
+    solver, external = thrown_block(walls, contacts, **options)
     external.open(solver.clock)
     start = solver.state.x.numpy()
     before = np.zeros(3)
@@ -51,7 +38,7 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
         contacts.before_attempt()
         solver.advance((frame + 1) / 20)
         total = external._sum(WALL)[IMPULSES]
-        impulses = contacts.impulses(len(x))
+        impulses = contacts.impulses(len(start))
         assert np.allclose(impulses.sum(axis=0), total - before, rtol=1e-9, atol=1e-12)
         assert not impulses[(start[:, 2] > 0.8)].any(), "only what is near"
         before = total
@@ -59,7 +46,7 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
     kept = contacts.snapshot()
     solver.advance(0.2)
     contacts.restore(kept)
-    assert np.array_equal(contacts.impulses(len(x)), impulses)
+    assert np.array_equal(contacts.impulses(len(start)), impulses)
 
 
 @pytest.mark.parametrize(("base", "damping", "error"), [(SCENE, 400, 0.03), (LATTICE, 1000, 0.01)])

@@ -23,24 +23,14 @@ from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import WALL, ExternalWork
 from phy124.mpm.tracks import Sine, Tracks
 from phy124.studies.validation.bodies import block, make_solver
+from support.shapes import thrown_block
 
 FRAMES, FPS = 4, 100
 
 
 def run(forces=(), boundaries=(), v=(0, 0, 0)):
     """A free block after some frames: solver, external work, and what that has summed."""
-    x, external = block(middle=(0, 0, 0.5)), ExternalWork()
-    solver = make_solver(
-        x,
-        np.full(len(x), 1e-4),
-        [NeoHookean(E=1e4)],
-        dx=0.125,
-        v=np.tile(v, (len(x), 1)),
-        forces=external.wrap_forces(forces),
-        boundaries=external.wrap_walls(boundaries),
-        accumulators=[external],
-        precision="float64",
-    )
+    solver, external = thrown_block(boundaries, forces=forces, v=v)
     start = diagnose(solver)
     external.open(solver.clock)
     for frame in range(FRAMES):

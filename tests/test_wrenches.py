@@ -8,37 +8,24 @@ import pytest
 
 from phy124.boundaries import Box, Container, Gripper, Ground, base
 from phy124.io.clip import Clip
-from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import diagnose
-from phy124.monitor.external_work import IMPULSES, WALL, ExternalWork
+from phy124.monitor.external_work import IMPULSES, WALL
 from phy124.monitor.wrenches import Wrenches, summary, wall_names
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from phy124.studies.validation.bodies import block, make_solver
 from support.pages import ROOT
 from support.runs import resumed
-from support.shapes import ball
+from support.shapes import ball, thrown_block
 
 SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "wrenches": True}
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_wrenches_add_up_to_the_change_of_momenta(threads):
-    walls, x = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], block(middle=(0, 0, 0.5))
-    external, wrenches = ExternalWork(), Wrenches()
-    solver = make_solver(
-        x,
-        np.full(len(x), 1e-4),
-        [NeoHookean(E=1e4)],
-        dx=0.125,
-        v=np.tile((1.0, 0.3, -2.0), (len(x), 1)),
-        threads=threads,
-        boundaries=external.wrap_walls(walls, wrenches.wrap_walls(walls)),
-        accumulators=[external, wrenches],
-        precision="float64",
-    )
+    walls, wrenches = [Ground(height=0.0), Box(upper=(0.4, 1, 0.4))], Wrenches()
+    solver, external = thrown_block(walls, wrenches, v=(1.0, 0.3, -2.0), threads=threads)
     external.open(solver.clock)
     fps, inputs, before = 20, np.zeros(3), diagnose(solver).angular
     for frame in range(3):

@@ -1,14 +1,21 @@
 """Small objects made of Gaussians, clouds of particles, and observed runs."""
 
+from collections.abc import Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from phy124.boundaries.base import Boundary
+from phy124.forces.base import Force
 from phy124.gaussians import Gaussians
+from phy124.materials import NeoHookean
+from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.observer import Observer
 from phy124.monitor.watchdog import Watchdog
 from phy124.mpm import Solver
-from phy124.studies.validation.bodies import surface_of_ball
+from phy124.studies.validation.bodies import block, make_solver, surface_of_ball
 
 
 def ball(count: int = 2000, radius: float = 0.5) -> Gaussians:
@@ -76,3 +83,34 @@ def watch_run(solver: Solver, *observers: Observer) -> Watchdog:
     watchdog = Watchdog()
     watchdog.bind(solver, observers)
     return watchdog
+
+
+def thrown_block(
+    walls: Sequence[Boundary],
+    observer: Any = None,
+    *,
+    forces: Sequence[Force] = (),
+    v: ArrayLike = (0, 0, 0),
+    threads: int = 1,
+) -> tuple[Solver, ExternalWork]:
+    """Return a soft block of 216 particles in float64, and the sums of the work done on it.
+
+    Args:
+        observer: Also sums over the walls.
+        v: Velocity of all particles [m/s].
+    """
+    x, external = block(middle=(0, 0, 0.5)), ExternalWork()
+    observers = [external] if observer is None else [external, observer]
+    solver = make_solver(
+        x,
+        np.full(len(x), 1e-4),
+        [NeoHookean(E=1e4)],
+        dx=0.125,
+        v=np.tile(v, (len(x), 1)),
+        threads=threads,
+        forces=external.wrap_forces(forces),
+        boundaries=external.wrap_walls(walls, *(o.wrap_walls(walls) for o in observers[1:])),
+        accumulators=observers,
+        precision="float64",
+    )
+    return solver, external
