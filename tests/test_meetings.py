@@ -223,6 +223,21 @@ def test_threads_divide_the_search_among_themselves():
         assert np.array_equal(alone, divided)
 
 
+@pytest.mark.parametrize("between", [False, True])
+def test_simd_and_plain_flags_agree(between):
+    flags = []
+    for vectors in (True, False):
+        solver, partners = thin_sheets(vectors=vectors, precision="float32")
+        sample = np.arange(0, solver.surface.count, 3)
+        x = solver.surface.x[sample]
+        upper = x[:, 2] > 0.25
+        solver.surface.body[sample[upper]] = int(between)
+        moved = x - np.outer(upper * x[:, 0], [0, 0, 0.9])
+        flags.append(partners.flagger(sample, between=between)(moved))
+    assert 0 < flags[0].sum() < len(flags[0])
+    assert np.array_equal(*flags)
+
+
 def test_outer_sides_of_thin_parts_do_not_meet():
     solver, partners = thin_sheets()
     surface = solver.surface

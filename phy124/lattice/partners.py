@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import NODES
-from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
+from phy124.kernels.lattice.partners import make_expose, make_flag, make_flag_simd, make_partner
+from phy124.kernels.lattice.rows import SIMD
 from phy124.kernels.launches import put
 from phy124.lattice.division import Division
 from phy124.lattice.surface import Surface
@@ -27,6 +28,8 @@ bodies.
 """
 LEAST = 0.05
 """Smallest volume ratio for mapping displacements on the surface to the body at rest."""
+LANES = 16
+"""Number of points that are compared at a time (phy124/kernels/native/partners.h)."""
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
 EXPOSED = "nodes", "weights", "slopes", "rest", "normal"
@@ -62,15 +65,24 @@ class Partners:
             between: Whether the other part is a different body.
         """
         model, arrays, grid, far = self._model, self._arrays, self._grid, FAR * self._model.dx
-        x, flagged = self._zeros(types(model.real).vec3, len(sample)), self._zeros(int, len(sample))
-        inputs = [grid.id, between, far, model.dx, self._numbers(sample), x]
+        vectors, count = self._nodes.rows is SIMD, len(sample)
+        x, flagged = self._zeros(types(model.real).vec3, count), self._zeros(int, count)
+        places = np.full((6, -(-count // LANES) * LANES), np.inf, np.float32)
+        places[3:, :count] = self._surface.x[sample].T
+        on_device = wp.array(places, device=model.device, copy=False)
+        inputs = [on_device if vectors else grid.id, between, far, model.dx]
+        inputs += [self._numbers(sample), x]
         inputs += [arrays[name] for name in ("rest", "normal", "body", "side")]
-        run = self._division.record(make_flag(model.real), len(sample), inputs, [flagged])
+        kernel = make_flag_simd() if vectors else make_flag(model.real)
+        run = self._division.record(kernel, count, inputs, [flagged])
 
         def flag(at: NDArray) -> NDArray[np.bool_]:
             put(x, at)
-            grid.build(x, far)
-            run(len(sample))
+            if vectors:
+                places[:3, :count] = at.T
+            else:
+                grid.build(x, far)
+            run(count)
             return np.asarray(flagged.numpy() > 0)
 
         return flag

@@ -30,8 +30,8 @@ from phy124.kernels.lattice.contact import (
 )
 from phy124.kernels.lattice.impulses import make_pass_on
 from phy124.kernels.lattice.nodes import make_hold, make_pin
-from phy124.kernels.lattice.partners import make_expose, make_flag, make_partner
-from phy124.kernels.lattice.rows import Rows, rows_for
+from phy124.kernels.lattice.partners import make_expose, make_flag, make_flag_simd, make_partner
+from phy124.kernels.lattice.rows import SIMD, Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import Clamp, PassedOn, acts_on
@@ -433,7 +433,8 @@ def kernels(
         make_meet(real, rows),
         make_resist("separate", False, real, rows),
     )
-    yield from (make_flag(real), make_expose(real, rows), make_partner(real))
+    yield make_flag_simd() if rows is SIMD else make_flag(real)
+    yield from (make_expose(real, rows), make_partner(real))
     if several:
         yield make_exchange(real)
     for boundary in boundaries:

@@ -9,6 +9,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.lattice.contact import NODES
 from phy124.kernels.lattice.points import inverse_rows
 from phy124.kernels.lattice.rows import Rows
+from phy124.kernels.native import code
 
 SIDEWAYS = 0.75
 """Largest distance along the surface between a point and the opposite position [cells]."""
@@ -66,13 +67,52 @@ def may_meet(
     return ahead > type(dx)(FACING)
 
 
+@wp.func
+def touches(
+    between: bool,
+    far: Any,
+    dx: Any,
+    sample: Ints,
+    x: wp.array(dtype=Any),
+    rest: wp.array(dtype=Any),
+    normal: wp.array(dtype=Any),
+    body: Ints,
+    side: Ints,
+    i: int,
+    j: int,
+):
+    """Return whether contact is possible near two sampled points, which must be closer than `far`.
+
+    `x` contains the current positions of the samples.
+    """
+    way = x[j] - x[i]
+    square = wp.dot(way, way)
+    if i == j or square >= far * far:
+        return False
+    a, b = sample[i], sample[j]
+    still = rest[b] - rest[a]
+    nearer = type(dx)(NEARER)
+    if between or square < nearer * nearer * wp.dot(still, still) or apart(side, a, b):
+        return may_meet(between, dx, rest, normal, body, side, a, b)
+    return False
+
+
+@wp.func_native(code("partners:next"))
+def next_near(
+    places: wp.array2d(dtype=wp.float32), i: int, first: int, far: float, nearer: float, loose: bool
+) -> int:
+    """Return the next sample, from `first` on, that is closer than `far` to sample i; unless
+    `loose`, it must also be closer than `nearer` times their distance at rest.
+    """
+    ...
+
+
 @build_once
 def make_flag(real: Any):
     """Kernel over the sampled points from `start` on: flags the samples near which contact is
     possible.
 
-    `x` contains the current positions of the samples. Samples at a distance of `far` or more are
-    ignored.
+    `x` contains the current positions of the samples, which have been sorted into `cells`.
     """
     t = types(real)
 
@@ -92,25 +132,52 @@ def make_flag(real: Any):
         flagged_out: Ints,
     ):
         i = start + wp.tid()
-        a = sample[i]
-        here = x[i]
         near = int(0)
-        query = wp.hash_grid_query(cells, here, far)
+        query = wp.hash_grid_query(cells, x[i], far)
         j = int(0)
         while wp.hash_grid_query_next(query, j):
-            way = x[j] - here
-            square = wp.dot(way, way)
-            if square < far * far and j != i:
-                b = sample[j]
-                still = rest[b] - rest[a]
-                closer = square < real(NEARER) * real(NEARER) * wp.dot(still, still)
-                if between or closer or apart(side, a, b):
-                    if may_meet(between, dx, rest, normal, body, side, a, b):
-                        near = 1
-                        break
+            if touches(between, far, dx, sample, x, rest, normal, body, side, i, j):
+                near = 1
+                break
         flagged_out[i] = near
 
     return flag
+
+
+@build_once
+def make_flag_simd():
+    """Kernel over sampled points, equivalent to `make_flag`, for float32 on a CPU.
+
+    It compares all samples with each other, sixteen at a time. For the 1,100 samples of a duck on
+    32 cells this is faster than a search in cells.
+    """
+
+    @kernel("phy124_lattice_flag_simd", wp.float32, seconds=0.4)
+    def flag_simd(
+        start: int,
+        places: wp.array2d(dtype=wp.float32),
+        between: bool,
+        far: float,
+        dx: float,
+        sample: Ints,
+        x: wp.array(dtype=wp.vec3),
+        rest: wp.array(dtype=wp.vec3),
+        normal: wp.array(dtype=wp.vec3),
+        body: Ints,
+        side: Ints,
+        flagged_out: Ints,
+    ):
+        i = start + wp.tid()
+        near = int(0)
+        loose = between or side[sample[i]] > 0
+        j = next_near(places, i, 0, far, NEARER, loose)
+        while near == 0 and j < sample.shape[0]:
+            if touches(between, far, dx, sample, x, rest, normal, body, side, i, j):
+                near = 1
+            j = next_near(places, i, j + 1, far, NEARER, loose)
+        flagged_out[i] = near
+
+    return flag_simd
 
 
 @build_once
