@@ -28,7 +28,7 @@ bodies.
 """
 LEAST = 0.05
 """Smallest volume ratio for mapping displacements on the surface to the body at rest."""
-LANES = 16
+AT_ONCE = 16
 """Number of points that are compared at a time (phy124/kernels/native/partners.h)."""
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
@@ -67,7 +67,7 @@ class Partners:
         model, arrays, grid, far = self._model, self._arrays, self._grid, FAR * self._model.dx
         vectors, count = self._nodes.rows is SIMD, len(sample)
         x, flagged = self._zeros(types(model.real).vec3, count), self._zeros(int, count)
-        places = np.full((6, -(-count // LANES) * LANES), np.inf, np.float32)
+        places = np.full((6, -(-count // AT_ONCE) * AT_ONCE), np.inf, np.float32)
         places[3:, :count] = self._surface.x[sample].T
         on_device = wp.array(places, device=model.device, copy=False)
         inputs = [on_device if vectors else grid.id, between, far, model.dx]
