@@ -3,7 +3,7 @@
 import pytest
 
 from phy124.budget.cost import Work, estimate, estimate_memory, rest_substeps
-from phy124.budget.limits import check_limits, duration, note_stiffest_part
+from phy124.budget.limits import check_limits, duration, note_costs
 from phy124.errors import InputError
 from phy124.particles import make_particles
 from phy124.scene import Scene
@@ -89,21 +89,41 @@ def test_clips_beyond_the_memory_are_refused(monkeypatch):
 def test_a_part_that_rules_the_substep_is_named():
     base = {"region": {"upper": [9, 9, 0.2]}, "material": {"law": "rigid", "speed": 3.0}}
     scene = Scene.named("push_right").replaced({"parts": [base], "material.E": 1e4})
-    said = note_stiffest_part(scene)
-    assert said and said.startswith("parts.0.material (rigid) is so stiff that it needs")
+    (said,) = note_costs(scene)
+    assert said.startswith("parts.0.material (rigid) is so stiff that it needs")
     assert "parts.0.static = true" in said
     notes = Simulation(prepare(ball(300), scene.replaced(QUICK))).report()["notes"]
     assert any(note.startswith("parts.0.material (rigid)") for note in notes)
     slower = scene.replaced({"parts.0.material.speed": 0.02})
-    assert note_stiffest_part(slower) is None
-    assert note_stiffest_part(Scene.named("drop")) is None
+    assert note_costs(slower) == []
+    assert note_costs(Scene.named("drop")) == []
+
+
+@pytest.mark.parametrize(
+    ("preset", "size", "force"),
+    [
+        ("drop", 0.8, {"kind": "wrench", "force": [2e6, 0, 0]}),
+        ("drop", 0.8, {"kind": "force", "f": [0, 0, 2e6]}),
+        ("water", 0.001, {"kind": "gravity"}),
+    ],
+)
+def test_motion_that_takes_many_substeps_is_noted_before_a_run(preset, size, force):
+    scene = Scene.named(preset).replaced({"object.size": size, "forces": [force]})
+    (said,) = note_costs(scene)
+    assert "times as many as at rest" in said and "smaller forces and speeds" in said
+
+
+def test_gentle_forces_are_not_called_slow():
+    pull = {"kind": "attraction", "g": 3.0, "centre": [0, 0, 1], "radius": 0.3}
+    forces = [{"kind": "wrench", "force": [200, 0, 0]}, {"kind": "gravity"}, pull]
+    assert note_costs(Scene.named("drop").replaced({"forces": forces})) == []
 
 
 def test_liquid_by_projection_is_not_called_stiff():
     soft = {"law": "neo_hookean", "E": 1e4}
     toys = [{"name": name, "shape": "box", "size": 0.4, "material": soft} for name in "ab"]
     scene = Scene.from_data({"material": {"law": "fluid"}, "objects": toys})
-    assert scene.projects and note_stiffest_part(scene) is None
+    assert scene.projects and note_costs(scene) == []
 
 
 @pytest.mark.parametrize("name", ["press", "sway"])

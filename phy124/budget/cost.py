@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.forces import Force, TotalForce, WrenchForce
 from phy124.gaussians import Gaussians
 from phy124.liquid.clock import CELLS, DIFFUSED, WAVES
 from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, beside_elastic
@@ -177,9 +178,8 @@ def count_substeps(scene: Scene) -> int:
     """Estimate the number of substeps until the last frame, from the stability limits and the
     expected speed.
     """
-    length = (scene.time.frames - 1) / scene.time.fps
     cells = CELLS if scene.projects and not scene.mixes else CELLS_PER_STEP
-    speed = cells * scene.dx / max(_max_speed(scene, length), 1e-9)
+    speed = cells * scene.dx / max(largest_speed(scene), 1e-9)
     steps = np.minimum(longest_substeps(scene), speed)
     # Each frame has a whole number of substeps.
     return int(np.maximum(1, np.ceil(1 / scene.time.fps / steps)).sum())
@@ -199,7 +199,7 @@ def count_nodes(scene: Scene) -> int:
     return len(scene.names) * (scene.resolution.cells + WINDOW) ** 3
 
 
-def _max_speed(scene: Scene, length: float) -> float:
+def largest_speed(scene: Scene) -> float:
     """Return an upper bound on the speed of all objects [m/s].
 
     The bound is the largest initial speed, plus the speed gained from the forces in at most 0.5 s.
@@ -208,9 +208,20 @@ def _max_speed(scene: Scene, length: float) -> float:
         math.hypot(*body.velocity) + math.hypot(*body.spin) * body.size / 2
         for body in scene.every_object
     )
-    pushes = [getattr(force, "g", None) or getattr(force, "a", None) for force in scene.forces]
-    gain = sum(math.hypot(*push) for push in pushes if push is not None)
-    return initial + gain * min(length, 0.5)
+    mass = FILLED * scene.object.size**3 * scene.material.density
+    gain = sum(_acceleration(force, mass) for force in scene.forces)
+    return initial + gain * min((scene.time.frames - 1) / scene.time.fps, 0.5)
+
+
+def _acceleration(force: Force, mass: float) -> float:
+    """Return the largest acceleration [m/s^2] of an object of this mass [kg] by a force."""
+    match force:
+        case TotalForce():
+            return math.hypot(*force.f) / mass
+        case WrenchForce():
+            return math.hypot(*force.force) / mass
+    push: Any = getattr(force, "g", None) or getattr(force, "a", None) or 0.0
+    return float(np.linalg.norm(push))
 
 
 def rest_substeps(scene: Scene) -> float:

@@ -7,7 +7,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from phy124.budget.cost import Estimate, estimate, rest_substeps
+from phy124.budget.cost import (
+    USUAL,
+    Estimate,
+    Work,
+    count_substeps,
+    estimate,
+    largest_speed,
+    rest_substeps,
+)
 from phy124.budget.remedies import change_accuracy, change_field, join_alternatives
 from phy124.errors import InputError, Remedy
 from phy124.gaussians import Gaussians
@@ -19,6 +27,10 @@ from phy124.scene import Scene
 MUCH_STIFFER = 3.0
 """Minimum ratio of the two largest wave speeds at which a note about the stiffest part is
 printed.
+"""
+MANY, LONG = 5.0, 20.0
+"""A note about the speed of an object is printed if the run needs at least `MANY` times as many
+substeps as at rest, and if this takes at least `LONG` seconds on a CPU.
 """
 FARTHEST_CELLS = 1e5
 """Largest distance from the origin [cells] at which float32 still resolves a hundredth of a
@@ -170,7 +182,26 @@ def _round(value: float) -> float:
     return float(f"{value:.2g}")
 
 
-def note_stiffest_part(scene: Scene) -> str | None:
+def note_costs(scene: Scene) -> list[str]:
+    """Return notes about what makes the run take long."""
+    return [note for note in (_note_stiffest_part(scene), _note_speed(scene)) if note]
+
+
+def _note_speed(scene: Scene) -> str | None:
+    """Return a note if the objects may become so fast that the run takes long, or None."""
+    substeps, seconds = count_substeps(scene), USUAL["cpu"].seconds(Work.of(scene))["simulate"]
+    ratio = substeps / max(rest_substeps(scene), scene.time.frames)
+    if ratio < MANY or seconds < LONG:
+        return None
+    return (
+        f"Forces and initial speeds may accelerate an object to {largest_speed(scene):,.2g} m/s. "
+        f"The run may then need {substeps:,} substeps, {ratio:.0f} times as many as at rest, and "
+        f"take about {duration(seconds)} on a CPU: smaller forces and speeds, or larger cells, "
+        "make it faster."
+    )
+
+
+def _note_stiffest_part(scene: Scene) -> str | None:
     """Return a note if one material needs many more substeps than the others, or None.
 
     Projected liquids are ignored, since their steps do not depend on a stiffness.

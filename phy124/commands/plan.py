@@ -12,7 +12,7 @@ from phy124.accuracy import Forecaster
 from phy124.accuracy.choose import Goal, in_time
 from phy124.accuracy.companion import AFFORDABLE, ON_LATTICE
 from phy124.accuracy.promises import format_percent, promise
-from phy124.budget.limits import note_stiffest_part
+from phy124.budget.limits import note_costs
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
@@ -89,9 +89,8 @@ def announce(scene: Scene, goal: Goal | None, device: str, *, as_json: bool) -> 
     cells = "" if goal is None else f"as many cells as {goal.text} needs"
     scene = choose_solver(scene, pick_device(device))
     print(f"scene: {summarise(scene, cells)}", flush=True)
-    stiff = note_stiffest_part(scene)
-    if stiff:
-        print(f"note: {stiff}", flush=True)
+    for note in note_costs(scene):
+        print(f"note: {note}", flush=True)
 
 
 def predict(
@@ -137,7 +136,7 @@ def predict(
         more = {
             "scene": scene.data(),
             "promise": asdict(promised),
-            "note": note_stiffest_part(scene),
+            "note": " ".join(note_costs(scene)) or None,
         }
         print(json.dumps({**forecast.data(), **more}))
         return 0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124.budget.effects import Effects
-from phy124.budget.limits import note_stiffest_part
+from phy124.budget.limits import note_costs
 from phy124.io.clip import Clip
 from phy124.monitor.sleep import Sleep
 from phy124.mpm.timestep import CFL, beside_elastic
@@ -121,13 +121,13 @@ def _substep(run: Run) -> dict[str, Any]:
 
 def _notes(run: Run) -> list[str]:
     """Return notes for the user about the materials and the course of the run."""
-    scene, stiff = run.scene, note_stiffest_part(run.scene)
+    scene = run.scene
     return [
         *(note for section in scene.materials for note in section.notes()),
         *bodies.notes(scene),
         *overlap.notes(scene.boundaries, run.solver.model),
         *_cfl_note(run),
-        *([stiff] if stiff else []),
+        *note_costs(scene),
         *_unregistered_notes(scene.unregistered),
         *(note for observer in run.observers for note in observer.notes()),
         *run.remarks,
