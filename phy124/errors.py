@@ -71,8 +71,8 @@ def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) ->
     return f"Did you mean {close[0]}?" if close else ""
 
 
-def suggest(word: str, known: Sequence[str], *, otherwise: str = "Choose one of") -> str:
+def suggest(word: str, known: Sequence[str]) -> str:
     """Return the sentence "Did you mean ...?" if a known word is similar, or a list of the known
     words.
     """
-    return did_you_mean(word, known) or f"{otherwise} {', '.join(known)}."
+    return did_you_mean(word, known) or f"Choose one of {', '.join(known)}."

@@ -89,14 +89,10 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=4)
-def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
-    """Return the largest thickness [m] for which at most `fraction` of the volume is thinner.
+def local_thickness(shape: Solid) -> float:
+    """Return the largest thickness [m] for which at most `FRACTION` of the volume is thinner.
 
     Parts that are thinner than a voxel count as one voxel thick.
-
-    Args:
-        shape: The object.
-        fraction: Fraction of the volume that may be thinner.
     """
     # Removing the empty voxels around the solid halves the time to compute distances.
     inside = np.pad(_inside(shape), 1)
@@ -108,6 +104,6 @@ def local_thickness(shape: Solid, fraction: float = FRACTION) -> float:
         core = depth >= radii[middle]
         opened = scipy.ndimage.distance_transform_edt(~core) < radii[middle]
         removed = 1 - np.count_nonzero(opened & inside) / np.count_nonzero(inside)
-        fits, too_large = (middle, too_large) if removed <= fraction else (fits, middle)
+        fits, too_large = (middle, too_large) if removed <= FRACTION else (fits, middle)
     # The centres of the outermost voxels of a ball are half a voxel inside the ball.
     return float((2 * radii[fits] - 1) * shape.voxel)

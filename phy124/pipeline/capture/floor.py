@@ -52,14 +52,13 @@ class Floor:
         return self.heights(points) <= self.tolerance
 
 
-def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> Floor:
+def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
     """Find the floor of a scene, in any units and orientation.
 
     Args:
         points: Centres of the visible Gaussians [N,3].
         up: Approximate up direction, or None. If it is known, planes that are too steep, such as
             walls, are rejected. If it is None, up is the side of the plane with more points.
-        seed: Seed of the random samples.
 
     Raises:
         InputError: No plane contains enough points, or the plane is smaller than the object on top.
@@ -69,7 +68,7 @@ def find_floor(points: NDArray, up: Vectors | None = None, *, seed: int = 0) -> 
     spread = _spread(x - middle)
     if len(x) < 3 or not spread > 0:
         raise _none("there are too few Gaussians.")
-    normals, offsets = _trials((x - middle) / spread, up, np.random.default_rng(seed))
+    normals, offsets = _trials((x - middle) / spread, up, np.random.default_rng(0))
     if not len(normals):
         raise _none("no plane has a normal close to the given up direction.")
     some = ((x - middle) / spread)[:: 1 + len(x) // SAMPLE]

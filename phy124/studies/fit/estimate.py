@@ -7,7 +7,6 @@ intervals are computed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,16 +68,12 @@ class Estimate:
         return place, self.sampling + np.maximum(self.model, shift)
 
 
-def estimate(
-    problem: Problem, *, seed: int = 0, on_generation: Callable[[float], object] = lambda cost: None
-) -> Estimate:
+def estimate(problem: Problem, *, seed: int = 0) -> Estimate:
     """Fit the values to the measurements.
 
     Args:
         problem: The measurements and their prediction.
         seed: Seed of all random numbers.
-        on_generation: Function that is called with the smallest cost so far after each generation
-            of the search.
 
     Raises:
         InputError: Some values cannot be determined, or runs of the simulation fail.
@@ -86,7 +81,7 @@ def estimate(
     distance = Distance(problem)
     start = screen(problem, distance, seed)
     _refuse_unseen(problem, distance, differentiate(problem, start, 0, STEP))
-    best = search(problem, distance, start, seed, on_generation)
+    best = search(problem, distance, start, seed)
     slopes = differentiate(problem, best, 0, STEP)
     _refuse_unseen(problem, distance, slopes)
     fit = refine(problem, distance, best, slopes, 0)

@@ -7,7 +7,6 @@ derivatives from a coarser grid.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -59,13 +58,7 @@ def generation_size(count: int) -> int:
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 
 
-def search(
-    problem: Problem,
-    distance: Distance,
-    start: Values,
-    seed: int,
-    on_generation: Callable[[float], object] = lambda cost: None,
-) -> Values:
+def search(problem: Problem, distance: Distance, start: Values, seed: int) -> Values:
     """Search the unit cube for the point with the smallest cost, on the coarsest grid.
 
     Args:
@@ -73,7 +66,6 @@ def search(
         distance: The distance between prediction and measurements, which is minimised.
         start: The initial point [P].
         seed: Seed of the random generations.
-        on_generation: Function that is called with the smallest cost so far after each generation.
 
     Raises:
         InputError: The package `cma` is not installed.
@@ -104,7 +96,6 @@ def search(
         strategy.tell(asked, np.log(np.maximum(costs, 1e-30)).tolist())
         if min(costs) < least:
             best, least = places[int(np.argmin(costs))], min(costs)
-        on_generation(least)
         if float(np.max(strategy.result.stds[:count])) < SETTLED:
             break
     return best

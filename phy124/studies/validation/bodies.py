@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from phy124.liquid.solver import LiquidSolver
 
 Array = NDArray[np.float64]
+PARTS = 6
+"""Number of samples along each axis of a voxel at a solid's surface."""
 MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 
 
@@ -139,7 +141,6 @@ def fill_solid(
     lower: Sequence[float] | NDArray[Any],
     upper: Sequence[float] | NDArray[Any],
     voxel: float,
-    parts: int = 6,
 ) -> Solid:
     """Return the solid inside a surface; voxels at the surface have the fraction that is filled.
 
@@ -149,7 +150,6 @@ def fill_solid(
         lower: Lowest corner of a box around the body [m].
         upper: Highest corner of the box [m].
         voxel: Edge length of a voxel [m].
-        parts: Number of samples along each axis of a voxel at the surface.
     """
     first = np.floor(np.asarray(lower) / voxel + 1e-9).astype(np.int64)
     count = np.ceil(np.asarray(upper) / voxel - 1e-9).astype(np.int64) - first
@@ -157,10 +157,10 @@ def fill_solid(
     away = distance((index + first + 0.5) * voxel)
     fraction = (away < 0).astype(np.float32)
     edge = index[np.abs(away) < 0.9 * voxel]
-    sample = (np.stack(np.meshgrid(*[np.arange(parts)] * 3), axis=-1).reshape(-1, 3) + 0.5) / parts
+    sample = (np.stack(np.meshgrid(*[np.arange(PARTS)] * 3), axis=-1).reshape(-1, 3) + 0.5) / PARTS
     for some in np.array_split(edge, max(1, len(edge) // 20_000)):
         far = distance((some[:, None] + first + sample) * voxel) / voxel
-        fraction[tuple(some.T)] = np.clip(0.5 - parts * far, 0, 1).mean(axis=1)
+        fraction[tuple(some.T)] = np.clip(0.5 - PARTS * far, 0, 1).mean(axis=1)
     return Solid(first, voxel, fraction)
 
 

@@ -82,15 +82,14 @@ class Spin:
     energy: float
 
 
-def spin(turns: float, *, precision: str = "float64", omega: float = 9.0) -> Spin:
+def spin(turns: float, *, precision: str = "float64") -> Spin:
     """Simulate a stiff cube that rotates freely, and measure the changes of conserved quantities.
 
     Args:
         turns: Number of rotations.
         precision: float32 or float64.
-        omega: Angular velocity [rad/s].
     """
-    dx = 0.1
+    dx, omega = 0.1, 9.0
     x = block(8, 4 * dx)
     gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
     C = np.broadcast_to(gradient, (len(x), 3, 3))
@@ -117,20 +116,18 @@ def bar_frequency(E: float, density: float, length: float) -> float:
     return math.pi / length * math.sqrt(E / density)
 
 
-def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> float:
+def vibrating_bar(cells: int) -> float:
     """Simulate about one period of a free bar's first longitudinal mode.
 
     Args:
         cells: Number of cells along the bar.
-        strain: Amplitude of the strain.
-        per_axis: Number of particles per cell along the bar.
 
     Returns:
         The signed relative error of the frequency.
     """
-    E, density, length = 1e4, 1000.0, 1.0
+    E, density, length, strain = 1e4, 1000.0, 1.0, 1e-6
     dx = length / cells
-    x, volume = _column(cells, dx, per_axis)
+    x, volume = _column(cells, dx)
     z = x[:, 2]
     wave = math.pi / length
     exact, speed = bar_frequency(E, density, length), math.sqrt(E / density)
@@ -149,10 +146,10 @@ def vibrating_bar(cells: int, *, strain: float = 1e-6, per_axis: int = 2) -> flo
     return _zero_crossing(times, modes, period) ** -1 * period - 1
 
 
-def _column(cells: int, dx: float, per_axis: int) -> tuple[Array, Array]:
-    """Return the positions [P,3], m, and volumes [P], m^3, of particles on the z axis."""
-    x = lattice((1, 1, cells * per_axis), dx / per_axis) * [0.0, 0, 1]
-    return x, np.full(len(x), dx**3 / per_axis)
+def _column(cells: int, dx: float) -> tuple[Array, Array]:
+    """Return positions [P,3], m, and volumes [P], m^3, of particles on the z axis, 2 per cell."""
+    x = lattice((1, 1, 2 * cells), dx / 2) * [0.0, 0, 1]
+    return x, np.full(len(x), dx**3 / 2)
 
 
 def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float) -> float:
@@ -214,21 +211,18 @@ class Vortex:
         return [Stage("vortex", record)]
 
 
-def vortex(
-    cells: int, *, time: float = 0.5, per_axis: int = 4, problem: Vortex | None = None
-) -> float:
+def vortex(cells: int, *, time: float = 0.5, problem: Vortex | None = None) -> float:
     """Simulate the ring, and return the RMS position error divided by the RMS displacement.
 
     Args:
         cells: Number of cells across the ring's outer diameter.
         time: Time at which the positions are compared [s].
-        per_axis: Number of particles per cell along each axis.
         problem: The ring; if None, the default ring.
     """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
-    spacing, corner = dx / per_axis, (-problem.outer, -problem.outer, 0)
-    x = lattice((cells * per_axis, cells * per_axis, 1), spacing, corner) * [1.0, 1, 0]
+    spacing, corner = dx / 4, (-problem.outer, -problem.outer, 0)
+    x = lattice((4 * cells, 4 * cells, 1), spacing, corner) * [1.0, 1, 0]
     radius = np.hypot(x[:, 0], x[:, 1])
     x = x[(radius > problem.inner) & (radius < problem.outer)]
     volume, options = np.full(len(x), spacing**2 * dx), {"dx": dx, "precision": "float64"}
@@ -263,7 +257,7 @@ class Column:
     """RMS error of the pressure more than three cells above the floor."""
 
 
-def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
+def hydrostatic_column(cells: int) -> Column:
     """Simulate a column of liquid until it is at rest, and measure the errors of its pressure.
 
     The sides of the column are fixed. The floor lies between two planes of nodes, so it cuts off a
@@ -271,11 +265,10 @@ def hydrostatic_column(cells: int, *, per_axis: int = 2) -> Column:
 
     Args:
         cells: Number of cells along the column's height.
-        per_axis: Number of particles per cell along the height.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
-    x, volume = _column(cells, dx, per_axis)
+    x, volume = _column(cells, dx)
     side = HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip")
     solver = make_solver(
         x,
@@ -349,15 +342,14 @@ class Bounce:
         return record(solver, times, lambda: host(solver.state.x))
 
 
-def bouncing_ball(cells: Sequence[int], problem: Bounce | None = None) -> list[Array]:
+def bouncing_ball(cells: Sequence[int]) -> list[Array]:
     """Simulate the ball on several grids, and return the positions [T,P,3], m, on each grid.
 
     The particles are the same on all grids: two per cell along each axis on the finest grid.
 
     Args:
         cells: Number of cells across the diameter on each grid.
-        problem: The ball; if None, the default ball.
     """
-    problem = problem or Bounce()
+    problem = Bounce()
     spacing = problem.diameter / (2 * max(cells))
     return [problem.run(each, spacing) for each in cells]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ def stable_dt(solver: Solver) -> float:
     return solver.model.dx / solver.model.materials[0].wave_speed()
 
 
-def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None = None) -> None:
+def steps(solver: Solver, count: int, dt: float) -> None:
     """Take substeps of fixed length.
 
     The first substep of a run updates velocities by half a substep only (leapfrog).
@@ -101,13 +101,10 @@ def steps(solver: Solver, count: int, dt: float, each: Callable[[], None] | None
         solver: The solver to advance.
         count: Number of substeps.
         dt: Length of a substep [s].
-        each: Called after each substep.
     """
     for k in range(count):
         solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)
         solver.clock.last_dt = dt
-        if each is not None:
-            each()
 
 
 def relative(value: Array, reference: Array) -> float:
