@@ -71,6 +71,15 @@ def test_objects_without_shading_are_flat():
     assert np.ptp(means[:, 0]) < 0.35 * np.ptp(means[:, 2])
 
 
+def test_objects_on_wheels_are_not_flat():
+    """The side of a car is flat and shows no shading, but a car without depth would fall over."""
+    body = ((abs(X - 96) < 80) & (abs(Y - 110) < 22)) | (np.hypot(X - 70, Y - 90) < 40) & (Y < 110)
+    wheels = np.minimum(np.hypot(X - 50, Y - 135), np.hypot(X - 142, Y - 135)) < 17
+    car, sled = (relief(printed(m), count=3000).means for m in (body | wheels, body))
+    assert np.ptp(car[:, 0]) > 0.4 * np.ptp(car[:, 2])
+    assert np.ptp(sled[:, 0]) < 0.35 * np.ptp(sled[:, 2])
+
+
 def test_walls_of_slabs_have_no_holes():
     """The camera does not see the walls of a cube, but they have as many points as its front."""
     gaussians = relief(picture((abs(X - 96) < 60) & (abs(Y - 96) < 60)), count=10_000)

@@ -10,10 +10,13 @@ way.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+
+from phy124.generators.relief.upright import upright_body
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
@@ -58,7 +61,7 @@ class End:
         return (y - self.outermost) * self.sign > by
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Continued:
     """An image whose silhouette is extended beyond its flat ends."""
 
@@ -73,6 +76,11 @@ class Continued:
         """Mask of the object, which does not include the mirror images [H,W]."""
         return self.rgba[..., 3] > 0.5
 
+    @cached_property
+    def body(self) -> NDArray[np.bool_] | None:
+        """The part of the object that is a vessel or a drum [H,W]; None if there is none."""
+        return upright_body(self.object_mask)
+
     def shorten(self) -> Continued:
         """Return the image after its mirror images and the ends of the object are removed."""
         return Continued(self.rgba, self.rgba[..., 3], ())
@@ -84,7 +92,7 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
     Its border has `padding` pixels.
     """
     alpha, ends = rgba[..., 3], []
-    standing = stands(alpha > 0.5)
+    standing = stands(alpha > 0.5) or upright_body(alpha > 0.5) is not None
     for sign in (1, -1):
         upright = alpha[::sign]
         rows = _arc(upright > 0.5)

@@ -10,6 +10,7 @@ flatter still.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.back import body_without_handles
@@ -35,6 +36,13 @@ Both are relative to the image's size.
 """
 DISC = 0.4
 """Relative radius above which the outline is close to a disc."""
+GROUND, TOUCH, FOOT = 0.1, 0.03, 0.35
+"""Height of the lowest part of an object, in which feet and wheels are separate.
+
+The second number is the largest height of a foot's lowest point above the ground. Both are relative
+to the object's height. The third number is the largest width of a foot, relative to that of the
+object.
+"""
 SHARPNESS = 4
 """Exponent of the smooth minimum of round shape and limit."""
 
@@ -56,8 +64,25 @@ def flatten(half: Field, surface: Surface, picture: Continued, size: int) -> Fie
     radius = float(nearest_of(~picture.object_mask)[0].max()) / size
     if radius < DISC and is_turned(body_without_handles(picture.object_mask)):
         return None
+    if picture.body is not None or stands_on_feet(picture.object_mask):
+        return None
     deepest = float(np.sqrt(half.max()))
     flat = min(deepest, size * float(np.interp(radius, RADII, HALVES)))
     limit = float(np.interp(shading.contrast, SHADED, (flat, deepest)))
     ratio = half / limit**2
     return half / (1 + ratio**SHARPNESS) ** (1 / SHARPNESS)
+
+
+def stands_on_feet(object_mask: NDArray[np.bool_]) -> bool:
+    """Return whether a silhouette [H,W] ends in several feet or wheels at the same height."""
+    rows = np.flatnonzero(object_mask.any(axis=1))
+    width = np.ptp(np.flatnonzero(object_mask.any(axis=0))) + 1
+    low = object_mask[rows[-1] + 1 - max(2, round(GROUND * len(rows))) : rows[-1] + 1]
+    parts, _ = scipy.ndimage.label(low)  # pyright: ignore
+    touch = max(1, round(TOUCH * len(rows)))
+    feet = [
+        columns.stop - columns.start
+        for row, columns in scipy.ndimage.find_objects(parts)  # pyright: ignore
+        if row.stop > len(low) - touch
+    ]
+    return len(feet) > 1 and max(feet) <= FOOT * width

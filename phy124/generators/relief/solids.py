@@ -119,8 +119,8 @@ def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Fie
     round_ = _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
     if _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
-    if is_turned(picture.object_mask):
-        lathe = np.maximum(_lathe(silhouette), round_)
+    if picture.body is not None or is_turned(picture.object_mask):
+        lathe = np.maximum(_lathe(silhouette, picture), round_)
         limit = smooth(lathe, silhouette.inside, 2.0)
         round_ = np.minimum(_within(silhouette, lathe, 0.3, 30, size), limit)
     return round_
@@ -180,13 +180,24 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
     return compact or _solidity(object_mask) <= WAISTED or (tall < 1 and stands(object_mask))
 
 
-def _lathe(silhouette: Silhouette) -> Field:
-    """Return the squared half thicknesses of a solid of revolution with a vertical axis."""
-    inside = silhouette.inside
+def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
+    """Return the squared half thicknesses of a solid of revolution with a vertical axis.
+
+    Args:
+        silhouette: The silhouette, extended beyond flat ends.
+        picture: Mask of the object. A vessel is as deep at its brim as it is wide, whatever the
+            height of the brim is.
+    """
+    inside, body = silhouette.inside, picture.body
     left, right = silhouette.sides()
+    deepest = OVERHANG / 2 * _runs(inside)
+    if body is not None:
+        deepest = np.full(inside.shape, np.inf)
+        handles = (picture.object_mask & ~body).any(axis=1) & body.any(axis=1)
+        left = np.where(handles, body.argmax(axis=1) - 0.5, left)
+        right = np.where(handles, body.shape[1] - body[:, ::-1].argmax(axis=1) - 0.5, right)
     x = np.arange(inside.shape[1])
     round_ = (x - left[:, None]) * (right[:, None] - x)
-    deepest = OVERHANG / 2 * _runs(inside)
     return np.where(inside, np.clip(round_, 0, deepest**2), 0.0)
 
 

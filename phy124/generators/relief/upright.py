@@ -1,0 +1,196 @@
+"""Recognises vessels and drums, which stand upright, although they may be wider than high.
+
+Most convex objects that are wider than high lie on their side. Two outlines show a solid of
+revolution that stands upright instead: a drum has vertical sides and a lower edge that is the near
+half of a circle seen from above, which is half of an ellipse; a vessel is widest at its rim, and
+becomes narrower from there to its foot. Handles are left out of the comparison.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+Field = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+CENTRED, EVERY = 0.04, 0.97
+"""Largest distance of a row's centre from the axis, relative to half of the largest width.
+
+The second number is the smallest fraction of the rows that must be centred and without gaps.
+"""
+ELLIPTIC = 0.03
+"""Largest root mean square distance between an arc and half of an ellipse, relative to the
+ellipse's half width."""
+LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.78
+"""Limits of the ratio of an ellipse's height to its width, for a circle seen from above."""
+VERTICAL, WALL = 0.88, 0.3
+"""Smallest ratio of the widths of a drum's rows between its arcs.
+
+The second number is the smallest height of the rows between the arcs, relative to half the width.
+"""
+MORE = 0.1
+"""Largest difference by which a drum's upper arc is higher than the lower, relative to half of the
+width. From above, the upper circle appears flatter than the lower."""
+FULL = 0.97
+"""The rim of an object is its first row, from the top, with this fraction of the largest width."""
+FLAT_RIM, LOW_RIM = 0.15, 0.385
+"""Largest height of a vessel above its rim, relative to its whole height, for any outline.
+
+The second number applies if the outline above the rim is half of an ellipse.
+"""
+NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
+"""Largest width of a vessel near its foot, relative to its largest width.
+
+The second number is the height of this place, relative to the height of the object. The third
+number is the largest amount by which the vessel may become wider below its rim.
+"""
+STEP, SPAN = 0.12, 0.03
+"""Largest decrease of half the width of a vessel over a short height, relative to its maximum.
+
+The second number is this height, relative to the height of the object. Sleeves end more abruptly.
+"""
+THIN, REACH = 0.4, 0.05
+"""Largest thickness of a handle, relative to the thickest part of the object.
+
+The second number is the smallest length by which a handle protrudes, relative to the object's size.
+"""
+TIP, POINTED = 0.2, 0.3
+"""Fraction of the length of a protruding part that is its tip.
+
+The second number is the largest mean height of the tip, relative to the height of the part, if the
+part is a sharp rim instead of a handle.
+"""
+BESIDE = 0.08
+"""Smallest height of the object below a handle, relative to the object's height.
+
+Brims and feet, which are thin, too, have no part of the object below them.
+"""
+
+
+def upright_body(object_mask: Mask) -> Mask | None:
+    """Return the part of a silhouette [H,W] that is a vessel or a drum, without its handles.
+
+    Return None if the silhouette shows no such object.
+    """
+    if not object_mask.any():
+        return None
+    for body in (_without_handles(object_mask), object_mask):
+        profile = None if body is None else Profile.of(body)
+        if profile and (profile.is_drum() or profile.is_vessel()):
+            return body
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Half the width of each row of a symmetric silhouette, from the top to the bottom."""
+
+    half: Field
+    """Half widths [H], pixels."""
+
+    @classmethod
+    def of(cls, solid: Mask) -> Profile | None:
+        """Return the profile of a mask [H,W], or None if it is not symmetric about its axis."""
+        rows = np.flatnonzero(solid.any(axis=1))
+        solid = solid[rows[0] : rows[-1] + 1]
+        low = solid.argmax(axis=1)
+        high = solid.shape[1] - solid[:, ::-1].argmax(axis=1)
+        half, middle = (high - low) / 2, (high + low) / 2
+        axis = np.average(middle, weights=half)
+        centred = np.abs(middle - axis) < CENTRED * half.max()
+        good = centred & (np.count_nonzero(solid, axis=1) == high - low)
+        return cls(half) if good.mean() >= EVERY else None
+
+    @cached_property
+    def top(self) -> int:
+        """Number of rows of the upper arc, or 0."""
+        return _arc(self.half)
+
+    @property
+    def rim(self) -> int:
+        """The first row that is almost as wide as the widest."""
+        return int((self.half >= FULL * self.half.max()).argmax())
+
+    def is_drum(self) -> bool:
+        """Return whether the sides are vertical and the lower edge is half of an ellipse."""
+        bottom, top = _arc(self.half[::-1]), max(self.top, self.rim)
+        core = self.half[top : len(self.half) - bottom]
+        widest = self.half.max()
+        if not bottom or len(core) < WALL * widest or core.min() < VERTICAL * widest:
+            return False
+        return (
+            LOWEST_VIEW * widest <= bottom <= HIGHEST_VIEW * widest
+            and top <= bottom + MORE * widest
+        )
+
+    def is_vessel(self) -> bool:
+        """Return whether the object is widest at its rim and becomes narrower towards its foot."""
+        height, widest = len(self.half), self.half.max()
+        top = max(self.top, self.rim)
+        if top > (LOW_RIM if self.top else FLAT_RIM) * height:
+            return False
+        below = self.half[top:]
+        widening = np.maximum.accumulate(below[::-1])[::-1] - below
+        foot, span = max(1, round(FOOT * height)), max(1, round(SPAN * height))
+        above = self.half[: height - foot]
+        return bool(
+            widening.max() <= WIDENING * widest
+            and (above[:-span] - above[span:]).max() <= STEP * widest
+            and self.half[-foot] <= NARROWER * widest
+        )
+
+
+def _arc(half: Field) -> int:
+    """Return the number of rows, from the first, that form half of an ellipse; 0 if none do."""
+    longest = 0
+    for rows in range(3, len(half) // 2 + 1):
+        up = 1 - (np.arange(rows) + 0.5) / (rows + 0.5)
+        ellipse = half[rows] * np.sqrt(1 - up**2)
+        misfit = np.sqrt(np.mean((half[:rows] - ellipse) ** 2))
+        if misfit < ELLIPTIC * half[rows] and rows <= HIGHEST_VIEW * half[rows]:
+            longest = rows
+    return longest
+
+
+def _without_handles(solid: Mask) -> Mask | None:
+    """Return a mask [H,W] without thin parts that protrude sideways, or None if it has none."""
+    depth = _inner_distance(np.pad(solid, 1))[1:-1, 1:-1]
+    radius = THIN * float(depth.max())
+    body = _inner_distance(depth < radius) <= radius
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(body.any(axis=0))
+    reach = REACH * max(np.ptp(rows), np.ptp(columns))
+    parts, number = scipy.ndimage.label(solid & ~body)  # pyright: ignore
+    handles = np.zeros_like(solid)
+    for index in range(1, number + 1):
+        part = parts == index
+        across = np.flatnonzero(part.any(axis=0))
+        left, right = columns[0] - across[0], across[-1] - columns[-1]
+        heights = np.count_nonzero(part, axis=0)[across][:: 1 if left > right else -1]
+        if max(left, right) < reach or _is_pointed(heights, max(left, right)):
+            continue
+        if rows[-1] - np.flatnonzero(part.any(axis=1))[-1] < BESIDE * len(rows):
+            return None
+        handles |= part
+    return solid & ~handles if handles.any() else None
+
+
+def _inner_distance(solid: Mask) -> Field:
+    """Return the distance from each pixel of a mask [H,W] to the nearest pixel outside."""
+    precise = cv2.DIST_MASK_PRECISE
+    return np.asarray(cv2.distanceTransform(solid.astype(np.uint8), cv2.DIST_L2, precise))
+
+
+def _is_pointed(heights: NDArray[np.int_], length: float) -> bool:
+    """Return whether a protruding part ends in a sharp edge, like the rim of a bowl.
+
+    Args:
+        heights: Height of the part in each of its columns, from the tip [pixels].
+        length: Length by which the part protrudes [pixels].
+    """
+    tip = heights[: max(1, round(TIP * length))]
+    return bool(tip.mean() < POINTED * heights.max())

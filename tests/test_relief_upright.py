@@ -1,0 +1,56 @@
+"""relief: vessels and drums that are wider than high stand upright and are as deep as wide."""
+
+import numpy as np
+import pytest
+
+from phy124.generators.relief import relief
+from phy124.generators.relief.upright import upright_body
+from support.drawings import X, Y, picture
+
+
+def from_above(top, bottom, rim, foot, tilt):
+    """Draw a tapered vessel between two heights, with circles as a raised camera sees them."""
+    share = np.clip((Y - top) / (bottom - top), 0, 1)
+    wall = (abs(X - 96) < rim + (foot - rim) * share) & (top < Y) & (bottom > Y)
+    ends = [
+        np.hypot(X - 96, (Y - y) / tilt) < r if tilt else wall
+        for y, r in ((top, rim), (bottom, foot))
+    ]
+    return wall | ends[0] | ends[1]
+
+
+BOWL, TIN = from_above(60, 120, 80, 40, 0.3), from_above(70, 115, 80, 80, 0.4)
+HANDLES = (abs(X - 96) < 90) & (abs(Y - 85) < 5)
+POT = from_above(70, 120, 60, 57, 0.4) | HANDLES
+SLEEVES = ((abs(X - 96) < 80) & (abs(Y - 70) < 20)) | ((abs(X - 96) < 40) & (abs(Y - 100) < 50))
+
+
+@pytest.mark.parametrize("drawn", [BOWL, TIN, POT, from_above(60, 120, 80, 40, 0)])
+def test_vessels_and_drums_stand_upright(drawn):
+    assert upright_body(drawn) is not None
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        np.hypot((X - 96) / 80, (Y - 96) / 40) < 1,  # a lemon
+        ((X - 96) / 80) ** 4 + ((Y - 96) / 50) ** 4 < 1,  # a pillow
+        (abs(X - 96) < 80) & (abs(Y - 96) < 40),  # a log
+        BOWL[::-1],  # a cake, or the front of a car
+        from_above(70, 120, 50, 50, 0.4) | ((abs(X - 96) < 90) & (abs(Y - 134) < 6)),  # a hat
+        np.roll(BOWL, 30, axis=1) | (Y > 100) & BOWL,  # not symmetric
+        SLEEVES,
+    ],
+)
+def test_other_wide_outlines_are_left_alone(drawn):
+    assert upright_body(drawn) is None
+
+
+def test_vessels_are_as_deep_as_wide_and_handles_are_thin():
+    """The drawings have no shading, which makes other objects flat."""
+    print_ = 1 + 0.15 * np.sin(1.1 * X + 0.7 * Y) * np.sin(0.5 * X - 1.3 * Y)
+    colours = (print_[..., None] * [180, 150, 60]).astype(np.uint8)
+    bowl = relief(picture(BOWL, colours), count=3000).means
+    assert np.ptp(bowl[:, 0]) == pytest.approx(np.ptp(bowl[:, 1]), rel=0.07)
+    pot = relief(picture(POT, colours), count=3000).means
+    assert np.ptp(pot[:, 0]) == pytest.approx(np.ptp(pot[:, 1]) * 60 / 90, rel=0.07)
