@@ -34,6 +34,8 @@ def test_vessels_and_drums_stand_upright(drawn):
     "drawn",
     [
         np.hypot((X - 96) / 80, (Y - 96) / 40) < 1,  # a lemon
+        np.hypot(X - 96, Y - 96) < 80,  # a ball or a coin
+        np.hypot((X - 96) / 80, (Y - 96) / 74) < 1,  # a cookie
         ((X - 96) / 80) ** 4 + ((Y - 96) / 50) ** 4 < 1,  # a pillow
         (abs(X - 96) < 80) & (abs(Y - 96) < 40),  # a log
         BOWL[::-1],  # a cake, or the front of a car

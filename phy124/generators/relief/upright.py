@@ -26,8 +26,11 @@ The second number is the smallest fraction of the rows that must be centred and 
 ELLIPTIC = 0.03
 """Largest root mean square distance between an arc and half of an ellipse, relative to the
 ellipse's half width."""
-LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.78
-"""Limits of the ratio of an ellipse's height to its width, for a circle seen from above."""
+LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.7
+"""Limits of the ratio of an ellipse's height to its width, for a circle seen from above.
+
+Arcs of a ball have larger ratios than the second number.
+"""
 VERTICAL, WALL = 0.88, 0.3
 """Smallest ratio of the widths of a drum's rows between its arcs.
 
@@ -65,6 +68,8 @@ TIP, POINTED = 0.2, 0.3
 The second number is the largest mean height of the tip, relative to the height of the part, if the
 part is a sharp rim instead of a handle.
 """
+FEWEST = 16
+"""Smallest number of rows of a vessel or a drum."""
 BESIDE = 0.08
 """Smallest height of the object below a handle, relative to the object's height.
 
@@ -97,6 +102,8 @@ class Profile:
     def of(cls, solid: Mask) -> Profile | None:
         """Return the profile of a mask [H,W], or None if it is not symmetric about its axis."""
         rows = np.flatnonzero(solid.any(axis=1))
+        if len(rows) < FEWEST:
+            return None
         solid = solid[rows[0] : rows[-1] + 1]
         low = solid.argmax(axis=1)
         high = solid.shape[1] - solid[:, ::-1].argmax(axis=1)
@@ -147,14 +154,16 @@ class Profile:
 
 def _arc(half: Field) -> int:
     """Return the number of rows, from the first, that form half of an ellipse; 0 if none do."""
-    longest = 0
+    best, least = 0, ELLIPTIC
     for rows in range(3, len(half) // 2 + 1):
+        if rows > HIGHEST_VIEW * half[rows]:
+            continue
         up = 1 - (np.arange(rows) + 0.5) / (rows + 0.5)
         ellipse = half[rows] * np.sqrt(1 - up**2)
-        misfit = np.sqrt(np.mean((half[:rows] - ellipse) ** 2))
-        if misfit < ELLIPTIC * half[rows] and rows <= HIGHEST_VIEW * half[rows]:
-            longest = rows
-    return longest
+        misfit = float(np.sqrt(np.mean((half[:rows] - ellipse) ** 2)) / half[rows])
+        if misfit < least:
+            best, least = rows, misfit
+    return best
 
 
 def _without_handles(solid: Mask) -> Mask | None:
@@ -182,7 +191,8 @@ def _without_handles(solid: Mask) -> Mask | None:
 def _inner_distance(solid: Mask) -> Field:
     """Return the distance from each pixel of a mask [H,W] to the nearest pixel outside."""
     precise = cv2.DIST_MASK_PRECISE
-    return np.asarray(cv2.distanceTransform(solid.astype(np.uint8), cv2.DIST_L2, precise))
+    distance = cv2.distanceTransform(solid.astype(np.uint8), cv2.DIST_L2, precise)
+    return np.asarray(distance, np.float64)
 
 
 def _is_pointed(heights: NDArray[np.int_], length: float) -> bool:
