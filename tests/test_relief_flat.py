@@ -5,6 +5,7 @@ import pytest
 
 from phy124.gaussians import rotation_matrices
 from phy124.generators.relief import relief
+from phy124.generators.relief.flat import stands_on_feet
 from phy124.rendering.render import Renderer
 from support.drawings import X, Y, extents, outlines, picture, shaded
 
@@ -71,13 +72,14 @@ def test_objects_without_shading_are_flat():
     assert np.ptp(means[:, 0]) < 0.35 * np.ptp(means[:, 2])
 
 
-def test_objects_on_wheels_are_not_flat():
-    """The side of a car is flat and shows no shading, but a car without depth would fall over."""
-    body = ((abs(X - 96) < 80) & (abs(Y - 110) < 22)) | (np.hypot(X - 70, Y - 90) < 40) & (Y < 110)
-    wheels = np.minimum(np.hypot(X - 50, Y - 135), np.hypot(X - 142, Y - 135)) < 17
-    car, sled = (relief(printed(m), count=3000).means for m in (body | wheels, body))
-    assert np.ptp(car[:, 0]) > 0.4 * np.ptp(car[:, 2])
-    assert np.ptp(sled[:, 0]) < 0.35 * np.ptp(sled[:, 2])
+def test_objects_on_feet_are_not_flat():
+    """Thin bodies show little shading; a dog is as deep as its body is high."""
+    body = (abs(X - 90) < 70) & (abs(Y - 90) < 16) | (np.hypot(X - 160, Y - 76) < 22)
+    legs = np.minimum(abs(X - 40), abs(X - 130)) < 8
+    dog = relief(printed(body | (legs & (Y > 90) & (Y < 150))), count=3000).means
+    assert 0.2 < np.ptp(dog[:, 0]) < 0.3
+    trousers = (np.minimum(abs(X - 60), abs(X - 132)) < 30) | (Y < 70)
+    assert not stands_on_feet(trousers & (abs(X - 96) < 66))
 
 
 def test_walls_of_slabs_have_no_holes():

@@ -57,7 +57,7 @@ def measured(name: str, renderer: Renderer) -> dict[str, float]:
     picture, _ = truths._picture(solid, camera)
     made = relief(Image.fromarray(truths._rounded(picture)), count=GAUSSIANS)
     low, high = made.means.min(axis=0), made.means.max(axis=0)
-    middle = made.means - np.array([low[0] + high[0], 0, 0], np.float32) / 2
+    middle = made.means - np.array([(low[0] + high[0]) / 2, 0, 0], np.float32)
     placed = Gaussians(middle, made.quats, made.scales, made.opacities, made.sh)
     overlaps = []
     for view in VIEWS:

@@ -70,7 +70,7 @@ part is a sharp rim instead of a handle.
 """
 FEWEST = 16
 """Smallest number of rows of a vessel or a drum."""
-BESIDE = 0.08
+BELOW = 0.08
 """Smallest height of the object below a handle, relative to the object's height.
 
 Brims and feet, which are thin, too, have no part of the object below them.
@@ -182,7 +182,7 @@ def _without_handles(solid: Mask) -> Mask | None:
         heights = np.count_nonzero(part, axis=0)[across][:: 1 if left > right else -1]
         if max(left, right) < reach or _is_pointed(heights, max(left, right)):
             continue
-        if rows[-1] - np.flatnonzero(part.any(axis=1))[-1] < BESIDE * len(rows):
+        if rows[-1] - np.flatnonzero(part.any(axis=1))[-1] < BELOW * len(rows):
             return None
         handles |= part
     return solid & ~handles if handles.any() else None
