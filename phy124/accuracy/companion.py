@@ -332,8 +332,7 @@ def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[
     )
     run, distances = Simulation(setup), []
     for frame, (means, _, _) in zip(run, clip.rows_of(indices), strict=True):
-        state = run.solver.state
-        moved = deformer(state.x, state.deformation, index=frame.index, time=frame.time)
+        moved = deformer(*run.carrying(), index=frame.index, time=frame.time)
         gaps = means.astype(np.float64) - moved.gaussians.means
         distances.append(math.sqrt((gaps**2).sum(axis=1).mean()))
     return np.array(distances)

@@ -51,6 +51,12 @@ class Material(Section):
     grains: ClassVar[bool] = False
     """Whether the interior must be drawn, because the material separates into grains or drops."""
 
+    dents: ClassVar[bool] = False
+    """Whether the material is a solid that keeps dents. Its motion is smoothed before Gaussians
+    follow it (phy124/motion/smoothing.py). Without gloss, the light in videos follows its shape
+    (phy124/rendering/dents.py).
+    """
+
     scatters: ClassVar[bool] = False
     """Whether the particles start at random positions in their cells. This hides the rows of a
     regular lattice in material that spreads in thin layers.

@@ -26,6 +26,7 @@ class Metal(Logarithmic):
 
     law: Literal["metal"] = "metal"
     shines: ClassVar[bool] = True
+    dents: ClassVar[bool] = True
     particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="metal",
@@ -69,6 +70,7 @@ class Plasticine(Elastic):
 
     law: Literal["plasticine"] = "plasticine"
     may_collapse: ClassVar[bool] = True
+    dents: ClassVar[bool] = True
     device_law: ClassVar[Law] = Law(
         name="plasticine",
         stress=elastic.fixed_corotated,

@@ -308,6 +308,9 @@ class Report(TypedDict):
     matte: list[dict[str, Any]]
     """Per tinted material of grains: index ranges of the Gaussians that a lamp lights (`runs`), and
     the volume of a Gaussian in each range (`volumes`) [m^3]."""
+    dents: list[list[list[int]]]
+    """Per solid that keeps dents and has no gloss: index ranges of its Gaussians, whose light
+    follows the shape."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None

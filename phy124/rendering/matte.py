@@ -57,17 +57,17 @@ class Matte:
 
         `lamp` [3] is the unit vector towards the lamp.
         """
-        cell, place, size = _place(x, self._cell)
+        cell, place, size = locate(x, self._cell)
         flat: Any = np.ravel_multi_index(tuple(place), size)
         filled = np.bincount(flat, self._volumes / cell**3, minlength=int(np.prod(size)))
-        phi = _blur(np.minimum(filled, 1).reshape(size), SMOOTH)
+        phi = blur(np.minimum(filled, 1).reshape(size), SMOOTH)
         slopes = np.gradient(phi)
         steep = np.sqrt(sum(slope * slope for slope in slopes))
         along = sum(slope * part for slope, part in zip(slopes, lamp.tolist(), strict=True))
         facing = -along / np.maximum(steep, 1e-9)
         certain = np.minimum(steep / CERTAIN, 1)
         lit = EVEN + certain * (((1 + facing) / 2) ** 1.2 - EVEN)
-        hidden = np.clip((_blur(phi, WIDE) - HOLLOW) / (DEEP - HOLLOW), 0, 1)
+        hidden = np.clip((blur(phi, WIDE) - HOLLOW) / (DEEP - HOLLOW), 0, 1)
         at_points = [field.reshape(-1)[flat][:, None] for field in (lit, hidden)]
         light = (SKY + LAMP_LIGHT * at_points[0]) * (1 - (1 - DARKEST) * at_points[1])
         return light.astype(np.float32)
@@ -98,7 +98,7 @@ def illuminate(sh: NDArray, light: NDArray) -> NDArray:
     return lit
 
 
-def _place(x: NDArray, cell: float) -> tuple[float, NDArray[np.int64], tuple[int, ...]]:
+def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.int64], tuple[int, ...]]:
     """Return the cell size [m], the cells of points [3,n], and the number of cells per axis.
 
     Points far away from all others are placed in the cells at the boundary.
@@ -110,7 +110,7 @@ def _place(x: NDArray, cell: float) -> tuple[float, NDArray[np.int64], tuple[int
     return cell, np.clip(place, 0, size - 1).T, tuple(size.tolist())
 
 
-def _blur(values: NDArray, sigma: float) -> NDArray[np.float32]:
+def blur(values: NDArray, sigma: float) -> NDArray[np.float32]:
     """Return values of cells, smoothed with a standard deviation [cells]."""
     smooth: Any = scipy.ndimage.gaussian_filter(values.astype(np.float32), sigma, truncate=2.5)
     return smooth

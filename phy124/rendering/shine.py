@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Frame, Gaussians
 from phy124.io.clip import Clip
+from phy124.rendering.dents import Dents
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes, Surface, smoothstep
 from phy124.rendering.matte import find_matte, illuminate
 from phy124.rendering.stage.build import boundaries_of
@@ -83,6 +84,11 @@ class Shine:
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
         self._matte = find_matte(clip.report.get("matte") or [], self._cell)
+        self._dents = [
+            Dents(which, _finite(clip.means[0][which]), self._cell, LAMP)
+            for runs in clip.report.get("dents") or []
+            if self._cell > 0 and len(which := _indices(runs))
+        ]
         self.seconds = 0.0
         """Time that all threads together have spent on the gloss since the start [s]."""
 
@@ -98,7 +104,7 @@ class Shine:
     @property
     def any(self) -> bool:
         """Whether any Gaussians are glossy."""
-        return (bool(self._parts) and self._cell > 0) or bool(self._matte)
+        return (bool(self._parts) and self._cell > 0) or bool(self._matte or self._dents)
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
         """Return the frame with reflections, as seen by a camera, added to the colours."""
@@ -138,7 +144,7 @@ class Shine:
             for law, which in self._parts.items()
         ]
         gloss: dict[str, Any] = {"lamp": LAMP.tolist(), "refraction": REFRACTION, "laws": laws}
-        if not self._liquids and not self._matte:
+        if not self._liquids and not self._matte and not self._dents:
             return clip, gloss
         means, quats, scales = np.array(clip.means), np.array(clip.quats), np.array(clip.scales)
         hues = np.empty((len(clip), len(clip.opacities), 4), np.uint8)
@@ -181,6 +187,13 @@ class Shine:
             for part in self._matte:
                 light = part.light(_finite(gaussians.means[part.which]), LAMP)
                 sh[part.which] = illuminate(sh[part.which], light)
+            gaussians = replace(gaussians, sh=sh)
+        if self._dents:
+            sh = gaussians.sh.copy()
+            for solid in self._dents:
+                rgb = np.clip(0.5 + SH_C0 * sh[solid.which, 0], 0, 1)
+                lit = solid.illuminate(rgb, _finite(gaussians.means[solid.which]))
+                sh[solid.which, 0] += (lit - rgb) / SH_C0
             gaussians = replace(gaussians, sh=sh)
         self._keep(frame.index, (gaussians, normals))
         return gaussians, normals

@@ -84,6 +84,12 @@ class Appearance(NamedTuple):
         ]
         return [{"runs": runs, "volumes": volumes} for runs, volumes in lit]
 
+    def dents(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
+        """Return the spans of the Gaussians of each solid that keeps dents and has no gloss."""
+        solids = [k for k, section in enumerate(materials) if section.dents and not section.shines]
+        spans = [self._spans(self.kinds == k) for k in solids]
+        return [span for span in spans if span]
+
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
         """Return the spans of a material's Gaussians, and the volume of each in a span.
 

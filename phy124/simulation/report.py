@@ -75,6 +75,7 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
         "shine": look.shine(setup.materials),
         "liquids": look.liquids(setup.materials),
         "matte": look.matte(setup.materials),
+        "dents": look.dents(setup.materials),
     }
 
 

@@ -24,6 +24,7 @@ from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all
 from phy124.monitor.watchdog import Watchdog
 from phy124.motion.deform import Deformer
 from phy124.motion.recorded import Motion, Recorded, make_arrays
+from phy124.motion.smoothing import Smoothing
 from phy124.mpm import MEASURE_EVERY, Unstable
 from phy124.mpm.workers import HOST, REPAIR, run_timed
 from phy124.runtime.compiling import compile_missing
@@ -290,10 +291,10 @@ class Simulation:
         )
         frame = Frame(index, time, scenery.moving)
         with stage("deform"):
+            x, F = self.carrying() if self.setup.shapes else (state.x, state.deformation)
             if self.setup.shapes and not self.light:
                 v = state.v if self.scene.velocities else None
-                shape = state.deformation
-                frame = self.deformer(state.x, shape, index=index, time=time, velocities=v)
+                frame = self.deformer(x, F, index=index, time=time, velocities=v)
                 if self.deformer.rotations is not None:
                     self.rotations.append(scenery.turns(self.deformer.rotations))
         with stage("observe"):
@@ -307,7 +308,7 @@ class Simulation:
                 frame = scenery.whole(frame, self.poses, self.solver.free.motions())
             if not (self.setup.keep and self.setup.shapes):
                 return frame
-            x, F = (np.asarray(array.numpy()) for array in (state.x, state.deformation))
+            x, F = (np.asarray(getattr(array, "numpy", lambda: array)()) for array in (x, F))
             carried = (x[self.carriers].astype(np.float32), F[self.carriers].astype(np.float32))
             return replace(frame, carried=carried)
 
@@ -325,6 +326,19 @@ class Simulation:
             device=self.device,
             threads=len(self.solver.workers),
         )
+
+    @cached_property
+    def _smoothing(self) -> Smoothing | None:
+        """Smooths the motion of solids that keep dents; None if there are none."""
+        setup = self.setup
+        dents = np.array([section.dents for section in setup.materials])[setup.particles.material]
+        smooth = dents.any() and self.scene.binding == "lattice"
+        return Smoothing(setup.particles, dents, self.scene.dx) if smooth else None
+
+    def carrying(self) -> tuple[Any, Any]:
+        """Return the positions and gradients that carry the Gaussians, as arrays of particles."""
+        x, F = self.solver.state.x, self.solver.state.deformation
+        return self._smoothing(x.numpy(), F.numpy()) if self._smoothing else (x, F)
 
     @cached_property
     def carriers(self) -> NDArray[np.int32]:

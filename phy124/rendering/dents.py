@@ -1,0 +1,144 @@
+"""Lights solids that keep dents, such as plasticine, so that their new shape is visible.
+
+The light and shadow of the picture belong to the object at rest and move with the material, so a
+dent would hardly be visible. Therefore, the colours are multiplied by the ratio of two lights that
+are computed from the normals of the surface: the light now, and the light at rest. At rest, the
+picture does not change.
+
+The normals are computed from the positions of Gaussians: neighbours on the same side of the object
+are joined into patches, and planes are fitted to neighbouring patches.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate
+
+PATCH = 0.5
+"""Size of a patch [cells]."""
+SIDE = 0.7
+"""Difference of two unit normals that separates as much as a whole patch."""
+NEAR = 12
+"""Number of patches to which a plane is fitted, and for which `SAME` holds."""
+SHARED = 6
+"""Number of patches between which the normal at a Gaussian is interpolated."""
+FLOOR = 0.5
+"""Light of the sky on a surface that faces down, relative to a surface that faces up."""
+CONTRAST = 1.8, 0.5
+"""Exponents of the ratio of the lights where there is less light than at rest, and where there is
+more. Pictures are usually well lit, so more light leaves less room.
+"""
+RANGE = 0.5, 1.15
+"""Smallest and largest factor of the colours."""
+
+
+class Dents:
+    """The light on the Gaussians of one solid."""
+
+    def __init__(self, which: NDArray[np.int64], x: NDArray, cell: float, lamp: NDArray) -> None:
+        """Measure the solid at rest.
+
+        Args:
+            which: Indices of the solid's Gaussians [n].
+            x: Positions of these Gaussians at rest [n,3], m.
+            cell: Cell size of the simulation's grid, m.
+            lamp: Unit vector towards the lamp [3].
+        """
+        self.which, self._lamp = which, lamp.astype(np.float32)
+        outward = _outward(x, cell)
+        features = np.concatenate([x / (PATCH * cell), outward / SIDE], axis=1)
+        _, patch = np.unique(np.rint(features), axis=0, return_inverse=True)
+        patch = patch.reshape(-1)
+        count = np.bincount(patch)
+        self._mean = _rows(patch, np.arange(len(x)), 1 / count[patch], (len(count), len(x)))
+        centre = self._mean @ features
+        tree = scipy.spatial.KDTree(centre)
+        self._along, self._across = _slopes(tree, centre, self._mean @ x, self._mean @ outward)
+        away, index = _nearest(tree, features, SHARED)
+        weights = np.maximum(1 - (away / away[:, -1:]) ** 2, 1e-3) ** 2
+        weights /= weights.sum(axis=1, keepdims=True)
+        rows = np.repeat(np.arange(len(x)), index.shape[1])
+        self._shared = _rows(rows, index.ravel(), weights.ravel(), (len(x), len(count)))
+        self._rest = self._lit(x)
+
+    def illuminate(self, rgb: NDArray, x: NDArray) -> NDArray[np.float32]:
+        """Return the colours [n,3] of the Gaussians at positions x [n,3] m, from `rgb` at rest."""
+        light = self._lit(x) / self._rest
+        factor = np.clip(light ** np.where(light < 1, *CONTRAST), *RANGE)
+        return np.minimum(rgb * factor, 1).astype(np.float32)
+
+    def normals(self, x: NDArray) -> NDArray[np.float32]:
+        """Return the outward normals of the surface [n,3]; zero where no plane is determined."""
+        patches = self._mean @ x
+        normals = _unit(np.cross(self._along @ patches, self._across @ patches))
+        return _unit(self._shared @ normals).astype(np.float32)
+
+    def _lit(self, x: NDArray) -> NDArray[np.float32]:
+        """Return the light: red, green and blue at each Gaussian [n,3]."""
+        normals = self.normals(x)
+        sky = (1 + FLOOR + (1 - FLOOR) * normals[:, 2:]) / 2
+        facing = ((1 + normals @ self._lamp) / 2)[:, None]
+        return SKY * sky + LAMP_LIGHT * facing**1.2
+
+
+def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
+    """Return the outward normals of a surface at points x [n,3] on it, m.
+
+    They are the directions in which the object, with its interior, becomes sparser.
+    """
+    _, at, size = locate(x, cell)
+    flat: Any = np.ravel_multi_index(tuple(at), size)
+    filled = np.zeros(size, bool)
+    filled.reshape(-1)[flat] = True
+    parts, _ = scipy.ndimage.label(~filled)
+    solid = blur(parts != parts[0, 0, 0], SMOOTH)
+    return -_unit(np.stack([slope.reshape(-1)[flat] for slope in np.gradient(solid)], axis=1))
+
+
+def _slopes(tree: Any, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
+    """Return matrices that map values of patches [m] to their slopes along two directions.
+
+    The two directions and the outward normal of a patch are perpendicular to each other. A slope is
+    a least-squares fit to the nearest patches.
+    """
+    m = len(x)
+    outward = _unit(outward)
+    helper = np.eye(3)[np.abs(outward).argmin(axis=1)]
+    along = _unit(np.cross(helper, outward))
+    across = np.cross(outward, along)
+    away, index = _nearest(tree, features, NEAR)
+    weights = np.exp(-((away / np.maximum(away[:, -1:], 1e-9)) ** 2) * 2)
+    weights /= weights.sum(axis=1, keepdims=True)
+    apart = x[index] - np.einsum("mk,mkd->md", weights, x[index])[:, None]
+    plane = np.einsum("mkd,mad->mka", apart, np.stack([along, across], axis=1))
+    moments = np.einsum("mk,mka,mkb->mab", weights, plane, plane)
+    size = np.trace(moments, axis1=1, axis2=2)[:, None, None]
+    fit = weights[..., None] * plane @ np.linalg.inv(moments + (1e-3 * size + 1e-12) * np.eye(2))
+    fit -= weights[..., None] * fit.sum(axis=1, keepdims=True)
+    rows = np.repeat(np.arange(m), index.shape[1])
+    one, two = (_rows(rows, index.ravel(), fit[..., a].ravel(), (m, m)) for a in (0, 1))
+    return one, two
+
+
+def _nearest(tree: Any, points: NDArray, count: int) -> tuple[NDArray, NDArray]:
+    """Return the distances and indices of the nearest points of a tree [n,k]."""
+    count = min(count, tree.n)
+    found = tree.query(points, count, workers=-1)
+    away, index = (np.asarray(array).reshape(len(points), count) for array in found)
+    return away, index
+
+
+def _rows(rows: NDArray, columns: NDArray, values: NDArray, shape: tuple[int, int]) -> Any:
+    """Return a sparse matrix in single precision."""
+    return scipy.sparse.csr_matrix((values.astype(np.float32), (rows, columns)), shape)
+
+
+def _unit(vectors: NDArray) -> NDArray:
+    """Return vectors [n,3] scaled to length 1; vectors of length 0 remain zero."""
+    length = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None]
+    return vectors / np.maximum(length, 1e-12)
