@@ -178,13 +178,13 @@ class Deformer:
         self._quats = quats
         frame = replace(
             self.gaussians,
-            means=_host(means),
-            quats=_host(quats),
-            scales=_host(scales),
+            means=host(means),
+            quats=host(quats),
+            scales=host(scales),
             sh=self._colours(colours),
         )
         if velocities is not None:
-            velocities = _host(velocities).astype(np.float64)
+            velocities = host(velocities).astype(np.float64)
             self._refuse_other_shape(velocities.shape, (3,))
             broken = int((~np.isfinite(velocities).all(axis=1)).sum())
             self._refuse_broken(broken)
@@ -244,12 +244,12 @@ class Deformer:
         rest = self.gaussians
         if rest.sh_degree == 0:
             return rest.sh
-        self.rotations = turned = _host(self._turned).copy()
+        self.rotations = turned = host(self._turned).copy()
         still = not rotated or (turned == (1, 0, 0, 0)).all()
         return rest.sh if still else rotate_sh(rest.sh, turned)
 
 
-def _host(array: Any) -> NDArray:
+def host(array: Any) -> NDArray:
     """Return a NumPy view of a Warp array, or of any array-like object."""
     return np.asarray(array.numpy() if isinstance(array, wp.array) else array)
 
@@ -268,7 +268,7 @@ def _on(array: Any, dtype: Any, device: str) -> wp.array:
         and array.device == wp.get_device(device)
     ):
         return array
-    return wp.array(np.ascontiguousarray(_host(array)), dtype=dtype, device=device)
+    return wp.array(np.ascontiguousarray(host(array)), dtype=dtype, device=device)
 
 
 def shapes_of(device: str) -> tuple[Any, int]:

@@ -83,7 +83,7 @@ class Dents:
         normals = self.normals(x)
         sky = (1 + FLOOR + (1 - FLOOR) * normals[:, 2:]) / 2
         facing = ((1 + normals @ self._lamp) / 2)[:, None]
-        return SKY * sky + LAMP_LIGHT * facing**1.2
+        return (SKY * sky + LAMP_LIGHT * facing**1.2).astype(np.float32)
 
 
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:

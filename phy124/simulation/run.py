@@ -22,7 +22,7 @@ from phy124.lattice.refusals import refuse_for_lattice
 from phy124.monitor.diagnostics import describe_substep
 from phy124.monitor.observer import Kind, Observer, Violation, find, restore_all, snapshots
 from phy124.monitor.watchdog import Watchdog
-from phy124.motion.deform import Deformer
+from phy124.motion.deform import Deformer, host
 from phy124.motion.recorded import Motion, Recorded, make_arrays
 from phy124.motion.smoothing import Smoothing
 from phy124.mpm import MEASURE_EVERY, Unstable
@@ -308,8 +308,7 @@ class Simulation:
                 frame = scenery.whole(frame, self.poses, self.solver.free.motions())
             if not (self.setup.keep and self.setup.shapes):
                 return frame
-            x, F = (np.asarray(getattr(array, "numpy", lambda: array)()) for array in (x, F))
-            carried = (x[self.carriers].astype(np.float32), F[self.carriers].astype(np.float32))
+            carried = tuple(host(a)[self.carriers].astype(np.float32) for a in (x, F))
             return replace(frame, carried=carried)
 
     @cached_property
@@ -338,7 +337,7 @@ class Simulation:
     def carrying(self) -> tuple[Any, Any]:
         """Return the positions and gradients that carry the Gaussians, as arrays of particles."""
         x, F = self.solver.state.x, self.solver.state.deformation
-        return self._smoothing(x.numpy(), F.numpy()) if self._smoothing else (x, F)
+        return self._smoothing(host(x), host(F)) if self._smoothing else (x, F)
 
     @cached_property
     def carriers(self) -> NDArray[np.int32]:
