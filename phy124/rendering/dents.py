@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate
 
-PATCH = 0.5
+PATCH = 0.7
 """Size of a patch [cells]."""
 SIDE = 0.7
 """Difference of two unit normals that separates as much as a whole patch."""
