@@ -71,8 +71,8 @@ class Smoothing:
 def _weights(x: NDArray, reach: float) -> Any:
     """Return the weights of the neighbours [P,P] of particles [P,3] m; each row sums to 1."""
     count = min(NEIGHBOURS, len(x))
-    found = scipy.spatial.KDTree(x).query(x, count, distance_upper_bound=reach, workers=-1)
-    away, index = (np.asarray(array).reshape(len(x), count) for array in found)
+    result = scipy.spatial.KDTree(x).query(x, count, distance_upper_bound=reach, workers=-1)
+    away, index = (np.asarray(array).reshape(len(x), count) for array in result)
     near = np.isfinite(away)
     weights = (1 - (away[near] / reach) ** 2) ** 2
     starts = np.append(0, np.cumsum(near.sum(axis=1)))

@@ -29,11 +29,11 @@ SHARED = 6
 """Number of patches between which the normal at a Gaussian is interpolated."""
 FLOOR = 0.5
 """Light of the sky on a surface that faces down, relative to a surface that faces up."""
-CONTRAST = 1.8, 0.5
+CONTRAST = 2.2, 0.25
 """Exponents of the ratio of the lights where there is less light than at rest, and where there is
 more. Pictures are usually well lit, so more light leaves less room.
 """
-RANGE = 0.5, 1.15
+RANGE = 0.6, 1.06
 """Smallest and largest factor of the colours."""
 
 
@@ -121,15 +121,15 @@ def _slopes(tree: Any, features: NDArray, x: NDArray, outward: NDArray) -> tuple
     fit = weights[..., None] * plane @ np.linalg.inv(moments + (1e-3 * size + 1e-12) * np.eye(2))
     fit -= weights[..., None] * fit.sum(axis=1, keepdims=True)
     rows = np.repeat(np.arange(m), index.shape[1])
-    one, two = (_rows(rows, index.ravel(), fit[..., a].ravel(), (m, m)) for a in (0, 1))
-    return one, two
+    first, second = (_rows(rows, index.ravel(), fit[..., a].ravel(), (m, m)) for a in (0, 1))
+    return first, second
 
 
 def _nearest(tree: Any, points: NDArray, count: int) -> tuple[NDArray, NDArray]:
     """Return the distances and indices of the nearest points of a tree [n,k]."""
     count = min(count, tree.n)
-    found = tree.query(points, count, workers=-1)
-    away, index = (np.asarray(array).reshape(len(points), count) for array in found)
+    result = tree.query(points, count, workers=-1)
+    away, index = (np.asarray(array).reshape(len(points), count) for array in result)
     return away, index
 
 
