@@ -30,6 +30,7 @@ def test_sides_of_a_thin_wedge_have_their_normals():
     flat = np.stack(np.mgrid[0:0.5:60j, -0.5:0.5:60j], axis=-1).reshape(-1, 2)
     low, high = np.zeros(len(flat)), 0.4 * CELL + 0.8 * flat[:, 0]
     x = np.concatenate([np.insert(flat, 2, z, axis=1) for z in (low, high)])
+    x = np.append(x, [[0, 5, 0]], axis=0)  # makes the solid large, compared with the patches
     downwards = -Dents(np.arange(len(x)), x, CELL, LAMP).normals(x)[: len(flat), 2]
     near = (np.abs(flat[:, 1]) < 0.4) & (flat[:, 0] > 0.05) & (flat[:, 0] < 0.2)
     assert downwards[near].min() > 0.93

@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 
 from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate
 
-PATCH = 0.7
-"""Size of a patch [cells]."""
+PATCH, LARGEST = 0.7, 1 / 48
+"""Size of a patch [cells], and the largest size relative to the longest side of the solid: on
+coarse grids, patches of the first size would be thicker than horns and ears.
+"""
 SIDE = 0.7
 """Difference of two unit normals that separates as much as a whole patch."""
 NEAR = 12
@@ -51,7 +53,8 @@ class Dents:
         """
         self.which, self._lamp = which, lamp.astype(np.float32)
         outward = _outward(x, cell)
-        features = np.concatenate([x / (PATCH * cell), outward / SIDE], axis=1)
+        size = min(PATCH * cell, LARGEST * float(np.ptp(x, axis=0).max()))
+        features = np.concatenate([x / size, outward / SIDE], axis=1)
         _, patch = np.unique(np.rint(features), axis=0, return_inverse=True)
         patch = patch.reshape(-1)
         count = np.bincount(patch)
