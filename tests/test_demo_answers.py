@@ -77,6 +77,16 @@ def _chosen(studio: Studio, handlers, path: Path) -> dict[str, Any]:
     return handlers.on_cut_end(studio)(shown, None, _event(job=shown["job"]), None)[0]
 
 
+@pytest.mark.parametrize("kind", ["cut", "read", "run"])
+def test_another_picture_ends_the_work_on_the_earlier_one(studio, handlers, kind):
+    """Else who tries some files quickly is told to wait, and can cancel nothing."""
+    visitor = studio.visitors.get("a")
+    earlier = Job(kind, visitor.new_stop_file())
+    visitor.remember(earlier)
+    handlers.on_choose(studio)(_event(job=earlier.name), None)
+    assert earlier.stop.exists() == (kind != "run")
+
+
 def test_a_broken_picture_is_not_shown(studio, handlers, tmp_path):
     (tmp_path / "half.png").write_bytes(TEDDY.read_bytes()[:9000])
     shown = _chosen(studio, handlers, tmp_path / "half.png")

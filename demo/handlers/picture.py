@@ -28,9 +28,15 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def on_choose(studio: Studio) -> Handler:
-    """Handle the event "choose" of the picture panel: start to cut out a picture or read a file."""
+    """Handle the event "choose" of the picture panel: start to cut out a picture or read a file.
+
+    The work on the earlier picture is cancelled.
+    """
 
     def choose(event: gr.EventData, request: gr.Request) -> tuple[Any, Any, Any]:
+        earlier = job_of(studio, request, event)
+        if earlier is not None and earlier.kind in ("cut", "read"):
+            earlier.cancel()
         path, example = data_of(event).get("upload"), data_of(event).get("example")
         if path is None and example is None:
             return {}, None, {}

@@ -15,7 +15,9 @@
 
   class PicturePanel {
     constructor(element, props, watch, trigger, offer) {
-      Object.assign(this, { element, props, offer, questions: new Questions(trigger), following: null });
+      Object.assign(this, { element, props, offer, following: null });
+      // Another picture ends the work on the earlier one.
+      this.questions = new Questions((event, what) => trigger(event, event === 'choose' ? { ...what, job: this.props.value?.job } : what));
       this.status = h('div', { class: 'picture-status', role: 'status' });
       this.again = h('button', { type: 'button', class: 'quiet', hidden: true, onclick: () => this.retry() }, 'Try again');
       this.brush = new globalThis.Phy124.Brush((strokes) => this.correct({ strokes }), (pick) => this.correct({ pick }));

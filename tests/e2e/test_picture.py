@@ -29,6 +29,16 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
     assert visit.page.locator("#progress section").count() == 0
 
 
+def test_another_picture_names_the_work_that_it_ends(visit):
+    with visit.going_on():
+        visit.page.locator("#photo input[type=file]").set_input_files(DUCK)
+        visit.page.get_by_text("Cutting out the object, about").wait_for()
+        with visit.page.expect_request(lambda r: '"example":' in (r.post_data or "")) as sent:
+            chosen = "new CustomEvent('phy124-ready', { detail: { example: 'teddy' } })"
+            visit.page.evaluate(f"document.dispatchEvent({chosen})")
+    assert '"job":"' in sent.value.post_data
+
+
 def test_large_photographs_are_reduced_before_they_are_sent(visit, tmp_path):
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 255, (3000, 4000, 3)).astype(np.uint8)
