@@ -68,10 +68,16 @@ class Visitor:
         return time.time() - self.seen
 
     def remember(self, job: Job, most: int = 8) -> None:
-        """Store a job, and remove the oldest finished jobs if there are more than `most`."""
+        """Store a job, and remove finished jobs if there are more than `most` of its kind.
+
+        Jobs without a result are removed first, then the oldest, so that a result is not lost when
+        many runs are cancelled or many cut-outs are made.
+        """
         self.jobs[job.name] = job
-        for name in [n for n, j in self.jobs.items() if j.over][: max(0, len(self.jobs) - most)]:
-            del self.jobs[name]
+        alike = [each for each in self.jobs.values() if each.kind == job.kind]
+        over = sorted((j for j in alike if j.over), key=lambda j: j.progress.result is not None)
+        for each in over[: max(0, len(alike) - most)]:
+            del self.jobs[each.name]
 
     def latest(self, *kinds: str) -> Job | None:
         """Return the latest job of the named kinds, or None if there is none."""

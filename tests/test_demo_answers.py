@@ -52,6 +52,25 @@ def test_a_forgotten_job_is_answered(studio, handlers):
     assert history == {"runs": []}
 
 
+def test_a_result_outlives_runs_that_are_cancelled(studio, handlers, monkeypatch):
+    """Else who reloads the page after ten cancelled runs finds it empty."""
+    visitor = studio.visitors.get("a")
+    done = Done(*(visitor.folder / name / "x" for name in ("clips", "films", "studies")))
+    monkeypatch.setattr(handlers.results, "_is_there", lambda result: result == done)
+    monkeypatch.setattr(handlers.results, "results", lambda *_: ["shown"])
+    for kind, result, state in (
+        ("run", done, "done"),
+        *10 * [("run", None, "stopped")],
+        *10 * [("cut", None, "done")],
+    ):
+        job = Job(kind, visitor.new_stop_file())
+        job.end(state, result=result)
+        visitor.remember(job)
+    assert len(visitor.jobs) == 16
+    answer = handlers.on_load(studio)(None)
+    assert answer[-1] == "shown" and done in answer
+
+
 def test_a_result_without_its_clip_is_not_listed(studio, handlers, gradio):
     """More films than clips are kept."""
     visitor = studio.visitors.get("a")

@@ -122,13 +122,21 @@ def on_load(studio: Studio) -> Handler:
         visitor = studio.visitors.find(visitor_of(request))
         if visitor is None:
             return gr.skip(), None, gr.skip(), gr.skip(), None, *idle_buttons(), *NOT_SHOWN
-        taken, run = visitor.latest("cut", "read"), visitor.latest("run")
+        taken, run = visitor.latest("cut", "read"), _run_to_show(visitor)
         study = visitor.latest("measure")
         if study is not None and not study.over and (run is None or run.over):
             run = study
         return *_restore_source(visitor, taken), *_restore_run(studio, visitor_of(request), run)
 
     return greet
+
+
+def _run_to_show(visitor: Visitor) -> Job | None:
+    """Return the latest run if it goes on, else the latest run that has a result."""
+    runs = [job for job in reversed(list(visitor.jobs.values())) if job.kind == "run"]
+    if runs and not runs[0].over:
+        return runs[0]
+    return next((run for run in runs if _is_there(run.progress.result)), None)
 
 
 def _restore_source(visitor: Visitor, taken: Job | None) -> tuple[Any, Any, Any]:
@@ -149,8 +157,6 @@ def _restore_run(studio: Studio, name: str, run: Job | None) -> tuple[Any, ...]:
     if not run.over:
         return follow_job(run), None, *busy_buttons(), *NOT_SHOWN
     done = run.progress.result
-    if not _is_there(done):
-        return gr.skip(), None, *idle_buttons(), *NOT_SHOWN
     return gr.skip(), done, *idle_buttons(), *results(studio, name, run)
 
 
