@@ -77,7 +77,7 @@
   function mark(changes) {
     Object.assign(state, changes);
     // On a phone, the report, which follows, is also at the top.
-    if (changes.running || changes.touching) for (const part of document.querySelectorAll('#side, #scroll')) part.scrollTo(0, 0);
+    if (changes.running || changes.touching) for (const part of document.querySelectorAll('html, #side, #scroll')) part.scrollTo(0, 0);
     for (const none of document.querySelectorAll('#forecast .none')) none.textContent = unforecast();
     if (!state.running) document.body.classList.remove('kept');
     document.body.dataset.state = state.touching ? 'touch' : state.running ? 'running' : state.result ? 'result' : state.picture ? 'chosen' : 'first';

@@ -28,6 +28,12 @@ def _violations(page) -> list[str]:
     ]
 
 
+SMALL, ZOOMED = {"width": 320, "height": 568}, {"width": 640, "height": 450}
+"""A small phone, and a laptop's window that is magnified twice."""
+OUTSIDE = """() => [...document.querySelectorAll('button, summary, input:not([type=file]), select')]
+    .filter((e) => e.checkVisibility() && !e.closest('.chips, footer:not(dialog > footer)'))
+    .filter((e) => e.getBoundingClientRect().right > innerWidth + 1)
+    .map((e) => e.outerHTML.slice(0, 120))"""
 LOOKS = {
     "light": {"color_scheme": "light"},
     "dark": {"color_scheme": "dark"},
@@ -75,6 +81,10 @@ def test_axe_finds_nothing_in_any_state(browser, server, tmp_path, look):
         page.wait_for_selector(".viewer-host.growing canvas")
         results["running"] = _violations(page)
     visit.finished()
+    if "phone" in look:
+        page.set_viewport_size(SMALL)
+        assert page.evaluate(OUTSIDE) == []
+        page.set_viewport_size(LOOKS[look]["viewport"])
     visit.experts()
     for group in ("videos", "show", "programs", "experts"):
         visit.open(group)
@@ -148,3 +158,20 @@ def test_buttons_keep_their_distance_on_a_phone(page):
     assert photo["y"] - (another["y"] + another["height"]) > 4
     assert touch["x"] - (go["x"] + go["width"]) > 4
     assert min(each["height"] for each in (correct, another, go, touch)) >= 44
+
+
+def test_every_setting_fits_on_a_small_phone(page):
+    page.set_viewport_size(SMALL)
+    page.evaluate("document.querySelector('#adjust').open = true")
+    page.get_by_role("button", name="More", exact=True).click()
+    assert page.evaluate(OUTSIDE) == []
+    page.keyboard.press("Escape")
+
+
+def test_a_run_is_in_sight_when_it_begins(page):
+    page.set_viewport_size(ZOOMED)
+    page.evaluate("scrollTo(0, 400)")
+    assert page.evaluate("scrollY") > 100
+    page.evaluate("Phy124.mark({ running: true })")
+    assert page.evaluate("scrollY") == 0
+    page.evaluate("Phy124.mark({ running: false })")
