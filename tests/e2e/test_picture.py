@@ -30,12 +30,13 @@ def test_after_a_refused_picture_nothing_older_is_generated(visit, tmp_path):
 
 
 def test_another_picture_names_the_work_that_it_ends(visit):
-    with visit.going_on():
-        visit.page.locator("#photo input[type=file]").set_input_files(DUCK)
-        visit.page.get_by_text("Cutting out the object, about").wait_for()
-        with visit.page.expect_request(lambda r: '"example":' in (r.post_data or "")) as sent:
-            chosen = "new CustomEvent('phy124-ready', { detail: { example: 'teddy' } })"
-            visit.page.evaluate(f"document.dispatchEvent({chosen})")
+    page = visit.page
+    page.route("**/phy124/jobs/**", lambda route: route.fulfill(json={"state": "running"}))
+    page.locator("#photo input[type=file]").set_input_files(DUCK)
+    page.get_by_text("Cutting out the object, about").wait_for()
+    with page.expect_request(lambda request: '"example":' in (request.post_data or "")) as sent:
+        chosen = "new CustomEvent('phy124-ready', { detail: { example: 'teddy' } })"
+        page.evaluate(f"document.dispatchEvent({chosen})")
     assert '"job":"' in sent.value.post_data
 
 
