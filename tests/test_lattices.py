@@ -92,6 +92,11 @@ def test_effects_tell_why_there_is_no_lattice():
     assert omitted["rest lattice"].startswith("accuracy.precision is float64")
     (sand,) = (row for row in Effects.of(scene("sand")).left_out if row.effect == "rest lattice")
     assert sand.why == "lattices are for elastic materials"
+    pool = {"name": "pool", "shape": "box", "place": [2.0, 0.0], "material": {"law": "fluid"}}
+    (afloat,) = (
+        row for row in Effects.of(scene(objects=[pool])).left_out if row.effect == "rest lattice"
+    )
+    assert afloat.why and "liquid acts only on objects made of particles" in afloat.why
 
 
 PLATE = {"kind": "half_space", "motion": {"kind": "swing", "amplitude": (0, 0, 0.01)}}

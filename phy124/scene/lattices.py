@@ -16,6 +16,12 @@ HARDEST = 2.0
 Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
 """
 
+PARTICLES_ONLY = (
+    "the pressure of a liquid acts only on objects made of particles, which tear if they are very "
+    "soft"
+)
+"""Why elastic objects in a liquid are not on lattices."""
+
 FARTHEST_DRIVEN = 0.5
 """Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
 chooses lattices if the object is held. The limit comes from a test in which the upper third of a
@@ -51,7 +57,8 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
         return "" if accuracy.solver == "lattice" else f"accuracy.solver is {accuracy.solver}"
     for item, elastic in zip((scene, *scene.objects), find_elastic(scene), strict=True):
         if not elastic and not getattr(item, "scenery", False):
-            return "lattices are for elastic materials"
+            floats = scene.projects and any(find_elastic(scene))
+            return PARTICLES_ONLY if floats else "lattices are for elastic materials"
     needed = _needs_lattice(scene)
     if accuracy.precision == "float64" and not needed:
         return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
