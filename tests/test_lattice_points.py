@@ -47,9 +47,10 @@ def test_grids_of_which_one_is_twice_as_fine_share_their_voxels():
     assert np.array_equal(fresh.voxels.spread, rough.resample(0.05).voxels.spread)
 
 
-@pytest.mark.parametrize(("thick", "degrees"), [(0.5, 20), (0.5, 45), (1.0, 20), (1.0, 45)])
-def test_turned_plates_keep_their_moments(thick, degrees):
-    """Plates of 0.5 and 1 cells on voxels of half a cell, as the pipeline makes them."""
+@pytest.mark.parametrize("thick", [0.3, 0.5, 1.0])
+@pytest.mark.parametrize("degrees", [0, 20, 45])
+def test_plates_keep_their_moments(thick, degrees):
+    """Plates on voxels of half a cell, as the pipeline makes them."""
     half = np.array([0.6, 0.2, thick * DX / 2])
     angle, middle = math.radians(degrees), np.array([0.013, 0.02, 0.031])
     turn = np.array([[math.cos(angle), 0, -math.sin(angle)], [0, 1, 0], [math.sin(angle), 0, 0]])
@@ -64,7 +65,7 @@ def test_turned_plates_keep_their_moments(thick, degrees):
     place = (x - middle) @ turn
     inner = np.abs(place[:, 0]) < 0.4
     second = volume[inner] @ place[inner, 2] ** 2 / volume[inner].sum()
-    assert second == pytest.approx((thick * DX) ** 2 / 12, rel=0.08)
+    assert second == pytest.approx((thick * DX) ** 2 / 12, rel=0.06 if thick < 0.5 else 0.04)
 
 
 @pytest.mark.parametrize("along", [(1, 0, 0), (1, 0.5, 0.3), (1, 1, 1)])

@@ -1,5 +1,7 @@
 """The filled parts of voxels: the kernel and its definition."""
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,24 +18,34 @@ def fill(
     """Centres [V,3] and second moments [V,3,3] of the filled parts."""
     points = (np.array(list(np.ndindex(*3 * (samples,)))) + 0.5) / samples - 0.5
     arm = points - surfaces.middles[:, None]
-    height = along = np.einsum("vsi,vi->vs", arm, surfaces.axes)
+    along = np.einsum("vsi,vi->vs", arm, surfaces.axes)
+    height, out = along, np.broadcast_to(surfaces.axes[:, None], arm.shape)
     width = np.abs(surfaces.axes).sum(axis=1, keepdims=True) / samples
-    height = np.where(surfaces.sheet[:, None], np.abs(along), along)
     if surfaces.rods:
-        height = np.sqrt(np.maximum((arm**2).sum(axis=2) - along**2, 0))
+        out = arm - along[:, :, None] * surfaces.axes[:, None]
+        height = np.linalg.norm(out, axis=2)
+        out /= height[:, :, None]
         width = np.full((len(fraction), 1), 1 / samples)
-    low = height.min(axis=1, keepdims=True) - width
-    high = height.max(axis=1, keepdims=True) + width
-    share = height
+    sheet = surfaces.sheet[:, None]
+    reach = np.where(sheet, np.abs(height), height)
+    low = reach.min(axis=1, keepdims=True) - width
+    high = reach.max(axis=1, keepdims=True) + width
+    share = moved = height
     for _ in range(HALVINGS):
         level = (low + high) / 2
-        share = np.clip((level - height) / width + 0.5, 0, 1)
+        bottom = np.maximum(height - width / 2, np.where(sheet, -level, -math.inf))
+        top = np.minimum(height + width / 2, level)
+        share = np.maximum(top - bottom, 0) / width
+        moved = ((bottom + top) / 2 - height) / (width * samples)
         more = share.mean(axis=1, keepdims=True) < fraction[:, None]
         low, high = np.where(more, level, low), np.where(more, high, level)
+    thinner = (share**2 - 1) / (12 * samples**2)
     share /= share.sum(axis=1, keepdims=True)
-    centre = share @ points
+    points = points + moved[:, :, None] * out
+    centre = np.einsum("vs,vsi->vi", share, points)
     arm = points - centre[:, None]
     spread = np.einsum("vs,vsi,vsj->vij", share, arm, arm)
+    spread += np.einsum("vs,vsi,vsj->vij", share * thinner, out, out)
     return centre, spread + np.eye(3) / (12 * samples**2)
 
 

@@ -42,6 +42,7 @@ fraction of the fullest cell around it. Slivers are merged with a neighbour. In 
 are thinner than a cell, all cells have a small filled fraction. If such cells were merged, rods
 would bend up to 3.1 times too far.
 """
+THIN_SLIVER = 0.05
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""
 APART = 0.5
@@ -264,7 +265,11 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
     flat = np.asarray(np.ravel_multi_index(tuple((place - low).T), size))
     filled = np.bincount(flat, part, math.prod(size)).reshape(size)
     most = scipy.ndimage.maximum_filter(filled, 3, mode="constant")
-    slivers = filled < SLIVER * most**2
+    # Minimum in the 2 x 2 x 2 cells that begin at a cell; then maximum over all blocks that touch
+    # a cell.
+    block = scipy.ndimage.minimum_filter(filled, 2, mode="constant", origin=-1)
+    core = scipy.ndimage.maximum_filter(block, 4, mode="constant")
+    slivers = filled < np.maximum(SLIVER * core**2, THIN_SLIVER * most**2)
     sliver = np.argwhere(slivers & (filled > 0))
     fullest, target = np.zeros(len(sliver)), sliver.copy()
     for step in AROUND:

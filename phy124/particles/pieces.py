@@ -65,7 +65,7 @@ def find_pieces(
         sliver: If one of several pieces in a cell is smaller than this fraction of the cell, it
             joins a connected piece in a neighbouring cell.
     """
-    clump, touching = _find_clumps(index, place, clear)
+    clump, touching, contact = _find_clumps(index, place, clear)
     of = np.zeros(clump.max() + 1, np.int64)
     of[clump] = cell
     same = of[touching[:, 0]] == of[touching[:, 1]]
@@ -80,7 +80,7 @@ def find_pieces(
     largest = order[np.flatnonzero(np.diff(of[order], prepend=-1))]
     target = np.arange(count)
     if len(largest) < count:
-        links = _distinct(of_clump[touching[~same]], count)
+        links, contact = _distinct(of_clump[touching[~same]], count, contact[~same])
         _, island = _components(links, count)
         main = np.zeros(of.max() + 1, np.int64)
         main[of[largest]] = largest
@@ -90,12 +90,14 @@ def find_pieces(
         several = np.bincount(of[target == np.arange(count)], minlength=of.max() + 1)[of] > 1
         small = several & (size < sliver) & ~alone
         a, b = np.concatenate([links, links[:, ::-1]]).T
+        contact = np.tile(contact, 2)
         fits = small[a] & (size[a] >= LEAST) & (size[b] >= sliver) & ~alone[b]
         a, b = a[fits], b[fits]
-        fullest = np.lexsort((size[b], a))
-        # The last and fullest piece remains. If a piece has joined the largest piece of its cell,
-        # it is moved with this piece.
-        target[a[fullest]] = b[fullest]
+        # The last piece remains: of the pieces with the largest contact, the fullest one. A fuller
+        # piece with little contact may be the root of two prongs, which would extend the root. If a
+        # piece has joined the largest piece of its cell, it is moved with this piece.
+        order = np.lexsort((size[b], contact[fits], a))
+        target[a[order]] = b[order]
         target = target[target]
     order = np.lexsort((np.arange(count), of))
     kept = order[(target == np.arange(count))[order]]
@@ -171,7 +173,7 @@ def _copies_of_parts(
     ones = np.ones(count, np.float32)
     of_piece = scipy.sparse.csr_matrix((ones, (np.arange(count), piece)))
     within = np.stack((of_piece @ of_piece.T).nonzero(), axis=1)
-    links = _distinct(np.concatenate([pairs, within]), count)
+    links, _ = _distinct(np.concatenate([pairs, within]), count)
     low, shape = cell.min(axis=0) - 2, np.ptp(cell, axis=0) + 5
     keys = np.asarray(np.ravel_multi_index((cell - low).T, shape))
     strides = np.array([shape[1] * shape[2], shape[2], 1])
@@ -285,8 +287,9 @@ def _rank(
 
 def _find_clumps(
     index: NDArray, place: NDArray, clear: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return each voxel's clump [V], and distinct pairs of clumps that touch [M,2].
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return each voxel's clump [V], distinct pairs of clumps that touch [M,2], and the number of
+    contacts of voxels in each pair [M].
 
     Args:
         index: Indices of the voxels [V,3].
@@ -309,17 +312,22 @@ def _find_clumps(
     where = np.asarray(np.ravel_multi_index((place - low).T, shape), np.int32)
     same = where[a] == where[b]
     count, clump = _components(np.stack([a[same], b[same]], axis=1), len(index))
-    return clump, _distinct(clump[np.stack([a[~same], b[~same]], axis=1)], count)
+    return clump, *_distinct(clump[np.stack([a[~same], b[~same]], axis=1)], count)
 
 
-def _distinct(pairs: NDArray, count: int) -> NDArray[np.int64]:
-    """Return the distinct pairs [L,2] of different items of `count`, the smaller item first."""
+def _distinct(
+    pairs: NDArray, count: int, size: NDArray | int = 1
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the distinct pairs [L,2] of different items of `count`, the smaller item first, and
+    the sums of the sizes of equal pairs [L].
+    """
     low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
     apart = low < high
-    entries = np.ones(int(apart.sum()), bool), (low[apart], high[apart])
+    sizes = np.broadcast_to(np.asarray(size, np.int64), low.shape)
+    entries = sizes[apart], (low[apart], high[apart])
     graph = scipy.sparse.coo_matrix(entries, shape=(count, count)).tocsr()
     rows = np.repeat(np.arange(count), np.diff(graph.indptr))
-    return np.stack([rows, graph.indices], axis=1)
+    return np.stack([rows, graph.indices], axis=1), graph.data
 
 
 def _components(pairs: NDArray, count: int) -> tuple[int, NDArray[np.int64]]:

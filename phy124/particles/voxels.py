@@ -1,8 +1,8 @@
 """Computes outward normal, centre and second moments of the filled part of each voxel of a body.
 
 A partly filled voxel is cut by a plane with the voxel's normal. In a sheet that is thinner than a
-voxel, the voxel is cut by two parallel planes. In a rod without full voxels, it is cut by a
-cylinder.
+voxel, the voxel is cut by two parallel planes, and at the rim of the sheet by a third plane across
+them. In a rod without full voxels, the voxel is cut by a cylinder.
 """
 
 from __future__ import annotations
@@ -30,6 +30,14 @@ ROUND, WIDE, LONG = 3.5, 0.45, 2.5
 """`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment, perpendicular
 to the rod, of the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio
 of the second moment along the rod to the second moment perpendicular to it.
+"""
+SHORTEST = 0.1
+"""A voxel at the rim of a sheet is filled over at least this fraction of its length across the rim.
+"""
+ROUNDS, FASTER, NEARLY = 3, 1.5, 0.02
+"""Sheets are filled up to `ROUNDS` times, each time about a better middle. Corrections of the
+middle are multiplied by `FASTER`, because they converge slowly. A voxel is not filled again if its
+correction changes by less than `NEARLY` [voxels].
 """
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
@@ -80,10 +88,11 @@ def find_voxels(filled: NDArray) -> Voxels:
     part = fraction[outer] < 1
     cut, around = outer[part], around[part]
     parts = _Parts(padded, index[cut], around, np.logical_not(normal[cut].any(axis=1)))
-    number, across, middle = _find_sheets(parts)
-    planes = _Surfaces(np.zeros((len(cut), 3)), normal[cut], np.zeros(len(cut), bool))
-    planes.middles[number], planes.axes[number], planes.sheet[number] = middle, across, True
-    shift[cut], spread[cut] = _part_moments(fraction[cut], planes, SAMPLES)
+    number, sheets = _find_sheets(parts)
+    single = np.delete(cut, number)
+    planes = _Surfaces(np.zeros((len(single), 3)), normal[single], np.zeros(len(single), bool))
+    shift[single], spread[single] = _part_moments(fraction[single], planes, SAMPLES)
+    _fill_sheets(padded, index, cut[number], sheets, shift, spread)
     number, axis, middle = _find_rods(parts)
     rods, surfaces = cut[number], _Surfaces(middle, axis, np.zeros(len(number), bool), rods=True)
     shift[rods], spread[rods] = _part_moments(fraction[rods], surfaces, FINER)
@@ -134,20 +143,78 @@ class _Parts:
         """Second moments of these parts, in ascending order [K,3], and their axes [K,3,3]."""
 
 
-def _find_sheets(
-    parts: _Parts,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Find the voxels that belong to thin sheets.
+class _Sheets(NamedTuple):
+    """Parts of sheets in K voxels; positions are relative to the middles of the voxels."""
 
-    Returns:
-        Numbers of the K voxels [K]; normals [K,3], along which the filled parts of the surrounding
-        125 voxels are thinnest; and points in the sheets, relative to the voxels' middles [K,3].
-    """
+    normals: NDArray[np.float64]
+    """Directions in which the filled parts of the surrounding 125 voxels are thinnest [K,3]."""
+    middles: NDArray[np.float64]
+    """Centres of the surrounding 27 voxels, weighted with the filled fractions [K,3]."""
+    inward: NDArray[np.float64]
+    """Directions along the sheets, from the rims to the centres [K,3]."""
+    length: NDArray[np.float64]
+    """Fraction of the length of each voxel along `inward` that the sheet reaches into it [K]."""
+
+
+def _find_sheets(parts: _Parts) -> tuple[NDArray[np.int64], _Sheets]:
+    """Find the voxels that belong to thin sheets; return their numbers [K], and their sheets."""
     normal = parts.axes[:, :, 0]
     thin = (parts.layers * np.abs(normal).max(axis=1) < THIN) | parts.no_normal
     normal, around = normal[thin], parts.around[thin]
     centre = around @ NEAR / np.maximum(parts.total[thin], 1e-9)[:, None]
-    return parts.number[thin], normal, centre
+    along = centre - (centre * normal).sum(axis=1, keepdims=True) * normal
+    away = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    # Across a rim, three columns of voxels are filled over the lengths 0, l and 1. The distance
+    # of their centre is 1 / (1 + l).
+    length = np.clip(1 / away - 1, SHORTEST, 1)
+    return parts.number[thin], _Sheets(normal, centre, along / away[:, None], length)
+
+
+def _fill_sheets(
+    padded: NDArray,
+    index: NDArray[np.int64],
+    chosen: NDArray[np.int64],
+    sheets: _Sheets,
+    shift: NDArray[np.float64],
+    spread: NDArray[np.float64],
+) -> None:
+    """Set the centres [V,3] and second moments [V,3,3] of the voxels that belong to sheets.
+
+    A sheet that passes through two layers of voxels fills them unequally. Its middle then is not
+    the centre of the whole voxels, but of their filled parts.
+
+    Args:
+        padded: Filled fractions, padded by 2 voxels.
+        index: Indices of all voxels [V,3].
+        chosen: Numbers of the K voxels that belong to sheets [K].
+        sheets: The sheets in these voxels.
+        shift: Centres of the filled parts [V,3]; those of other voxels are known.
+        spread: Second moments of the filled parts [V,3,3].
+    """
+    at = tuple((index + 2).T)
+    normal = sheets.normals
+    # Neighbours at a rim are filled over a part of their length, but are as thick as the sheet.
+    fraction = np.minimum(padded[at][chosen] / sheets.length, 1)
+    some, depth, moved = np.arange(len(chosen)), np.full(len(chosen), np.inf), padded.copy()
+    for _ in range(ROUNDS):
+        place, across = index[chosen[some]], normal[some]
+        total = _within(padded, place, 1).sum(axis=1)
+        centre = np.zeros(place.shape)
+        for axis in range(3):
+            moved[at] = padded[at] * shift[:, axis]
+            centre[:, axis] = _within(moved, place, 1).sum(axis=1)
+        better = FASTER * (centre * across).sum(axis=1) / np.maximum(total, 1e-9)
+        changed = np.abs(better - depth[some]) > NEARLY
+        some, better, across = some[changed], better[changed, None], across[changed]
+        depth[some] = better[:, 0]
+        planes = _Surfaces(sheets.middles[some] + better * across, across, np.ones(len(some), bool))
+        filled = _part_moments(fraction[some], planes, SAMPLES)
+        shift[chosen[some]], spread[chosen[some]] = filled
+    inward, missing = sheets.inward, (1 - sheets.length)[:, None]
+    squares = np.einsum("ki,kij,kj->k", inward, spread[chosen], inward)
+    shift[chosen] += missing * np.sqrt(3 * np.maximum(squares, 0))[:, None] * inward
+    squeeze = np.eye(3) - missing[:, :, None] * inward[:, :, None] * inward[:, None, :]
+    spread[chosen] = squeeze @ spread[chosen] @ squeeze
 
 
 def _find_rods(
