@@ -64,7 +64,8 @@ def test_rods_of_slivers_stay_whole_and_bend_like_beams(thick, along, place):
 
 
 @pytest.mark.parametrize(
-    ("thick", "degrees", "height"), [(0.5, 0, 0.0), (0.7, 45, 0.25), (1.0, 30, 0.25), (1.5, 45, 0.5)]
+    ("thick", "degrees", "height"),
+    [(0.5, 0, 0.0), (0.7, 45, 0.25), (1.0, 30, 0.25), (1.5, 45, 0.5)],
 )
 def test_plates_bend_like_beams(thick, degrees, height):
     """Narrow plates on voxels of half a cell, the rims of which fill parts of voxels."""
