@@ -32,7 +32,7 @@ SERVER = {
 """Messages for the visitor by kind of failure; the message of all other kinds is `FAILED`."""
 
 
-SUBJECTS = {"image": "The file", "video": "The video", "depth": "The depth map"}
+SUBJECTS = {"image": "The file", "mesh": "The file", "video": "The video", "depth": "The depth map"}
 """Names that messages use for the field of an error."""
 
 

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from demo.jobs import Studio
-from demo.line import Job
+from demo.line import Job, user_message
 from demo.pictures import MISSING, Stroke, how_cut, read_place
 from demo.settings import Settings
 from demo.source import Cutout
@@ -98,6 +98,12 @@ def test_deleted_picture_has_its_own_message(studio):
     for name in ("a", "somebody the page has forgotten"):
         with pytest.raises(InputError, match="no longer has your picture"):
             studio.run(name, gone, Scene.named("press").data())
+
+
+@pytest.mark.parametrize("field", ["image", "mesh", "depth"])
+def test_messages_name_the_file(field):
+    error = InputError(field, "broken.bin", "it cannot be read.", "Give another file.")
+    assert user_message(error).startswith("The ")
 
 
 @pytest.mark.skipif(not codecs.can_read_heic(), reason="the extra heic is not installed")

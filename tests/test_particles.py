@@ -293,7 +293,8 @@ def test_clean_counts_what_it_drops_and_repairs(rng):
     quats[15] *= 7
     kept, cleaning = clean(Gaussians(means, quats, scales, opacities, sh))
     assert (cleaning.not_finite, cleaning.invisible, cleaning.gigantic) == (5, 3, 1)
-    assert (cleaning.stray, cleaning.dropped, cleaning.kept) == (2, 11, 2989)
+    assert (cleaning.beyond, cleaning.stray) == (1, 1)
+    assert (cleaning.dropped, cleaning.kept) == (11, 2989)
     repaired = cleaning.repaired_scales, cleaning.repaired_quats, cleaning.repaired_opacities
     assert repaired == (2, 1, 1)
     assert len(kept) == 2989
@@ -301,7 +302,7 @@ def test_clean_counts_what_it_drops_and_repairs(rng):
     assert np.abs(np.linalg.norm(kept.quats, axis=1) - 1).max() < 1e-6
     assert (kept.scales > 0).all() and kept.opacities.max() <= 1
     assert "5 of 3000 Gaussians had NaN or infinite values and were dropped." in cleaning.sentences
-    assert len(cleaning.sentences) == 7
+    assert len(cleaning.sentences) == 8
 
 
 def test_clean_leaves_good_objects_alone(rng, three_gaussians):
@@ -318,8 +319,9 @@ def test_clean_leaves_good_objects_alone(rng, three_gaussians):
 
 def test_clean_refuses_an_object_of_nothing(three_gaussians):
     nothing = dots(np.full((4, 3), np.nan), 1)
-    for gaussians in (nothing, three_gaussians.select(np.zeros(3, bool))):
-        with pytest.raises(InputError, match="none of them is finite and visible"):
+    vast = dots(np.arange(12.0).reshape(4, 3), 1e30)
+    for gaussians in (nothing, vast, three_gaussians.select(np.zeros(3, bool))):
+        with pytest.raises(InputError, match="none of them is finite, visible and within 1e18 m"):
             clean(gaussians)
 
 

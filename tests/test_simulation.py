@@ -191,7 +191,7 @@ def test_nothing_visible_is_refused():
     g = ball()
     from dataclasses import replace
 
-    with pytest.raises(InputError, match="none of them is finite and visible"):
+    with pytest.raises(InputError, match="none of them is finite, visible and within 1e18 m"):
         Simulation(prepare(replace(g, opacities=g.opacities * 0), Scene()))
 
 

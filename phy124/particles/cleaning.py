@@ -3,7 +3,8 @@
 All thresholds are relative to the object's size, which may be a micrometre or a kilometre. The
 rules apply in this order:
 
-- Gaussians with NaN or infinity in any field are dropped.
+- Gaussians with NaN or infinity in any field are dropped, and those with a coordinate or scale
+  above `LARGEST`.
 - Other invalid values are repaired: a negative scale becomes positive (the covariance does not
   change), a zero scale becomes `THINNEST` times the Gaussian's longest axis, a zero quaternion
   becomes the identity, any other quaternion is normalised, and an opacity above 1 becomes 1.
@@ -32,6 +33,8 @@ THINNEST = 1e-6
 GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
+LARGEST = 1e18
+"""Largest coordinate and scale [m]; the squares of larger ones overflow in float32."""
 WIDE = 16.0
 """Upper bound of the visible area of a Gaussian, relative to the median area."""
 VISIBLE = 0.1
@@ -44,6 +47,7 @@ class Cleaning:
 
     total: int
     not_finite: int = 0
+    beyond: int = 0
     invisible: int = 0
     gigantic: int = 0
     stray: int = 0
@@ -56,7 +60,7 @@ class Cleaning:
     @property
     def dropped(self) -> int:
         """Number of Gaussians that were dropped."""
-        return self.not_finite + self.invisible + self.gigantic + self.stray
+        return self.not_finite + self.beyond + self.invisible + self.gigantic + self.stray
 
     @property
     def kept(self) -> int:
@@ -68,6 +72,7 @@ class Cleaning:
         """Sentences for the report, one per rule that dropped or changed Gaussians."""
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
+            "beyond": f"had a coordinate or scale above {LARGEST:g} m and were dropped",
             "invisible": "were invisible (opacity under 1/255 or no extent) and were dropped",
             "gigantic": "were larger than half the object and were dropped",
             "stray": "were too far from the object and were dropped",
@@ -89,7 +94,8 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     """
     total = len(gaussians)
     finite = _are_finite(gaussians)
-    usable, repairs = _repair(gaussians.select(finite))
+    near = finite & _are_near(gaussians)
+    usable, repairs = _repair(gaussians.select(near))
     visible = (usable.opacities >= INVISIBLE) & (usable.longest > 0)
     usable = usable.select(visible)
     huge = _are_gigantic(usable)
@@ -97,17 +103,18 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
     stray = _are_stray(usable)
     usable = usable.select(~stray)
     survivors = np.zeros(total, bool)
-    survivors[np.flatnonzero(finite)[visible][~huge][~stray]] = True
+    survivors[np.flatnonzero(near)[visible][~huge][~stray]] = True
     if len(usable) == 0:
         raise InputError(
             "gaussians",
             f"{total} Gaussians",
-            "none of them is finite and visible, so there is no object to move.",
+            "none of them is finite, visible and within 1e18 m, so there is no object to move.",
             "Check the file, or try another picture or generator.",
         )
     return usable, Cleaning(
         total=total,
         not_finite=int((~finite).sum()),
+        beyond=int((finite & ~near).sum()),
         invisible=int((~visible).sum()),
         gigantic=int(huge.sum()),
         stray=int(stray.sum()),
@@ -177,6 +184,14 @@ def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
     names = ("means", "quats", "scales", "opacities", "sh")
     masks = [finite_rows(getattr(gaussians, name)) for name in names]
     return np.logical_and.reduce(masks)
+
+
+def _are_near(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Return the mask of the Gaussians whose coordinates and scales are at most `LARGEST`."""
+    near = [
+        (np.abs(values) <= LARGEST).all(axis=1) for values in (gaussians.means, gaussians.scales)
+    ]
+    return np.logical_and.reduce(near)
 
 
 def _repair(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
