@@ -130,7 +130,7 @@ def _had_a_run(visitor: Attacker, path: str) -> bool:
 
 
 def _forces(attacker: Attacker) -> None:
-    attacker.press("scene", "change", [None, {"forces": [{"kind": "uniform"}] * 800}, None])
+    attacker.press("scene", "change", [None, {"forces": [{"kind": "uniform"}] * 800}, None, 1])
 
 
 def _numbers(attacker: Attacker) -> None:

@@ -106,9 +106,9 @@ def test_thousands_of_forces_are_counted_and_no_more(attacker):
     assert attacker.followed(job)["state"] == "done"
     attacker.press("picture", "cut", [None, None], job=job)
     with ThreadPoolExecutor(30) as pool:
-        change = partial(attacker.press, "scene", "change", [None, scene, None])
+        change = partial(attacker.press, "scene", "change", [None, scene, None, 1])
         for asked in [pool.submit(change) for _ in range(30)]:
-            assert "allows at most 16" in asked.result(TIMEOUT)[0]
+            assert "allows at most 16" in asked.result(TIMEOUT)[0]["html"]
     path = {"path": attacker.uploaded(DUCK)}
     changes = {"forces": [{"kind": "uniform"}] * 10_000}
     assert "longer than" in attacker.generate(path, changes=changes)
