@@ -68,8 +68,7 @@ class _Origin:
 class Sessions(StateHolder):
     """Sessions by name.
 
-    The number of sessions per address is limited, and a session is kept as long as its visitor is
-    known.
+    The number of sessions per address is limited. Sessions of known visitors are kept.
     """
 
     def __init__(self, blocks: Any, visitors: Visitors) -> None:

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""Error codes of a machine without enough disk space, memory or files.
+"""Error codes of a machine that lacks disk space, memory or file descriptors.
 
 The file that an error names is then not the cause.
 """
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
-"""Control characters, which could change the colours or the title of a terminal, as escapes."""
+"""Escape sequences for control characters, which could change a terminal's colours or title."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 

@@ -7,7 +7,7 @@ The web page and other callers need three calls:
     # {"draft": Stop, "standard": Stop, "fine": Stop}; each has
     #   .seconds   predicted time of particles, simulation, shapes, rendering, video and saving [s]
     #   .error     error bound as a fraction of the object's size, from measured similar scenes;
-    #              None if no similar scene was measured, for the reason in .promise.why
+    # None if no similar scene was measured; .promise.why has the reason
     #   .pixels    the error bound in the video [pixels], or None
     #   .caveat    None, or the reason why the predicted time is only a guess
     #   .forecast  the whole Forecast (seconds by stage, particles, substeps)

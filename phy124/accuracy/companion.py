@@ -47,7 +47,7 @@ RATES = {
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
 """Costs per unit of work for each solver of elastic objects on a CPU, and for a GPU. The first
-rates are for the original run, the second for the companion run. On a lattice, the checks of each
+value is for the original run, the second for the companion run. On a lattice, the checks of each
 frame are a large part of the time.
 """
 EFFORT: dict[Motion, float] = {

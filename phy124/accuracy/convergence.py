@@ -134,8 +134,8 @@ def longest_convergence(
         size: Divisor of the distances.
 
     Returns:
-        The convergence, and the number of frames for which it holds. If there is no convergence in
-        any initial part, the result is that for all frames.
+        The convergence, and the number of frames for which it holds. If the levels converge in no
+        initial part, the result for all frames is returned.
     """
     frames = len(clips[0])
     square = np.zeros((frames, len(clips), len(clips)))

@@ -39,8 +39,7 @@ from phy124.simulation import Simulation, prepare
 SPEED_UP = 0.72
 """Increase of the speed-up with each additional thread."""
 GROWTH = 2.5
-"""Exponent in the time of a companion run as a function of the number of cells across the object.
-"""
+"""The time of a companion run is assumed to grow with this power of the cells across the object."""
 UNSURE = 0.1
 """Maximum fraction of substeps limited by the particles' speed in a reliable forecast."""
 GUESS = 1.14

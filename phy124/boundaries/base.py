@@ -89,7 +89,7 @@ class Boundary(Section):
 
     shape: ClassVar[str]
     thing: ClassVar[str] = "it"
-    """Name for messages of the part of the boundary that may be too thin."""
+    """Name, used in messages, of the boundary's part that may be too thin."""
 
     holds: ClassVar[bool] = False
     """Whether the boundary fixes material in place instead of only blocking it."""

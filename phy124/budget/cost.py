@@ -43,12 +43,12 @@ first two numbers are the times per lattice point: with kernels for the CPU's ve
 other kernels. The third number is the time to launch the kernels.
 """
 UNDAMPED, DAMPED = 1.5, 0.235
-"""The first number is the longest stable substep of an undamped lattice at rest, in units of
-sqrt(cfl) dx / c. The second number is the damping ratio of the fastest vibration, in units of dx /
-c divided by the viscous limit.
+"""Two properties of a lattice that determine its substep. The first is the longest stable substep
+of an undamped lattice at rest, in units of sqrt(cfl) dx / c. The second is the damping ratio of the
+fastest vibration, in units of dx / c divided by the viscous limit.
 """
 WINDOW = 11
-"""Number of nodes per axis in the grid's window beyond the nodes across the object."""
+"""Number of nodes per axis in the grid's window, in addition to the nodes across the object."""
 GRAVITY = 9.81
 """Acceleration that limits the time step of a liquid with projected pressure [m/s^2]."""
 BYTES_PER_PARTICLE = 400

@@ -36,7 +36,7 @@ MODULES = {
 
 
 class Commands(Mapping[str, type]):
-    """The class of each command, which is imported when it is first looked up."""
+    """Maps each command to its class, which is imported at the first access."""
 
     def __getitem__(self, name: str) -> type:
         module, kind = MODULES[name]

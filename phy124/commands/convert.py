@@ -94,8 +94,7 @@ class Export:
     ]
     frame: int | None = None
     """Index of the frame to write, starting at 0. By default, frame 0 is written, or all frames if
-    the format can store motion. The file gets the same name as with --all, which gives the first
-    frame the number 0001.
+    the format can store motion. In the file's name, frames are numbered from 0001, as with --all.
     """
     all: bool = False
     """Write all frames, either to one file or to numbered files."""

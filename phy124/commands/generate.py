@@ -284,7 +284,9 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Import SciPy while the video encoder is tested; the result of the test is stored."""
+    """Test the video encoder and import SciPy at the same time; the result of the test is
+    stored.
+    """
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)

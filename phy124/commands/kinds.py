@@ -49,7 +49,7 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Option and kind of the file of each command."""
+"""Name of the option that takes each command's file, and the kind of this file."""
 TAKES_MESHES = ("generate", "simulate", "orient")
 """Names of the commands that also take a mesh."""
 USES = {

@@ -90,7 +90,7 @@ class Clip:
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
     motion: Motion | None = None
-    """A motion from which the Gaussians are computed, and which the clip's file stores.
+    """The motion that the clip's file stores, and from which the Gaussians are computed.
 
     None if the file stores the Gaussians of every frame, or if an array of the motion was replaced.
     """

@@ -107,7 +107,7 @@ def refusal(kind: str, path: Path, limit: str, remedy: str = AGAIN) -> InputErro
 
 
 class Malformed(ValueError):
-    """Raised if a file contradicts its format; the text is a clause that states the fault."""
+    """Raised if a file contradicts its format; the message is a clause that names the fault."""
 
 
 def name_fault(error: Exception) -> str:
@@ -328,7 +328,7 @@ FAR = 4
 If the ratio is larger, centres are stored relative to an origin, which has double precision.
 """
 FINE = 20_000
-"""Centres are also stored relative to an origin if the object spans fewer float32 increments."""
+"""Centres are also stored relative to an origin if fewer float32 increments span the object."""
 COARSE = 4000
 """Smallest number of increments of the file's positions across an object without a warning."""
 ENOUGH = 100_000

@@ -50,8 +50,9 @@ from phy124.io.plyheader import Header, read_header, refusal
 BLOCK = 1 << 16
 """Number of Gaussians that are written at once."""
 PLAIN, WIDER, TEXT = 68, 3, 70
-"""Size of a row of degree 0 [bytes]. Memory [bytes] that is needed for reading, per further byte of
-a row and per value of an ascii row."""
+"""Size of a row of degree 0 [bytes]; memory for reading [bytes] per additional byte of a row, and
+per value of an ascii row.
+"""
 FILTER = "filter_3D"
 """Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
 (Yu et al. 2023, eq. 7)."""

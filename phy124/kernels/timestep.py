@@ -1,7 +1,8 @@
 """Chooses the next substep's length on the device, so that a frame does not wait for the host.
 
 The limits, their order and their precision (float64) are the same as in phy124/mpm/timestep.py and
-phy124/mpm/rejection.py. On one device, both versions choose bitwise equal substeps.
+phy124/mpm/rejection.py. The substeps chosen by this module and by the host are bitwise equal if
+both run on one device.
 """
 
 from typing import Any

@@ -77,7 +77,7 @@ class Limits:
         return max(solver.clock.extremes.speed, solver.rejection.wall, solver.free.fastest())
 
     def _measure(self) -> None:
-        """Measure the limits of the substep; raises Unstable."""
+        """Measure the limits of the substep; raise Unstable if the body collapsed."""
         solver, clock = self._solver, self._solver.clock
         if not solver.crew.measuring or not clock.substeps:
             run_timed(solver.timings, "measure", lambda: solver.runner.complete(MEASURE))
@@ -99,7 +99,7 @@ class Limits:
         run_timed(solver.timings, "free", lambda: solver.free.list_near(self._step()))
 
     def read(self, elapsed: float) -> None:
-        """Limit substeps by the largest speed and strain rate; raises Unstable.
+        """Limit substeps by the largest speed and strain rate; raise Unstable if a body collapsed.
 
         Args:
             elapsed: Time since the last measurement [s].

@@ -133,7 +133,9 @@ class RestLattice:
     def _of_body(
         cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float, copies: NDArray | None
     ) -> RestLattice:
-        """Return the lattice of one body; raises ValueError."""
+        """Return the lattice of one body; raise ValueError if the points do not form cells of
+        eight.
+        """
         if len(x) % PER_CELL:
             raise ValueError("the number of points is not a multiple of eight; use lattice_of")
         x = np.asarray(x, np.float64) / dx

@@ -474,7 +474,9 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value of a pair; store the pair's sentence as a note, unless it is empty."""
+        """Return the value of a pair (value, sentence); store the sentence as a note unless it is
+        empty.
+        """
         if sentence:
             self._note(sentence)
         return value

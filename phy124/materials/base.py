@@ -70,8 +70,8 @@ class Material(Section):
 
     @property
     def lit(self) -> bool:
-        """Whether a lamp lights the material in videos (phy124/rendering/matte.py), instead of the
-        light of the picture: tinted grains.
+        """Whether a lamp lights the material in videos (phy124/rendering/matte.py) instead of the
+        light of the picture, as for tinted grains.
         """
         return self.tint is not None and self.grains and not self.shines
 

@@ -22,7 +22,7 @@ class LiquidDissipation(Dissipation):
     in_substeps = True
 
     def __init__(self) -> None:
-        """Prepare the sums; they start when `bind` is called."""
+        """Prepare the sums of work; the summing starts when `bind` is called."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

@@ -211,8 +211,7 @@ class Observer:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame; after a failure, the next attempt takes half as long
-        substeps.
+        """Prepare an attempt at a frame; after a failure, the next attempt halves the substeps.
 
         Args:
             closely: Whether to check every substep, as in a second attempt.

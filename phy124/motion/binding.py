@@ -64,7 +64,7 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return each Gaussian's value [N], from values [P], of its own or the nearest particle."""
+    """Return the value [N] of each Gaussian's own or nearest particle, from values [P]."""
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)

@@ -29,7 +29,7 @@ SIZE = 320
 """Width and height of the network's input [pixels]."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CLOSER, AROUND = 1.4, 0.15
-"""An object with its surroundings is segmented again if it can be enlarged by the first factor.
+"""An object is segmented again, with its surroundings, if it can be enlarged by the first number.
 
 The second number is the width of the surroundings, relative to the object's longest side.
 """

@@ -33,8 +33,8 @@ QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""
 STEEPEST = wp.constant(6.0)
 """Upper bound, per cell squared, of the sum of |dw/dx|^2 / w over the nodes of a point, for w along
-one axis. It bounds how fast the viscosity stops a compression: a node has at least the sum of w m
-over its points as mass, so nothing depends on how much of a cell is filled.
+one axis. It limits the rate at which the viscosity stops a compression. The mass of a node is at
+least the sum of w m over its points, so the limit does not depend on how much of a cell is filled.
 """
 
 
@@ -98,7 +98,7 @@ def make_shock(real: Any):
     the smallest stretch of the squeezed material, so that the longest stable substep depends only
     on d.
 
-    The pressure is limited so that even a long kick only takes energy.
+    The pressure is limited so that it only removes energy, even in a long kick.
     """
     t = types(real)
 

@@ -117,7 +117,7 @@ class Grid:
 
 @wp.struct
 class Shape:
-    """What `find_surface` knows about a Gaussian."""
+    """Result of `find_surface` for a Gaussian."""
 
     kind: int
     normal: wp.vec3
