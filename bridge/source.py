@@ -61,7 +61,7 @@ class LiveOptions:
             raise InputError("live", self.live, limit, "Add --live, or remove these options.")
 
     def resolve(self) -> Scene:
-        """Return the scene with all changes, by default with velocities; raises InputError."""
+        """Return the scene with all changes, by default with velocities, or raise InputError."""
         from phy124.scene import Scene, parse_changes
 
         return Scene.named(self.scene).replaced({"velocities": True, **parse_changes(self.set)})

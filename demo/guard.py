@@ -102,7 +102,7 @@ class Doorkeeper:
         if FETCHES.search(scope["path"]):
             return PlainTextResponse("This page downloads nothing from other sites.", 403)
         if CLOSED.match(scope["path"]):
-            return PlainTextResponse("There is no such address here.", 404)
+            return PlainTextResponse("This page has no such address.", 404)
         if scope["method"] not in ("GET", "HEAD") and not self._from_own_page(headers):
             return PlainTextResponse("This page refuses requests from pages of other sites.", 403)
         return None

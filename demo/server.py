@@ -89,7 +89,10 @@ def check_address(settings: Settings) -> None:
             raise InputError("port", port, limit, "Give a port from 1024 on.") from None
         limit = "This machine cannot listen at this address."
         raise InputError(
-            "host", host, limit, "127.0.0.1 admits only this machine, 0.0.0.0 every network."
+            "host",
+            host,
+            limit,
+            "With 127.0.0.1 only this machine can connect, with 0.0.0.0 every network.",
         ) from None
 
 

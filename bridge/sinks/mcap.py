@@ -113,7 +113,7 @@ class McapSink:
             raise InputError("recording", self.path, limit, "Choose another folder.")
 
     def __enter__(self) -> McapSink:
-        """Create the file; raises InputError if it exists or cannot be created."""
+        """Create the file, or raise InputError if it exists or cannot be created."""
         self.check()
         try:
             self._new_folder = not self.file.parent.exists()

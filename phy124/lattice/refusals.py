@@ -45,7 +45,7 @@ def reason_for_particles(scene: Any) -> str:
     accuracy = accuracy.model_copy(update={"solver": "lattice"})
     scene = scene.model_copy(update={"accuracy": accuracy})
     if not any(scene.on_lattices):
-        return "no object is elastic as a whole"
+        return "no object consists of elastic materials only"
     for section in scene.materials:
         if is_elastic(section) and section.may_collapse and not getattr(section, "damping", 0):
             return f"{section.law} without damping does not resist being squeezed flat"
@@ -98,7 +98,7 @@ def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterato
         return
     for law in sorted(scene.properties.laws() & LAWS.by_name.keys()):
         if not is_elastic(LAWS.by_name[law].model_validate({"law": law})):
-            limit = "an object on a lattice must be elastic as a whole."
+            limit = "an object on a lattice must consist of elastic materials only."
             yield Refusal("properties.file", f"law {law}", limit, remedy)
 
 

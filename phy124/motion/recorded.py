@@ -343,12 +343,12 @@ class Computed(NDArrayOperatorsMixin):
         return np.asarray(self[:], dtype)
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
-        """Apply a function of NumPy to the whole array."""
+        """Apply a function of NumPy to the array that holds all frames."""
         whole = (np.asarray(i) if isinstance(i, Computed) else i for i in inputs)
         return getattr(ufunc, method)(*whole, **options)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the whole array."""
+        """Return an attribute of the array that holds all frames."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(np.asarray(self), name)

@@ -365,7 +365,7 @@ class Solver:
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and the other limits if they may have changed; raises Unstable."""
+        """Measure the speeds, and the other limits if they may have changed, or raise Unstable."""
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):
@@ -391,7 +391,7 @@ class Solver:
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
 
     def _measure(self) -> None:
-        """Measure the stability limits and fit the windows to the particles; raises Unstable."""
+        """Measure the stability limits and fit the windows to the particles, or raise Unstable."""
         corners = self._corners(rows := self._maxima())
         if self.outliers.confine(corners):
             corners = self._corners(rows := self._maxima())
@@ -406,7 +406,7 @@ class Solver:
         clock.interval = self._safe_interval()
 
     def _end_frame(self) -> None:
-        """Check that every particle is still inside its window; raises Unstable."""
+        """Check that every particle is still inside its window, or raise Unstable."""
         if self.clock.since_measured == 0:
             return
         if self.outliers.bounded or self._missed.numpy().any():
@@ -451,7 +451,7 @@ class Solver:
         return np.array([row.numpy() for row in rows], dtype=np.float64).reshape(-1, COUNT)
 
     def _each_worker(self, task: int) -> None:
-        """Let all workers measure their particles; raises Unstable if a particle is not finite."""
+        """Let all workers measure their particles; raise Unstable if one is not finite."""
         self.runner.complete(task)
         lost = int(self._stray.numpy()[0])
         if lost:

@@ -110,7 +110,7 @@ def _within(padded: NDArray, index: NDArray, steps: int) -> NDArray[np.float64]:
 
 
 class _Parts:
-    """Partly filled voxels that may belong to sheets or rods, with moments of what is around them.
+    """Partly filled voxels that may belong to sheets or rods, with moments of their surroundings.
 
     Args:
         padded: Filled fractions, padded by 2 voxels.

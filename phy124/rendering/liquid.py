@@ -7,8 +7,8 @@ drawn, and Gaussians in thin spray become balls. Near flat walls, phi is the fil
 space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto
 the wall. The opacity of a disc follows from the thickness of the liquid behind the disc
 (Beer-Lambert). Each face of a layer has half of the layer's optical depth, divided by the number of
-overlapping discs. A thin film on a wall has only one face. Kernels do what concerns each Gaussian
-(`phy124.kernels.splat.discs`).
+overlapping discs. A thin film on a wall has only one face. The steps for single Gaussians are
+kernels (`phy124.kernels.splat.discs`).
 """
 
 from __future__ import annotations

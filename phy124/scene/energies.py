@@ -1,8 +1,8 @@
 """Estimates the energy that impacts, forces, walls and hands may convert to strain in a scene.
 
-The argument `scene` is always a `Scene`. The estimate does not depend on the shapes of the objects.
-Moving walls are therefore included even if they never touch an object. Forces are included in full
-even if nothing stops the accelerated object.
+An argument `scene` is a `Scene` of `phy124.scene`, which imports this module. The estimate does not
+depend on the shapes of the objects. Moving walls are therefore included even if they never touch an
+object. Forces are included in full even if nothing stops the accelerated object.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Decides in which scenes the elastic objects are simulated on lattices at rest.
 
-The argument `scene` is always a `Scene`.
+An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PARTICLES_ONLY = (
     "the pressure of a liquid acts only on objects made of particles, which tear if they are very "
     "soft"
 )
-"""Why elastic objects in a liquid are not on lattices."""
+"""Reason why elastic objects in a liquid are not on lattices."""
 
 FARTHEST_DRIVEN = 0.5
 """Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
@@ -103,6 +103,6 @@ def keep_lattice(scene: Any, before: Any) -> Any:
 
 
 def _with_solver(scene: Any, solver: str) -> Any:
-    """Return the scene with a solver that is set by its name."""
+    """Return the scene with another `accuracy.solver`."""
     accuracy = scene.resolution.model_copy(update={"solver": solver})
     return scene.model_copy(update={"accuracy": accuracy})

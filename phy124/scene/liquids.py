@@ -1,6 +1,6 @@
 """Decides in which scenes the liquid is computed by pressure projection.
 
-The argument `scene` is always a `Scene`.
+An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class Region(Section):
         ):
             raise ValueError(
                 f"for a cylinder along {self.cylinder}, the extent on the two other axes must be "
-                "given; set both lower and upper there"
+                "given; set lower and upper of both axes"
             )
         return self
 

@@ -149,7 +149,7 @@ class About:
     """Description of what a set of weights is used for."""
 
     brings: str
-    """What phy124 uses the weights for."""
+    """Use of the weights in phy124."""
     megabytes: int
     """Approximate size of the download [MB]."""
     extra: str | None = None

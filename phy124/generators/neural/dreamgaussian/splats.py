@@ -128,7 +128,7 @@ class Splats:
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Replace parameters in Adam; `changes[name]` is (value, function of each moment)."""
+        """Replace parameters in Adam; `changes[name]` is the value, and a function of moments."""
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue

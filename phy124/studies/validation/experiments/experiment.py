@@ -174,7 +174,9 @@ class Outcome:
             return "FAILED"
         inside = f"{self.inside} of {len(self.estimates)} in the band"
         return (
-            inside if self.control_holds else f"{inside}, but the CONTROL also stays in all bands"
+            inside
+            if self.control_holds
+            else f"{inside}, but the control run also stays inside all bands"
         )
 
 
