@@ -6,7 +6,8 @@ are computed from the normals of the surface: the light now, and the light at re
 picture does not change.
 
 The normals are computed from the positions of Gaussians: neighbours on the same side of the object
-are joined into patches, and planes are fitted to neighbouring patches.
+are joined into patches, and planes are fitted to neighbouring patches. The light is computed on the
+patches and interpolated between them.
 """
 
 from __future__ import annotations
@@ -26,16 +27,14 @@ coarse grids, patches of the first size would be thicker than horns and ears.
 SIDE = 0.7
 """Difference of two unit normals that separates as much as a whole patch."""
 NEAR = 12
-"""Number of patches to which a plane is fitted, and for which `SAME` holds."""
-SHARED = 6
-"""Number of patches between which the normal at a Gaussian is interpolated."""
+"""Number of patches to which a plane is fitted, and between which light is interpolated."""
 FLOOR = 0.5
 """Light of the sky on a surface that faces down, relative to a surface that faces up."""
-CONTRAST = 2.2, 0.25
-"""Exponents of the ratio of the lights where there is less light than at rest, and where there is
-more. Pictures are usually well lit, so more light leaves less room.
+CONTRAST = 1.3
+"""Exponent of the ratio of the lights; the light in a picture is more directed than the lamp and
+the sky together.
 """
-RANGE = 0.6, 1.06
+RANGE = 0.7, 1.06
 """Smallest and largest factor of the colours."""
 
 
@@ -55,38 +54,36 @@ class Dents:
         outward = _outward(x, cell)
         size = min(PATCH * cell, LARGEST * float(np.ptp(x, axis=0).max()))
         features = np.concatenate([x / size, outward / SIDE], axis=1)
-        _, patch = np.unique(np.rint(features), axis=0, return_inverse=True)
-        patch = patch.reshape(-1)
+        patch = _number(np.rint(features).astype(np.int64))
         count = np.bincount(patch)
         self._mean = _rows(patch, np.arange(len(x)), 1 / count[patch], (len(count), len(x)))
         centre = self._mean @ features
-        tree = scipy.spatial.KDTree(centre)
-        self._along, self._across = _slopes(tree, centre, self._mean @ x, self._mean @ outward)
-        away, index = _nearest(tree, features, SHARED)
-        weights = np.maximum(1 - (away / away[:, -1:]) ** 2, 1e-3) ** 2
-        weights /= weights.sum(axis=1, keepdims=True)
-        rows = np.repeat(np.arange(len(x)), index.shape[1])
-        self._shared = _rows(rows, index.ravel(), weights.ravel(), (len(x), len(count)))
+        count = min(NEAR, len(centre))
+        _, near = scipy.spatial.KDTree(centre).query(centre, np.arange(1, count + 1))
+        self._along, self._across = _slopes(near, centre, self._mean @ x, self._mean @ outward)
+        self._shared = _shares(features, centre, near[patch])
         self._rest = self._lit(x)
 
     def illuminate(self, rgb: NDArray, x: NDArray) -> NDArray[np.float32]:
         """Return the colours [n,3] of the Gaussians at positions x [n,3] m, from `rgb` at rest."""
-        light = self._lit(x) / self._rest
-        factor = np.clip(light ** np.where(light < 1, *CONTRAST), *RANGE)
-        return np.minimum(rgb * factor, 1).astype(np.float32)
+        change = np.clip((self._lit(x) / self._rest) ** CONTRAST, *RANGE) - 1
+        return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
+
+    def centres(self, x: NDArray) -> NDArray[np.float32]:
+        """Return the centres of the patches [m,3], m."""
+        return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward normals of the surface [n,3]; zero where no plane is determined."""
-        patches = self._mean @ x
-        normals = _unit(np.cross(self._along @ patches, self._across @ patches))
-        return _unit(self._shared @ normals).astype(np.float32)
+        """Return the outward normals of the patches [m,3]; zero where no plane is determined."""
+        centres = self.centres(x)
+        return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
 
     def _lit(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the light: red, green and blue at each Gaussian [n,3]."""
+        """Return the light on each patch [m]."""
         normals = self.normals(x)
-        sky = (1 + FLOOR + (1 - FLOOR) * normals[:, 2:]) / 2
-        facing = ((1 + normals @ self._lamp) / 2)[:, None]
-        return (SKY * sky + LAMP_LIGHT * facing**1.2).astype(np.float32)
+        sky = (1 + FLOOR + (1 - FLOOR) * normals[:, 2]) / 2
+        facing = (1 + normals @ self._lamp) / 2
+        return SKY.mean() * sky + LAMP_LIGHT.mean() * facing**1.2
 
 
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
@@ -103,37 +100,50 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
     return -_unit(np.stack([slope.reshape(-1)[flat] for slope in np.gradient(solid)], axis=1))
 
 
-def _slopes(tree: Any, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
+def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
     """Return matrices that map values of patches [m] to their slopes along two directions.
 
     The two directions and the outward normal of a patch are perpendicular to each other. A slope is
-    a least-squares fit to the nearest patches.
+    a least-squares fit to the nearest patches, whose indices are `near` [m,k].
     """
     m = len(x)
     outward = _unit(outward)
     helper = np.eye(3)[np.abs(outward).argmin(axis=1)]
     along = _unit(np.cross(helper, outward))
     across = np.cross(outward, along)
-    away, index = _nearest(tree, features, NEAR)
-    weights = np.exp(-((away / np.maximum(away[:, -1:], 1e-9)) ** 2) * 2)
+    away = np.linalg.norm(features[near] - features[:, None], axis=2)
+    weights = np.exp(-((away / np.maximum(away.max(axis=1, keepdims=True), 1e-9)) ** 2) * 2)
     weights /= weights.sum(axis=1, keepdims=True)
-    apart = x[index] - np.einsum("mk,mkd->md", weights, x[index])[:, None]
+    apart = x[near] - np.einsum("mk,mkd->md", weights, x[near])[:, None]
     plane = np.einsum("mkd,mad->mka", apart, np.stack([along, across], axis=1))
     moments = np.einsum("mk,mka,mkb->mab", weights, plane, plane)
     size = np.trace(moments, axis1=1, axis2=2)[:, None, None]
     fit = weights[..., None] * plane @ np.linalg.inv(moments + (1e-3 * size + 1e-12) * np.eye(2))
     fit -= weights[..., None] * fit.sum(axis=1, keepdims=True)
-    rows = np.repeat(np.arange(m), index.shape[1])
-    first, second = (_rows(rows, index.ravel(), fit[..., a].ravel(), (m, m)) for a in (0, 1))
+    rows = np.repeat(np.arange(m), near.shape[1])
+    first, second = (_rows(rows, near.ravel(), fit[..., a].ravel(), (m, m)) for a in (0, 1))
     return first, second
 
 
-def _nearest(tree: Any, points: NDArray, count: int) -> tuple[NDArray, NDArray]:
-    """Return the distances and indices of the nearest points of a tree [n,k]."""
-    count = min(count, tree.n)
-    result = tree.query(points, count, workers=-1)
-    away, index = (np.asarray(array).reshape(len(points), count) for array in result)
-    return away, index
+def _shares(features: NDArray, centres: NDArray, near: NDArray) -> Any:
+    """Return the matrix that interpolates values of patches [m] to Gaussians [n].
+
+    `near` [n,k] are the indices of patches around each Gaussian.
+    """
+    n, k = near.shape
+    square = np.zeros((n, k), np.float32)
+    for feature, centre in zip(features.T, centres.T, strict=True):
+        square += (centre.astype(np.float32)[near] - feature.astype(np.float32)[:, None]) ** 2
+    weights = np.maximum(1 - square / square.max(axis=1, keepdims=True), 1e-3) ** 2
+    weights /= weights.sum(axis=1, keepdims=True)
+    return _rows(np.repeat(np.arange(n), k), near.ravel(), weights.ravel(), (n, len(centres)))
+
+
+def _number(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number the different rows of an array [n,k]; return the number of each row [n]."""
+    cells = cells - cells.min(axis=0)
+    flat: Any = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    return np.unique(flat, return_inverse=True)[1].reshape(-1)
 
 
 def _rows(rows: NDArray, columns: NDArray, values: NDArray, shape: tuple[int, int]) -> Any:
