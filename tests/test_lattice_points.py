@@ -136,6 +136,30 @@ def test_sharp_parts_touch_with_their_inner_points():
         assert not bare.any() or rest.query(solver.surface.x[bare])[0].max() < 1e-6
 
 
+def test_surface_points_in_tips_follow_tied_nodes(rng):
+    solver = make(block((0.4, 0.03, 0.03), low=(0.05, 0.05, 0.05), per=20))
+    lattice, surface = solver.lattice, solver.surface
+    u = rng.normal(size=(len(lattice), 3))
+    u[lattice.tied] = lattice.ties @ u
+    bare = ~surface.normal.any(axis=1)
+    moved = np.einsum("pn,pna->pa", surface.weights[bare], u[surface.nodes[bare]])
+    inner = KDTree(solver.model.rest).query(surface.x[bare])[1]
+    a, b, c = np.moveaxis(splines(lattice.offset[inner]), 1, 0)
+    weights = np.einsum("pi,pj,pk->pijk", a, b, c).reshape(-1, 27)
+    expected = np.einsum("pn,pna->pa", weights, u[lattice.nodes_of(inner // PER_CELL)])
+    assert len(lattice.tied) and np.allclose(moved, expected, atol=1e-6)
+    assert not surface.weights[bare][lattice.mass[surface.nodes[bare]] == 0].any()
+
+
+def test_nine_groups_of_nodes_reproduce_linear_functions():
+    """The points of a hair with copies of nodes move with more than nine groups of nodes."""
+    motion = scipy.sparse.csr_matrix([[0.0] * 4 + [0.5, 0.0, 0.25] + [0.0, 0.25, 0.0] * 4])
+    nodes, weights = _three_in_a_row(motion)
+    assert nodes.shape == weights.shape == (1, 27)
+    expected = motion.toarray()[0]
+    assert np.array_equal(np.bincount(nodes[0], weights[0], len(expected)), expected)
+
+
 def test_slopes_give_the_gradient_at_every_surface_point(rng):
     solver = make(block((0.4, 0.3, 0.2)))
     surface, gradient = solver.surface, rng.normal(size=(3, 3))

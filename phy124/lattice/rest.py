@@ -251,6 +251,23 @@ class RestLattice:
         points: NDArray[np.float64] = first + self.offset.reshape(-1, PER_CELL, 3)[cells] + 0.5
         return points
 
+    def motion_of(self, points: NDArray[np.int64]) -> scipy.sparse.csr_matrix:
+        """Return the weights of nodes with mass in the motion of integration points [K,N].
+
+        Args:
+            points: Indices of the points [K].
+        """
+        weights, shape = _weights(self.offset[points]), (len(points), len(self))
+        nodes, starts = self.nodes_of(points // PER_CELL), np.arange(len(points) + 1) * 27
+        direct = scipy.sparse.csr_matrix((weights.ravel(), nodes.ravel(), starts), shape=shape)
+        heavy = self.mass > 0
+        free = rows_of_identity(np.flatnonzero(heavy), len(self))
+        follow = rows_of_identity(self.tied, len(self)).T @ self.ties
+        motion = scipy.sparse.csr_matrix(direct @ (free.T @ free + follow))
+        motion.sum_duplicates()
+        motion.eliminate_zeros()
+        return motion
+
     @property
     def across(self) -> int:
         """Sum, over all bodies, of the largest extent [cells]."""

@@ -2,7 +2,8 @@
 
 The weights of a surface point are computed a quarter of a cell inside the body, without tied nodes.
 They are then corrected to reproduce every linear function at the point. With the exact weights at
-the surface, contact would act mostly on the lightest nodes, which would vibrate.
+the surface, contact would act mostly on the lightest nodes, which would vibrate. In tips, the
+integration points touch walls as well (phy124/lattice/tips.py).
 
 Points are sorted by eight colours; points of one colour are at least about one cell apart. In this
 order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to row.
@@ -21,6 +22,7 @@ from scipy.spatial import KDTree
 
 from phy124.kernels.lattice.partners import OTHER
 from phy124.lattice.rest import STEPS, RestLattice, splines
+from phy124.lattice.tips import exact_weights, points_in_tips, rows_of
 from phy124.particles.lattice import APART, PER_CELL
 
 INSIDE = 0.25
@@ -30,11 +32,6 @@ SUPPORTED = 0.5
 """
 FLAT = 0.9
 """A point counts as lying at an edge if the mean normal within a cell is shorter than this."""
-SHARP, CLOSEST = 0.6, 24
-"""`SHARP`: a part counts as a tip, a hair or a sheet if the mean normal within a cell is shorter
-than this. `CLOSEST`: largest number of normals in such a mean.
-"""
-
 REGULAR = 1e-5
 """A matrix of second moments is inverted by cofactors if its determinant is at least this fraction
 of its trace cubed.
@@ -151,9 +148,12 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
         points: Positions [m], outward normals and indices of bodies [S,7].
         lattice: The lattices at rest.
     """
-    points = np.concatenate([points, _points_in_tips(points, lattice)])
+    tips = points_in_tips(points, lattice)
+    inner = np.concatenate([np.full(len(points), -1), tips])
+    points = np.concatenate([points, rows_of(tips, lattice)])
     parity = np.floor(points[:, :3] / (APART * lattice.dx) - 1e-6).astype(np.int64) % 2
-    points = points[np.argsort(parity @ [4, 2, 1], kind="stable")]
+    order = np.argsort(parity @ [4, 2, 1], kind="stable")
+    points, inner = points[order], inner[order]
     x, normal, body = points[:, :3], points[:, 3:6], points[:, 6].astype(np.int64)
     at = x / lattice.dx - INSIDE * normal
     cell = np.floor(at).astype(np.int64)
@@ -173,7 +173,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = np.einsum("pi,pj,pk->pijk", a, b, c).reshape(len(x), 27) * free
     weights[near] = _within_rows(nodes[near], weights[near])
     supported = weights.sum(axis=1) > SUPPORTED
-    x, normal, weights = (values[supported] for values in (x, normal, weights))
+    x, normal, weights, inner = (values[supported] for values in (x, normal, weights, inner))
     body, side, nodes = (values[supported] for values in (body, side, nodes))
     arm = index[supported] + 0.5 - (x / lattice.dx)[:, None]
     weighted = weights[:, :, None] * arm
@@ -182,6 +182,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
+    nodes[inner >= 0], weights[inner >= 0] = exact_weights(inner[inner >= 0], lattice)
     return Surface(x, normal, body, side, nodes, weights, lattice.x, lattice.dx)
 
 
@@ -220,33 +221,6 @@ def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float
     best = np.argmax((fits * weights).sum(axis=2), axis=1)
     kept: NDArray[np.float64] = weights[:, 0] * fits[np.arange(len(best)), best]
     return kept.reshape(-1, 27)
-
-
-def _points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.float64]:
-    """Return the integration points in sharp parts, as surface points without a normal [K,7].
-
-    A tip that is smaller than a cell moves with tied nodes, which the weights of surface points
-    ignore. Such a tip can rotate into a wall while its surface points stay outside.
-
-    Args:
-        points: Positions [m], outward normals and indices of bodies [S,7].
-        lattice: The lattices at rest.
-    """
-    light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]
-    cells = np.flatnonzero(np.isin(lattice.nodes_of(), light).any(axis=1))
-    if not len(cells) or not len(points):
-        return np.zeros((0, 7))
-    x = (lattice.points_of(cells) * lattice.dx).reshape(-1, 3)
-    body = np.repeat(lattice.body[lattice.rows[cells, 0]], PER_CELL)
-    count = min(CLOSEST, len(points))
-    distance, near = KDTree(points[:, :3]).query(x, k=count, distance_upper_bound=lattice.dx)
-    distance, near = distance.reshape(len(x), count), near.reshape(len(x), count)
-    near = np.minimum(near, len(points) - 1)
-    same = np.isfinite(distance) & (points[near, 6] == body[:, None])
-    total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
-    sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
-    rows = np.concatenate([x, np.zeros_like(x), body[:, None]], axis=1)
-    return rows[sharp].astype(np.float64)
 
 
 def _consecutive(

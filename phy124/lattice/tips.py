@@ -1,0 +1,120 @@
+"""Finds integration points in tips, hairs and edges, where they are surface points as well.
+
+Weights of other surface points leave out tied nodes, so a tip that is smaller than a cell could
+enter a wall while its surface points stay outside. The weights of the points in tips are therefore
+exact: they include tied nodes, by the nodes from which the motion of tied nodes is extrapolated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from phy124.lattice.rest import ROW, RestLattice
+from phy124.particles.lattice import PER_CELL
+
+SHARP, CLOSEST = 0.6, 24
+"""`SHARP`: a part counts as a tip, a hair or a sheet if the mean normal within a cell is shorter
+than this. `CLOSEST`: largest number of normals in such a mean.
+"""
+
+
+def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
+    """Return the indices of the integration points in sharp parts with tied nodes [K].
+
+    Args:
+        points: Positions [m], outward normals and indices of bodies of surface points [S,7].
+        lattice: The lattices at rest.
+    """
+    light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]
+    cells = np.flatnonzero(np.isin(lattice.nodes_of(), light).any(axis=1))
+    if not len(cells) or not len(points):
+        return np.zeros(0, np.int64)
+    inner = (cells[:, None] * PER_CELL + np.arange(PER_CELL)).ravel()
+    rows = rows_of(inner, lattice)
+    count = min(CLOSEST, len(points))
+    distance, near = KDTree(points[:, :3]).query(
+        rows[:, :3], k=count, distance_upper_bound=lattice.dx
+    )
+    distance, near = distance.reshape(len(rows), count), near.reshape(len(rows), count)
+    near = np.minimum(near, len(points) - 1)
+    same = np.isfinite(distance) & (points[near, 6] == rows[:, 6:])
+    total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
+    sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
+    return inner[sharp]
+
+
+def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float64]:
+    """Return positions [m], normals of length 0 and indices of bodies of integration points [K,7].
+
+    Args:
+        inner: Indices of the integration points [K].
+        lattice: The lattices at rest.
+    """
+    cells = inner // PER_CELL
+    x = lattice.points_of(cells)[np.arange(len(inner)), inner % PER_CELL] * lattice.dx
+    body = lattice.body[lattice.rows[cells, 0]]
+    return np.column_stack([x, np.zeros_like(x), body.astype(np.float64)])
+
+
+def exact_weights(
+    inner: NDArray[np.int64], lattice: RestLattice
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the nodes with mass that move integration points, and their weights [K,27].
+
+    The nodes form nine groups of three nodes that are consecutive in memory, as those of other
+    surface points. If nine groups do not contain all nodes, the weights are corrected to reproduce
+    every linear function.
+
+    Args:
+        inner: Indices of the integration points [K].
+        lattice: The lattices at rest.
+    """
+    nodes, weights = _three_in_a_row(lattice.motion_of(inner))
+    x = rows_of(inner, lattice)[:, :3] / lattice.dx
+    arm = lattice.index[nodes] + 0.5 - x[:, None]
+    basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)
+    missed = np.array([1.0, 0, 0, 0]) - np.einsum("pn,pna->pa", weights, basis)
+    short = np.abs(missed).max(axis=1) > 1e-9
+    basis, part = basis[short], np.abs(weights[short])
+    moments = np.einsum("pn,pna,pnb->pab", part, basis, basis)
+    change = np.einsum("pab,pb->pa", np.linalg.pinv(moments, hermitian=True), missed[short])
+    weights[short] += part * np.einsum("pna,pa->pn", basis, change)
+    return nodes, weights
+
+
+def _three_in_a_row(motion: scipy.sparse.csr_matrix) -> tuple[NDArray[np.int64], NDArray]:
+    """Return the nodes and weights [K,27] of nine groups of three consecutive nodes.
+
+    The groups with the largest weights are chosen, one after another.
+
+    Args:
+        motion: Weights of all nodes in the motion of each point [K,N].
+    """
+    count, sizes = motion.shape[1], np.diff(motion.indptr)
+    row = np.repeat(np.arange(len(sizes)), sizes)
+    place = np.arange(motion.nnz) - motion.indptr[row]
+    shape = len(sizes), int(sizes.max(initial=0)) + 2
+    node, weight = np.full(shape, 4 * count), np.zeros(shape)
+    node[row, place], weight[row, place] = motion.indices, motion.data
+    each = np.arange(len(sizes))
+    nodes = np.zeros((len(sizes), ROW, 3), np.int64)
+    weights = np.zeros(nodes.shape)
+    for group in range(ROW):
+        size = np.abs(weight)
+        total = size[:, :-2].copy()
+        for step in (1, 2):
+            last = len(size[0]) - 2 + step
+            near = node[:, step:last] < node[:, :-2] + 3
+            total += size[:, step:last] * near
+        best = total.argmax(axis=1)
+        start = np.minimum(node[each, best], count - 3)
+        nodes[:, group] = start[:, None] + np.arange(3)
+        for step in range(3):
+            to = node[each, best + step] - start
+            inside = to < 3
+            weights[each[inside], group, to[inside]] += weight[inside, best[inside] + step]
+            weight[inside, best[inside] + step] = 0
+    return nodes.reshape(-1, 3 * ROW), weights.reshape(-1, 3 * ROW)
