@@ -4,11 +4,14 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 from scipy.spatial import KDTree
 
 from phy124.kernels.lattice.partners import OTHER
+from phy124.lattice.rest import splines
 from phy124.lattice.surface import FLAT, Lazy, _inverses
-from phy124.particles.lattice import integration_points, surface_points
+from phy124.lattice.tips import _three_in_a_row, points_in_tips, rows_of
+from phy124.particles.lattice import PER_CELL, integration_points, surface_points
 from phy124.particles.solid import Solid
 from phy124.studies.validation.bodies import fill_solid
 from support.lattices import DX, block, make, rod
@@ -137,7 +140,7 @@ def test_sharp_parts_touch_with_their_inner_points():
 
 
 def test_surface_points_in_tips_follow_tied_nodes(rng):
-    solver = make(block((0.4, 0.03, 0.03), low=(0.05, 0.05, 0.05), per=20))
+    solver = make(block((0.4, 0.05, 0.05), low=(0.08, 0.01, 0.02), per=20))
     lattice, surface = solver.lattice, solver.surface
     u = rng.normal(size=(len(lattice), 3))
     u[lattice.tied] = lattice.ties @ u
@@ -147,12 +150,25 @@ def test_surface_points_in_tips_follow_tied_nodes(rng):
     a, b, c = np.moveaxis(splines(lattice.offset[inner]), 1, 0)
     weights = np.einsum("pi,pj,pk->pijk", a, b, c).reshape(-1, 27)
     expected = np.einsum("pn,pna->pa", weights, u[lattice.nodes_of(inner // PER_CELL)])
-    assert len(lattice.tied) and np.allclose(moved, expected, atol=1e-6)
+    assert len(lattice.tied) and np.allclose(moved, expected, atol=1e-9)
     assert not surface.weights[bare][lattice.mass[surface.nodes[bare]] == 0].any()
 
 
-def test_nine_groups_of_nodes_reproduce_linear_functions():
-    """The points of a hair with copies of nodes move with more than nine groups of nodes."""
+def test_material_outside_of_the_surface_touches():
+    solver = make(block((0.4, 0.4, 0.4), low=(0.09, 0.09, 0.09), per=20))
+    lattice, surface = solver.lattice, solver.surface
+    body = np.zeros((surface.count, 1))
+    rows, deeper = (
+        np.hstack([surface.x - depth * DX * surface.normal, surface.normal, body])
+        for depth in (0.0, 0.5)
+    )
+    assert len(lattice.tied) and not len(points_in_tips(rows, lattice))
+    outside = rows_of(points_in_tips(deeper, lattice), lattice)[:, :3]
+    assert len(outside) and (np.abs(outside - 0.29).max(axis=1) > 0.17).all()
+
+
+def test_groups_of_three_nodes_keep_all_weights():
+    """A pair of nodes needs one group, wherever it begins and also at the end."""
     motion = scipy.sparse.csr_matrix([[0.0] * 4 + [0.5, 0.0, 0.25] + [0.0, 0.25, 0.0] * 4])
     nodes, weights = _three_in_a_row(motion)
     assert nodes.shape == weights.shape == (1, 27)

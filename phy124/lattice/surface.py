@@ -182,7 +182,8 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     weights = weights * (1 + np.einsum("pna,pa->pn", arm, slope))
     weights /= weights.sum(axis=1, keepdims=True)
     nodes, weights = _consecutive(nodes, weights, len(lattice))
-    nodes[inner >= 0], weights[inner >= 0] = exact_weights(inner[inner >= 0], lattice)
+    if (inner >= 0).any():
+        nodes[inner >= 0], weights[inner >= 0] = exact_weights(inner[inner >= 0], lattice)
     return Surface(x, normal, body, side, nodes, weights, lattice.x, lattice.dx)
 
 

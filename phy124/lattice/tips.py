@@ -19,6 +19,10 @@ SHARP, CLOSEST = 0.6, 24
 """`SHARP`: a part counts as a tip, a hair or a sheet if the mean normal within a cell is shorter
 than this. `CLOSEST`: largest number of normals in such a mean.
 """
+ABOVE = 0.3
+"""Integration points that are farther outside of the surface than this are surface points, too
+[cells].
+"""
 
 
 def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
@@ -43,7 +47,9 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
     same = np.isfinite(distance) & (points[near, 6] == rows[:, 6:])
     total = (points[near, 3:6] * same[:, :, None]).sum(axis=1)
     sharp = np.linalg.norm(total, axis=1) < SHARP * same.sum(axis=1)
-    return inner[sharp]
+    nearest = points[near[:, 0]]
+    height = ((rows[:, :3] - nearest[:, :3]) * nearest[:, 3:6]).sum(axis=1)
+    return inner[sharp | (same[:, 0] & (height > ABOVE * lattice.dx))]
 
 
 def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float64]:

@@ -20,11 +20,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Maximum permitted depth of a Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""Maximum depth below the floor with the lattice solver [cells]: standing shapes, hairs, `fine`.
-
-If all substeps are changed by 5 %, hairs that fall from 0.3 m sink in by 0.25 to 0.37 cells. See
-docs/design/lattice.md.
-"""
+"""Maximum depth below the floor at `fine` with the lattice solver [cells]."""
 PIERCED = 2.5
 """Maximum permitted depth of a Gaussian inside another body [cells].
 
@@ -120,7 +116,7 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
     run = drop(inside, setting, solver, {"object.lift": lift, "accuracy": accuracy})
     depth = -float(run.run().means[:, :, 2].min()) / run.scene.dx
     what = f"depth of {inside.__name__} at {accuracy} by {solver}, from {lift:g} m [cells]"
-    loose = solver == "lattice" and (lift == 0 or accuracy == "fine" or inside is hairs)
+    loose = solver == "lattice" and accuracy == "fine"
     return at_most(what, depth, LOOSE if loose else DEEPEST)
 
 
