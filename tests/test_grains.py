@@ -71,6 +71,22 @@ def test_shades_differ_by_grain_and_are_those_of_the_seed(body):
     assert (vary_brightness(body, amounts, seed=4).sh != sandy.sh).any()
 
 
+def test_surface_of_sand_is_rough_and_specked_and_its_inside_is_not(body):
+    """The same surface at every accuracy: results of different accuracies are compared."""
+    count, shifts = len(body), []
+    for cells in (8, 12):
+        scene = Scene.named("sand").replaced({"accuracy": {"cells": cells}})
+        setup = prepare(body, scene)
+        shown = setup.appearance.gaussians
+        shifts.append(shown.means[:count] - setup.gaussians.means)
+        bright = shown.rgb[:, 0]
+        assert len(shown) > count and bright[:count].std() > 0.1 * bright.mean()
+        assert bright[count:].std() < 0.05 * bright.mean(), "no blotches behind gaps"
+    np.testing.assert_allclose(*shifts, atol=1e-6)
+    size = setup.gaussians.scales.max(axis=1, keepdims=True)
+    assert (shifts[0] / size).std() == pytest.approx(Sand.rough, rel=0.1)
+
+
 def test_grains_are_in_every_frame_and_change_no_motion(body):
     scene = Scene.named("drop").replaced({**SAND, "contacts": True, "velocities": True})
     grainy = Simulation(prepare(body, scene)).run()

@@ -65,6 +65,11 @@ class Material(Section):
     shade: ClassVar[float] = 0.0
     """Standard deviation of the brightness of grains, relative to the mean."""
 
+    rough: ClassVar[float] = 0.0
+    """Standard deviation of the random shifts of Gaussians on the surface along each axis, relative
+    to a Gaussian's largest standard deviation.
+    """
+
     shading: ClassVar[float] = SHADING
     """Fraction of the contrast in brightness that Gaussians keep if they are tinted."""
 

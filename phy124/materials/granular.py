@@ -33,7 +33,8 @@ class Sand(Logarithmic):
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
     scatters: ClassVar[bool] = True
-    shade: ClassVar[float] = 0.15
+    shade: ClassVar[float] = 0.2
+    rough: ClassVar[float] = 1.0
     particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(
         name="sand",

@@ -114,6 +114,21 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
     return replace(gaussians, sh=sh)
 
 
+def roughen(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
+    """Shift Gaussians at random, so that a surface looks as if it were made of grains.
+
+    Args:
+        gaussians: N Gaussians.
+        amounts: Standard deviation of each Gaussian's shift along each axis, relative to the
+            Gaussian's largest standard deviation [N]. The shift does not depend on the accuracy, so
+            results of different accuracies can be compared.
+        seed: Seed of the random numbers.
+    """
+    shifts = np.random.default_rng([seed, 1]).standard_normal(gaussians.means.shape).clip(-2, 2)
+    reach = (amounts * gaussians.scales.max(axis=1))[:, None]
+    return replace(gaussians, means=gaussians.means + (reach * shifts).astype(np.float32))
+
+
 def tint(
     gaussians: Gaussians, chosen: NDArray, colour: Sequence[float], shading: float, fine: bool
 ) -> Gaussians:

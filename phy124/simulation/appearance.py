@@ -15,7 +15,7 @@ from phy124.materials.fluid import Fluid
 from phy124.monitor.tearing import APART
 from phy124.motion.binding import pick_values
 from phy124.particles import Particles
-from phy124.particles.grains import add_grains, tint, vary_brightness
+from phy124.particles.grains import add_grains, roughen, tint, vary_brightness
 from phy124.scene import Scene
 
 BLOCK = 1 << 15
@@ -204,21 +204,28 @@ def make_appearance(
     moves = np.append(moves, np.ones(len(gaussians) - surface, bool))
     kinds = pick_values(gaussians.select(moves), particles, particles.material)
     flows = np.array([section.rounds for section in materials])[kinds]
-    shades = np.zeros(len(gaussians))
+    shades, rough = np.zeros((2, len(gaussians)))
+    # Grains inside are larger. Seen through gaps, they would be blotches of different brightness.
+    above = np.flatnonzero(moves) < surface
+    rough[moves] = above * np.array([section.rough for section in materials])[kinds]
     if scene.grains:
-        shades[moves] = np.array([section.shade for section in materials])[kinds]
+        shades[moves] = above * np.array([section.shade for section in materials])[kinds]
     for index, section in enumerate(materials):
         if section.tint is not None:
             chosen = moves.copy()
             chosen[moves] = kinds == index
             gaussians = tint(gaussians, chosen, section.tint, section.shading, section.lit)
+    if shades.any():
+        gaussians = vary_brightness(gaussians, shades, scene.seed)
+    if rough.any():
+        gaussians = roughen(gaussians, rough, scene.seed)
     return Appearance(
-        vary_brightness(gaussians, shades, scene.seed) if shades.any() else gaussians,
+        gaussians,
         particles,
         moves,
         max_stretch=np.array([section.longest for section in materials])[kinds],
         # Grains are below the surface; as balls they would be visible through thin parts.
-        rounds=flows & (np.flatnonzero(moves) < surface),
+        rounds=flows & above,
         flows=flows,
         kinds=kinds,
         holds=np.array([_max_stretch(section, scene) for section in materials])[kinds],
