@@ -67,7 +67,7 @@ class Material(Section):
 
     rough: ClassVar[float] = 0.0
     """Standard deviation of the random shifts of Gaussians on the surface along each axis, relative
-    to a Gaussian's largest standard deviation.
+    to a Gaussian's size (`phy124.particles.grains.roughen`).
     """
 
     shading: ClassVar[float] = SHADING

@@ -34,6 +34,8 @@ PATCH, CELLS = 0.06, 48
 object's size; number of cells per axis of the filter's grid."""
 BRIGHTEST = 99.0
 """Percentile of the brightness after tinting that is at most white."""
+COARSEST = 0.005
+"""Largest size of the grains that make a surface rough, relative to the object's longest side."""
 IDENTITY = (1, 0, 0, 0)
 
 
@@ -120,12 +122,14 @@ def roughen(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
     Args:
         gaussians: N Gaussians.
         amounts: Standard deviation of each Gaussian's shift along each axis, relative to the
-            Gaussian's largest standard deviation [N]. The shift does not depend on the accuracy, so
-            results of different accuracies can be compared.
+            Gaussian's largest standard deviation [N], or to `COARSEST` if this is smaller. The
+            shift does not depend on the accuracy, so results of different accuracies can be
+            compared.
         seed: Seed of the random numbers.
     """
     shifts = np.random.default_rng([seed, 1]).standard_normal(gaussians.means.shape).clip(-2, 2)
-    reach = (amounts * gaussians.scales.max(axis=1))[:, None]
+    most = COARSEST * float(np.ptp(gaussians.means, axis=0).max())
+    reach = (amounts * np.minimum(gaussians.scales.max(axis=1), most))[:, None]
     return replace(gaussians, means=gaussians.means + (reach * shifts).astype(np.float32))
 
 
