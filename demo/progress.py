@@ -74,15 +74,19 @@ class Progress:
         return max(self.duration(slowdowns) - (time.monotonic() - self.start), 0.0)
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Return plain data for the page, including the frames from index `seen` on."""
+        """Return plain data for the page, including the frames from index `seen` on.
+
+        A frame is included once its picture and its file are there, so that none is skipped.
+        """
+        frames = slice(seen, min(len(self.glimpses), len(self.live)))
         return {
             "state": self.state,
             "message": self.message,
             "elapsed": time.monotonic() - self.start,
             "expected": self.expected,
             "stages": [self._row(name) for name in self.names],
-            "glimpses": [base64.b64encode(picture).decode() for picture in self.glimpses[seen:]],
-            "live": self.live[seen:],
+            "glimpses": [base64.b64encode(picture).decode() for picture in self.glimpses[frames]],
+            "live": self.live[frames],
         }
 
     def _row(self, name: str) -> dict[str, Any]:

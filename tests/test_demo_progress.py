@@ -25,6 +25,14 @@ def test_pictures_are_sent_once_each():
     assert data["glimpses"] == ["AQ==", "Ag=="] and data["live"] == ["1.bin", "2.bin"]
 
 
+def test_a_frame_without_its_file_waits_for_it():
+    progress = Progress()
+    progress.take(Glimpse(b"0"))
+    seen = len(progress.data()["glimpses"])  # the page asks before the file is written
+    progress.take(Live("0.bin"))
+    assert progress.data(seen)["live"] == ["0.bin"]
+
+
 def test_its_turn_and_its_end(tmp_path):
     progress = Progress(names=MEASURING)
     assert progress.data()["state"] == "waiting"
