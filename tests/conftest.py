@@ -15,6 +15,8 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
 import fcntl
+from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +69,17 @@ def each_module_is_compiled_once(tmp_path_factory) -> None:
             return compile_module(module, *arguments, **options)
 
     wp.Module._compile = alone
+
+
+@pytest.fixture(scope="session", autouse=True)
+def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
+    """Tests simulate few bodies again and again; their set-up takes longer than their motion."""
+    from phy124.particles import lattice, solid
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solid, "MEMORY", 4 * solid.MEMORY)
+        patch.setattr(lattice, "_lattice_of", lru_cache(16)(lattice._lattice_of.__wrapped__))
+        yield
 
 
 @pytest.fixture(scope="session")

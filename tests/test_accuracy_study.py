@@ -35,6 +35,17 @@ PARTICLES = {"accuracy": {"cells": 16, "solver": "mpm"}}
 """On a lattice, material cannot tear, and the energy lost is not split."""
 
 
+@pytest.fixture
+def levels_alone(monkeypatch):
+    """Studies run their levels only, and no variation of the finest."""
+    plan = Study._plan
+
+    def levels(self: Study) -> list[tuple[str, Scene]]:
+        return [entry for entry in plan(self) if entry[0].startswith("D/")]
+
+    monkeypatch.setattr(Study, "_plan", levels)
+
+
 @pytest.fixture(scope="module")
 def study() -> tuple[Study, Report]:
     scene = Scene.named("drop").replaced(
@@ -353,7 +364,7 @@ def test_levels_that_are_done_survive_an_interrupt():
 
 
 @pytest.mark.parametrize("late", ["setting", "comparison"])
-def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, late):
+def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, levels_alone, late):
     """Memory runs out on the second level, or when the levels are compared."""
 
     def fail(*_: object, **options: object) -> object:
@@ -367,7 +378,9 @@ def test_levels_that_are_done_survive_an_error(tmp_path, monkeypatch, capsys, la
     monkeypatch.setattr(study_of, "prepare", prepare_or_fail)
     if late == "comparison":
         monkeypatch.setattr(study_of, "difference", fail)
+    write_ply(tmp_path / "b.ply", ball(300))
     command = ["accuracy", "drop", "--levels", "6", "8", "10", "--frames", "2", "--json"]
+    command += ["--image", str(tmp_path / "b.ply")]
     command += ["--set", "view.size=32", "accuracy.solver=mpm"]
     assert main([*command, "--device", "cpu", "--out", str(tmp_path / "o")]) == 1
     said = capsys.readouterr()
@@ -387,7 +400,7 @@ def test_study_has_the_further_objects_of_a_scene(tmp_path):
         replace(study, image=None)._object(Scene.named("collide"), RunContext())
 
 
-def test_study_on_the_command_line(tmp_path, capsys, monkeypatch):
+def test_study_on_the_command_line(tmp_path, capsys, monkeypatch, levels_alone):
     (tmp_path / "s.toml").write_text(
         'accuracy = {cells = 8, solver = "mpm"}\ntime = {frames = 2}\n'
         'view = {size = 32, views = ["front"]}\n'

@@ -380,6 +380,7 @@ def test_the_same_gaussians_outline_the_same_solid_only_once(rng, monkeypatch):
     monkeypatch.setattr(solid, "_voxelise", lambda some: pytest.fail("it is known"))
     assert find_interior(dots(same.means.copy(), 0.05)) is first
     monkeypatch.undo()
+    monkeypatch.setattr(solid, "MEMORY", 2)
     assert find_interior(other) is not first
     for count in range(solid.MEMORY + 1):
         find_interior(dots(rng.random((60 + count, 3)), 0.05))

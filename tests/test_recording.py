@@ -23,6 +23,14 @@ from support.shapes import ball
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """The folder of a run that nothing ended."""
+    out = tmp_path_factory.mktemp("whole") / "run"
+    pipeline.simulate(ball(300), SCENE, out)
+    return out
+
+
 @pytest.mark.parametrize("changes", WITH.values(), ids=WITH)
 def test_a_run_killed_at_a_frame_goes_on_bit_for_bit(tmp_path, every_frame, changes):
     scene = SCENE.replaced(changes)
@@ -97,16 +105,15 @@ def test_frames_in_use_are_neither_swept_nor_taken_over(tmp_path, every_frame):
 
 
 @pytest.mark.parametrize("error", [RuntimeError("a bug"), MemoryError(), OSError(5, "no disk")])
-def test_an_error_leaves_the_frames_so_far(tmp_path, error):
+def test_an_error_leaves_the_frames_so_far(tmp_path, whole, error):
     def each(run, frame) -> None:
         if frame.index == 3:
             raise error
 
     with pytest.raises(Incomplete, match=r"4 frames are kept in .*--resume continues from there"):
         pipeline.simulate(ball(300), SCENE, tmp_path / "cut", each=each)
-    pipeline.simulate(ball(300), SCENE, tmp_path / "whole")
     pipeline.go_on(tmp_path / "cut", SCENE)
-    same(tmp_path / "whole", tmp_path / "cut")
+    same(whole, tmp_path / "cut")
 
 
 def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temporary):
@@ -121,7 +128,7 @@ def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temp
     assert not (tmp_path / "out").exists() and list(temporary.iterdir()) == []
 
 
-def test_a_pause_stays_if_the_run_that_goes_on_fails(tmp_path, every_frame):
+def test_a_pause_stays_if_the_run_that_goes_on_fails(tmp_path, every_frame, whole):
     def stop(stage: str, done: int, total: int) -> None:
         if stage == "simulate" and done == 3:
             raise Cancelled
@@ -137,13 +144,12 @@ def test_a_pause_stays_if_the_run_that_goes_on_fails(tmp_path, every_frame):
     with pytest.raises(InputError, match=r"time\.frames"):
         pipeline.go_on(tmp_path / "cut", SCENE.replaced({"time.frames": 7}))
     pipeline.go_on(tmp_path / "cut", SCENE)
-    pipeline.simulate(ball(300), SCENE, tmp_path / "whole")
-    same(tmp_path / "whole", tmp_path / "cut")
+    same(whole, tmp_path / "cut")
 
 
 def test_kill_9_leaves_the_frames_and_the_command_goes_on(tmp_path):
     write_ply(tmp_path / "ball.ply", ball(800))
-    options = ["--accuracy", "draft", "--frames", "40", "--size", "32", "--views", "front"]
+    options = ["--set", "accuracy.cells=8", "--frames", "40", "--size", "32", "--views", "front"]
     options += ["--set", "time.sleep=false", "--device", "cpu", "--threads", "1"]
     command = [sys.executable, "-m", "phy124", "simulate", str(tmp_path / "ball.ply"), *options]
     out = tmp_path / "out"

@@ -1,6 +1,8 @@
 """Runs of scenes: their frames and reports; runs that fail, take too long or are tried again."""
 
+import json
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,7 +23,13 @@ QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}
 
 
 def run(name: str, **changes) -> Clip:
-    scene = Scene.named(name).replaced({**QUICK, **changes})
+    """The clip of a preset; several tests look at the same one."""
+    return _simulated(name, json.dumps(changes))
+
+
+@cache
+def _simulated(name: str, changes: str) -> Clip:
+    scene = Scene.named(name).replaced({**QUICK, **json.loads(changes)})
     return Simulation(prepare(ball(), scene)).run()
 
 
@@ -58,11 +66,8 @@ def test_each_frame_is_announced_at_once():
 
 def test_the_papers_control_experiment():
     """f, 1.5 f and a third along another axis: ratio, direction and axis (Phy124, sec. 4)."""
-    paths = {
-        n: middle(run(n))[-1] - middle(run(n))[0]
-        for n in ("push_right", "push_right_harder", "push_away")
-    }
-    right, harder, away = paths.values()
+    presets = ("push_right", "push_right_harder", "push_away")
+    right, harder, away = (np.subtract(*middle(run(name))[[-1, 0]]) for name in presets)
     ratio = np.linalg.norm(harder) / np.linalg.norm(right)
     assert abs(ratio / 1.5 - 1) < 0.01
     for path, axis in ((right, [0, 1, 0]), (harder, [0, 1, 0]), (away, [-1, 0, 0])):
