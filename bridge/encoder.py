@@ -72,7 +72,7 @@ class FrameEncoder:
     def static(self) -> list[Message]:
         """Return the static transforms of the world and of all fixed cameras so far.
 
-        They are sent before all frames, and again when a camera is added.
+        The transforms are sent before all frames, and again when a camera is added.
         """
         world = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},

@@ -1,7 +1,8 @@
 """H.264 video as Foxglove expects it: Annex B, one access unit per picture, no B frames.
 
-ffmpeg encodes without look-ahead. Its output is an AVI stream. Each chunk of the stream states its
-length. It is therefore known when a picture is complete, before the next picture is sent.
+ffmpeg encodes without look-ahead. The output of ffmpeg is an AVI stream. Each chunk of the stream
+states its length. The reader therefore knows when a picture is complete, before the next picture is
+sent.
 """
 
 from __future__ import annotations

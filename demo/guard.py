@@ -42,8 +42,8 @@ NETWORK = 64
 class Doorkeeper:
     """Refuses requests that this page must not answer.
 
-    These are requests with foreign host names, cross-site requests, and requests for downloads from
-    other sites or for unused URLs.
+    The page refuses requests with foreign host names, cross-site requests, and requests for
+    downloads from other sites or for unused URLs.
     """
 
     def __init__(

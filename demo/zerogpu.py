@@ -1,7 +1,7 @@
 """Run jobs on ZeroGPU, the shared GPUs of Hugging Face Spaces, reserved for the predicted time.
 
 ZeroGPU refuses a job whose declared duration exceeds the visitor's remaining quota (about 120 s a
-day for anonymous visitors). It ends a job that takes longer than declared. Each job therefore
+day for anonymous visitors). ZeroGPU ends a job that takes longer than declared. Each job therefore
 declares its predicted time, which is also its limit. Source: huggingface.co/docs/hub/spaces-zerogpu
 and the package `spaces` 0.51.
 """

@@ -1,7 +1,7 @@
 """FoxgloveSink: a websocket that Foxglove and Lichtblick open directly, with playback control.
 
-The messages (CDR) and schemas (ros2msg) are the same as in the other sinks. They are sent by
-Foxglove's package foxglove-sdk. Messages and service calls that steer a run are received by
+The messages (CDR) and schemas (ros2msg) are the same as in the other sinks. Foxglove's package
+foxglove-sdk sends the messages. Messages and service calls that steer a run are received by
 `foxglove_clients`.
 """
 

@@ -1,5 +1,5 @@
-"""Declares the options that several commands share. Their bounds and help texts come from the
-classes of a scene.
+"""Declares the options that several commands share. The options' bounds and help texts come from
+the classes of a scene.
 """
 
 from __future__ import annotations

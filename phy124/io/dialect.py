@@ -2,8 +2,8 @@
 
 The axes of a file depend on this program, but few programs state their name in their files.
 
-The guess relies on the known output of each program (docs/guide/plugins.md). It is reported to the
-user, and is applied only if the user agrees.
+The guess relies on the known output of each program (docs/guide/plugins.md). The guess is reported
+to the user, and is applied only if the user agrees.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 
 A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
 among the particles in proportion to their mass at the node: particle p receives m_p w_ip (v_after -
-v_before). These impulses add up to the node's impulse, since m_i = sum_p m_p w_ip. A wrench is the
-total impulse of a wall on all nodes and its moment, in float64.
+v_before). The particles' impulses add up to the node's impulse, since m_i = sum_p m_p w_ip. A
+wrench is the total impulse of a wall on all nodes and its moment, in float64.
 """
 
 from typing import Any

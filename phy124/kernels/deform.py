@@ -1,12 +1,12 @@
 """Device code of `phy124.motion.deform`: makes Gaussians follow the material, in float64.
 
 One-sided Jacobi rotations (Hestenes 1958) make the columns of A = F R0 S0 V orthogonal, by plane
-rotations of at most 45 degrees. Their relative accuracy is high (Demmel, Veselic 1992). The
-directions of the columns are then the axes of F Sigma0 F^T, and their lengths are the scales. The
-iteration starts from V of the previous frame. Columns that are already orthogonal to within
-`TOLERANCE` are not changed, so axes of equal length move with the material instead of flickering.
-The thin axes of needle-shaped Gaussians stay accurate; they would be lost if Sigma itself were
-decomposed. Quaternions are in wxyz order.
+rotations of at most 45 degrees. The relative accuracy of Jacobi rotations is high (Demmel, Veselic
+1992). The directions of the columns are then the axes of F Sigma0 F^T, and their lengths are the
+scales. The iteration starts from V of the previous frame. Columns that are already orthogonal to
+within `TOLERANCE` are not changed, so axes of equal length move with the material instead of
+flickering. The thin axes of needle-shaped Gaussians stay accurate; they would be lost if Sigma
+itself were decomposed. Quaternions are in wxyz order.
 """
 
 from typing import Any

@@ -200,7 +200,7 @@ def make_probe(law: Law, real: Any):
 def make_reset(real: Any):
     """Kernel: resets deformations that no law can handle to the identity.
 
-    A deformation F is valid under three conditions. Its volume ratio is between `min_J` and
+    A deformation F is valid under three conditions. The volume ratio of F is between `min_J` and
     `max_J`, its norm is at most `max_norm`, and its smallest stretch is at least the fraction
     `narrowest` of its largest stretch. J / |cof F| is used as the smallest stretch, and |F| as the
     largest. `faults_out` receives the number of invalid deformations and the lowest index of an

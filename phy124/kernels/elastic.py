@@ -92,9 +92,9 @@ def log_volume(J: wp.float64):
 def log_volume(J: wp.float32):  # noqa: F811
     """Return `log_volume_far`; near J = 1, use a polynomial at a third of the cost of log.
 
-    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2. Its error is 3e-8
-    (1.4e-7 with rounding errors), and the result is exactly 0 at J = 1. The polynomial's two halves
-    are independent, so a processor can compute them in parallel.
+    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2. The polynomial's error
+    is 3e-8 (1.4e-7 with rounding errors), and the result is exactly 0 at J = 1. The polynomial's
+    two halves are independent, so a processor can compute them in parallel.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:

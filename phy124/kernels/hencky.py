@@ -59,7 +59,7 @@ def inverse_tanh(z: Any):
     `z` contains the invariants of Z.
 
     With W = Z^2, atanh Z = Z (1 + W/3 + W^2/5 + ...). The sum is first reduced to a quadratic in W;
-    then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. These two stages take half as
+    then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. The two reductions take half as
     many steps as the reduction of a series in Z.
     """
     unit = type(z[0])(1.0)

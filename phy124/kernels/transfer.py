@@ -17,7 +17,8 @@ gradient of the velocities that move the positions, so F drifts from the gradien
 example, a beam with a thickness of two cells, and two particles per cell and axis, bends by a
 quarter more than its F indicates. The option "spline" uses `scatter_with_stress` and
 `gather_slopes`. F then follows grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau
-grad w_i. These two balance energy (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6).
+grad w_i. With this rate of F and this force, energy is balanced (Sulsky et al. 1994; Stomakhin et
+al. 2013, eq. 6).
 
 The functions of all laws have these arguments: F, the deformation gradient; C, the velocity
 gradient [1/s]; h, the history variables of the particle; theta, the parameters of the law; dt, the

@@ -5,8 +5,8 @@ Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline c
 each weight is a single polynomial in the cell. If the points were between nodes instead, some
 motions of partly filled cells would have no stiffness.
 
-If a body only partly fills its cells, some nodes have almost no mass and stiffness. They are tied
-to heavier nodes (phy124/lattice/ties.py).
+If a body only partly fills its cells, some nodes have almost no mass and stiffness. Such nodes are
+tied to heavier nodes (phy124/lattice/ties.py).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 An impact near the speed of sound would squeeze the first layer of points flat before the stress of
 the next layer stops it. The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads such
-a shock over a few cells. It acts while opposite sides of a cell approach each other fast
+a shock over a few cells. The viscosity acts while opposite sides of a cell approach each other fast
 (`largest_calm_rate`). The rate of compression alone does not indicate a shock: if a crease squeezes
 a few points flat, even slow motions have a high rate of compression.
 """

@@ -1,9 +1,9 @@
 """LatticeSolver: explicit substeps of elastic bodies on lattices of their shapes at rest.
 
 A substep sums the forces of the stress on the nodes, changes the velocities of the nodes by forces,
-clamps and walls, and moves the nodes. Points serve only for integration. Their x, v, C and F are
-computed from the nodes before forces on particles act, when limits are measured, and at the end of
-`advance`.
+clamps and walls, and moves the nodes. Points serve only for integration. The points' x, v, C and F
+are computed from the nodes before forces on particles act, when limits are measured, and at the end
+of `advance`.
 """
 
 from __future__ import annotations

@@ -150,8 +150,9 @@ class Spectrum:
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
-        The norm gives large motions a large weight. It therefore measures the fastest vibration,
-        which moves few nodes, although the shape also contains small motions of all nodes.
+        The norm gives large motions a large weight. The norm therefore measures the fastest
+        vibration, which moves few nodes, although the shape also contains small motions of all
+        nodes.
 
         Args:
             share: Factor with which the accelerations are added to the shape.

@@ -23,7 +23,9 @@ from phy124.mpm.model import part_of
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps. It includes the delay of the liquid's velocities."""
+    """The clock of the bodies' substeps. The clock includes the delay of the liquid's
+    velocities.
+    """
 
     liquid: LiquidClock
     """The clock of the liquid."""

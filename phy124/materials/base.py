@@ -101,7 +101,8 @@ class Material(Section):
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
         This default is for the fixed corotated law, which stiffens more than other elastic laws.
-        Its stiffness grows by the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
+        The stiffness of this law grows by the factor 2 J^2 - J, where ln J is at most sqrt(3) times
+        the strain.
 
         Args:
             growth: Largest ratio (above 1) of the stiffest particle's stiffness after and before

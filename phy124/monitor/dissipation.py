@@ -2,8 +2,8 @@
 
 Viscous materials dissipate the work of the rate-dependent part of their stress. Plastic and fluid
 materials also dissipate the work of the rate-independent part of their stress, minus the stored
-elastic energy. Walls dissipate energy by friction. All other losses are numerical. They occur in
-the transfers between particles and grid, and in the layer of cells at a wall.
+elastic energy. Walls dissipate energy by friction. All other losses are numerical. Numerical losses
+occur in the transfers between particles and grid, and in the layer of cells at a wall.
 """
 
 from __future__ import annotations

@@ -7,10 +7,10 @@ in the next M = m Q frames. In the worst case, a particle first moved by D to on
 starting point, turned, and is now at the distance D on the other side, moving away. In addition, a
 vibration in phase with the frames, with the largest speed v, can hide a displacement of v T / 2 pi.
 
-The object sleeps if the sum of both displacements is invisible and its speed does not grow. It
-wakes when a force or boundary of the scene changes. Under gravity, an object sleeps only if it has
-also moved much less than a free body would. Otherwise, in a clip with many frames per second, an
-object at the top of its path would count as at rest.
+The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
+object wakes when a force or boundary of the scene changes. Under gravity, an object sleeps only if
+it has also moved much less than a free body would. Otherwise, in a clip with many frames per
+second, an object at the top of its path would count as at rest.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Adds to each frame the Gaussians that the solver does not move.
 
-These Gaussians belong to static parts, to objects that follow a track, and to rigid solids.
+The added Gaussians belong to static parts, to objects that follow a track, and to rigid solids.
 """
 
 from __future__ import annotations

@@ -3,11 +3,11 @@
 On CUDA a launch from Python takes longer than many of the kernels. One substep is therefore
 captured as the body of a loop on the device. The last kernel of the loop
 (phy124/kernels/timestep.py) chooses the next substep. This kernel ends the loop when the frame's
-time is reached, or after `MOST` substeps, so that a run can be stopped. It also ends the loop when
-only the host can continue: if the window must follow the particles, or if the next substep may have
-to be rejected (phy124/mpm/rejection.py). A condition in a graph takes longer than most kernels.
-Substeps that cannot be the last one therefore run without a condition. The same graph also runs on
-the CPU, where the tests compare its results with the host's loop, bit for bit.
+time is reached, or after `MOST` substeps, so that a run can be stopped. The kernel also ends the
+loop when only the host can continue: if the window must follow the particles, or if the next
+substep may have to be rejected (phy124/mpm/rejection.py). A condition in a graph takes longer than
+most kernels. Substeps that cannot be the last one therefore run without a condition. The same graph
+also runs on the CPU, where the tests compare its results with the host's loop, bit for bit.
 """
 
 from __future__ import annotations

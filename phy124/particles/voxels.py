@@ -180,8 +180,8 @@ def _fill_sheets(
 ) -> None:
     """Set the centres [V,3] and second moments [V,3,3] of the voxels that belong to sheets.
 
-    A sheet that passes through two layers of voxels fills them unequally. Its middle then is not
-    the centre of the whole voxels, but of their filled parts.
+    A sheet that passes through two layers of voxels fills them unequally. The middle of such a
+    sheet is the centre of the filled parts, not of the whole voxels.
 
     Args:
         padded: Filled fractions, padded by 2 voxels.

@@ -89,7 +89,7 @@ class Dents:
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
     """Return the outward normals of a surface at points x [n,3] on it, m.
 
-    They are the directions in which the object, with its interior, becomes sparser.
+    The normals are the directions in which the object, with its interior, becomes sparser.
     """
     _, at, size = locate(x, cell)
     flat: Any = np.ravel_multi_index(tuple(at), size)

@@ -1,10 +1,10 @@
 """Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-The generator needs no trained weights. The shape is not reconstructed. It is the most plausible
-solid for the silhouette (`phy124.generators.relief.solids`). The front shows the image, and the
-look of the back is invented (`phy124.generators.relief.back`). If there is an image from the side,
-the depth follows from this image (`phy124.generators.relief.hull`). docs/lab/relief.md compares the
-results with objects whose shape is known from all sides.
+The generator needs no trained weights. The shape is not reconstructed. The solid is the most
+plausible one for the silhouette (`phy124.generators.relief.solids`). The front shows the image, and
+the look of the back is invented (`phy124.generators.relief.back`). If there is an image from the
+side, the depth follows from this image (`phy124.generators.relief.hull`). docs/lab/relief.md
+compares the results with objects whose shape is known from all sides.
 """
 
 from __future__ import annotations

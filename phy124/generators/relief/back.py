@@ -1,11 +1,11 @@
 """Guesses the look of an object's unseen back from the image of its front.
 
 If the silhouette is not symmetric, even after thin parts are removed, the image is assumed to show
-the object from its side. The other side then looks alike, so the back is the mirrored front. If the
-silhouette is symmetric, the image is assumed to show the object from its front. The back then has
-the materials of the front but not its features: colours are interpolated between the colours near
-the rim. Fine texture is copied from parts of the front that have similar colours and no strong
-edges.
+the object from its side. If the image shows the side, the object's other side looks alike, so the
+back is the mirrored front. If the silhouette is symmetric, the image is assumed to show the object
+from its front. The back then has the materials of the front but not its features: colours are
+interpolated between the colours near the rim. Fine texture is copied from parts of the front that
+have similar colours and no strong edges.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ ALIKE = 6
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     """Choose the look of the back: plain if the image [H,W,4] shows the front, otherwise mirrored.
 
-    An image shows a front if its silhouette without thin parts is symmetric. It also shows a front
-    if only the upper part is symmetric in outline and colours, such as a face above an outstretched
-    arm.
+    An image shows a front if its silhouette without thin parts is symmetric. An image also shows a
+    front if only its upper part is symmetric in outline and colours, such as a face above an
+    outstretched arm.
     """
     solid = rgba[..., 3] > 0.5
     rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))

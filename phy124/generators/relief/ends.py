@@ -89,7 +89,7 @@ class Continued:
 def continue_silhouette(rgba: Field, padding: int) -> Continued:
     """Extend the silhouette of an image [H,W,4] beyond its flat ends.
 
-    Its border has `padding` pixels.
+    The image's border has `padding` pixels.
     """
     alpha, ends = rgba[..., 3], []
     standing = stands(alpha > 0.5) or upright_body(alpha > 0.5) is not None

@@ -2,9 +2,9 @@
 
 Light from any direction changes the brightness of a round surface from one side to the other, or
 from the middle to the rim. If a photograph shows nothing of this kind, the front of the object is
-flat. Its edge is then rounded, and its depth is limited. The limit depends on the outline: narrow
-objects, such as tools, are flatter than compact ones, such as cars seen from their side; discs are
-flatter still.
+flat. The edge of a flat front is rounded, and its depth is limited. The limit depends on the
+outline: narrow objects, such as tools, are flatter than compact ones, such as cars seen from their
+side; discs are flatter still.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Removes highlights from an image; otherwise, the highlights would move with the object.
 
-A highlight is white light that is added to the colour of the surface. It appears as a small spot
-that is brighter than its surroundings by equal amounts of red, green and blue, unless a channel is
-clipped. White paint on a coloured surface, in contrast, mainly adds the colours that the surface
-lacks. On a grey surface, highlights and paint cannot be distinguished, so grey surfaces are left
-unchanged.
+A highlight is white light that is added to the colour of the surface. A highlight appears as a
+small spot that is brighter than its surroundings by equal amounts of red, green and blue, unless a
+channel is clipped. White paint on a coloured surface, in contrast, mainly adds the colours that the
+surface lacks. On a grey surface, highlights and paint cannot be distinguished, so grey surfaces are
+left unchanged.
 """
 
 from __future__ import annotations

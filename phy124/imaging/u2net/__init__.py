@@ -1,8 +1,8 @@
 """Segments the salient object with U2-Net; images are processed as by its authors or by rembg.
 
 Source: Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The
-file of the full network must be downloaded. It is either an .onnx file, for OpenCV, or a .pth file,
-for phy124's torch module.
+file of the full network must be downloaded. The file of a network is either an .onnx file, for
+OpenCV, or a .pth file, for phy124's torch module.
 """
 
 from __future__ import annotations

@@ -225,8 +225,8 @@ def _chunks(path: Path, data: bytes) -> Scene:
 
 
 def _axes(scene: Scene) -> tuple[str, str]:
-    """Return the up and front directions of a file. They are those of glTF, except that the front
-    is -z if the file was written by a program in `LEAVES_THE_FRONT`.
+    """Return the up and front directions of a file. The directions are those of glTF, except that
+    the front is -z if the file was written by a program in `LEAVES_THE_FRONT`.
     """
     generator = str(scene.tree.get("asset", {}).get("generator", ""))
     return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP

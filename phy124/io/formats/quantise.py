@@ -24,7 +24,7 @@ def make_codebook(values: NDArray) -> NDArray[np.float64]:
 
     The method is Lloyd's algorithm in one dimension. Since the values are sorted, the sum over each
     cell is a difference of two cumulative sums. Half of the initial codes are quantiles, to
-    represent dense regions. The other half are evenly spaced, to represent outliers.
+    represent dense regions. The other half of the codes are evenly spaced, to represent outliers.
     """
     ordered = np.sort(np.asarray(values, np.float64))
     sums = np.concatenate([[0], np.cumsum(ordered)])

@@ -148,8 +148,8 @@ def make_flag(real: Any):
 def make_flag_simd():
     """Kernel over sampled points, equivalent to `make_flag`, for float32 on a CPU.
 
-    It compares all samples with each other, sixteen at a time. For the 1,100 samples of a duck on
-    32 cells this is faster than a search in cells.
+    The kernel compares all samples with each other, sixteen at a time. For the 1,100 samples of a
+    duck on 32 cells this is faster than a search in cells.
     """
 
     @kernel("phy124_lattice_flag_simd", wp.float32, seconds=0.4)

@@ -1,9 +1,9 @@
 """Couples particle bodies to a liquid: terms of the pressure equation, and pressure on the bodies.
 
-A body responds to the pressure in two ways. It moves rigidly (`solids`). In addition, the layer of
-mass at its surface moves with the change of the pressure since the last step (a Robin condition:
-Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest; without it, the
-deformation of a light or soft body would become unstable.
+A body responds to the pressure in two ways. The body moves rigidly (`solids`). In addition, the
+layer of mass at its surface moves with the change of the pressure since the last step (a Robin
+condition: Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest; without it,
+the deformation of a light or soft body would become unstable.
 """
 
 from typing import Any

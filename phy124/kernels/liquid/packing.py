@@ -34,9 +34,9 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 def make_excess(real: Any):
     """Kernel over cells: computes the part of the density error that this step removes.
 
-    Cells inside a wall have no unknown in the linear system. Their density error is therefore added
-    to the cell in front of the wall. At an edge or corner between walls, the error is added to the
-    cell in front of all these walls.
+    Cells inside a wall have no unknown in the linear system. The density error of such a cell is
+    therefore added to the cell in front of the wall. At an edge or corner between walls, the error
+    is added to the cell in front of all these walls.
     """
     t = types(real)
 

@@ -69,8 +69,8 @@ def native_kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that adds a kernel, which only calls C++, to a Warp module.
 
-    The decorated function declares the parameters. It either has no code or is the plain version of
-    the kernel (`plain.func`).
+    The decorated function declares the parameters. The function either has no code or is the plain
+    version of the kernel (`plain.func`).
 
     Args:
         module: The module's name.

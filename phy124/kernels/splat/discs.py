@@ -284,8 +284,8 @@ def measure_lengths(
 def thickness(lengths: wp.vec3, normal: wp.vec3) -> float:
     """Return the thickness of the liquid along a normal.
 
-    The thickness is interpolated between the lengths along the three axes. It is limited, so that
-    the edge of a film is as pale as the rest of the film.
+    The thickness is interpolated between the lengths along the three axes. The interpolated
+    thickness is limited, so that the edge of a film is as pale as the rest of the film.
     """
     total = float(0.0)
     for axis in range(3):

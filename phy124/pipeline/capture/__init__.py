@@ -1,8 +1,8 @@
 """Turns a 3DGS capture of a real place into an object that stands on its floor.
 
-The floor is detected in the capture. It is visible but never moves. Contact is computed between the
-object and the scene's ground, which is at the same height as the floor. The object is scaled so
-that its longest side is the scene's `object.size`.
+The floor is detected in the capture. The floor is visible but never moves. Contact is computed
+between the object and the scene's ground, which is at the same height as the floor. The object is
+scaled so that its longest side is the scene's `object.size`.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class Target:
     def played(self) -> Scene:
         """The scene that the runs of the fit simulate, without grains.
 
-        It ends at the last measurement.
+        The scene ends at the last measurement.
         """
         timing = self.scene.time
         frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1

@@ -1,7 +1,7 @@
 """The text encoder, the image encoder and the autoencoder of ImageDream.
 
 The architectures of these networks come from transformers (CLIP) and diffusers (VAE). The sizes are
-those of Stable Diffusion 2.1 and CLIP ViT-H/14. They are stated here, so that no configuration
+those of Stable Diffusion 2.1 and CLIP ViT-H/14. The sizes are stated here, so that no configuration
 files are needed.
 """
 
