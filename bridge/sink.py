@@ -61,7 +61,7 @@ class LiveSink(Sink, Protocol):
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait up to `seconds` for a command, and pass the command to `obey`.
 
-        This is the only method that may run in another thread than `write`. Return True if a
+        `listen` is the only method that may run in another thread than `write`. Return True if a
         command was read and more may be waiting.
         """
         del obey

@@ -296,7 +296,7 @@ def end_on_signals() -> None:
 def reach_itself(host: str) -> None:
     """Let this process reach the page at `host` without a proxy.
 
-    This is necessary because Gradio requests the page when it starts.
+    Direct access is necessary because Gradio requests the page when it starts.
 
     Proxies that httpx cannot use, such as SOCKS without its package, are removed with a warning.
     Gradio's client would otherwise fail to start.

@@ -1,8 +1,8 @@
 """Detects whether a file of Gaussians shows, besides an object, a background or a sky.
 
-A capture often contains the surroundings of the object. This has two disadvantages. The bounding
-box, which defines the object's size, would be much too large. In addition, the object and its
-surroundings would move as a single body.
+A capture often contains the surroundings of the object. The surroundings have two disadvantages.
+The bounding box, which defines the object's size, would be much too large. In addition, the object
+and its surroundings would move as a single body.
 """
 
 from __future__ import annotations

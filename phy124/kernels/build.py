@@ -3,10 +3,10 @@
 Warp hashes the set of functions that a closure uses, but not the role of each function. Two
 variants that use the same functions would therefore have the same hash, so each variant needs a
 separate module name. Products and sums are contracted to fused multiply-adds, as CUDA compilers do
-by default. This shortens a substep by one seventh on a CPU and reduces rounding errors. Operations
-are not reordered, but the layout of the code determines which of two products is contracted. For
-example, merging two early returns of `collide.contact` changed the last digit of float32 results.
-tests/benchmarks/fingerprints.py compares the results of two commits.
+by default. Contraction shortens a substep by one seventh on a CPU and reduces rounding errors.
+Operations are not reordered, but the layout of the code determines which of two products is
+contracted. For example, merging two early returns of `collide.contact` changed the last digit of
+float32 results. tests/benchmarks/fingerprints.py compares the results of two commits.
 """
 
 import inspect

@@ -10,8 +10,8 @@ of nodes further behind do not reach the wall. Momentum is projected onto such v
 sum(g m v) / sum(g^2 m). The projection acts on all three nodes and never adds energy. Without the
 projection, a wall is as compliant as a layer of material one cell thick. B-splines with linear
 values behind the wall are called extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts as
-soon as the material has reached it. This is determined from the masses of the nodes on both sides
-of the wall (see `coverage`).
+soon as the material has reached it. The masses of the nodes on both sides of the wall show when the
+material has reached it (see `coverage`).
 
 The surface of a clamp's region is treated like a wall. The nodes inside the region are fixed. The
 velocity of the node next to the surface is chosen so that the interpolated velocity is zero at the
@@ -140,9 +140,9 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
     which does not depend on the body's density and width. If there is a gap, the nearer node has
     less mass. With irregular particles the ratio varies from column to column, so contact requires
-    only the fraction `full` of the expected mass. Otherwise the body would rest on the few columns
-    with most mass. Since heavier material may lie on the body, the mass of the farther node is
-    limited to the mass of a full node of the `lightest` material.
+    only the fraction `full` of the expected mass. If the whole mass were required, the body would
+    rest on the few columns with most mass. Since heavier material may lie on the body, the mass of
+    the farther node is limited to the mass of a full node of the `lightest` material.
 
     Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
     narrowing of a tip is estimated one node farther from the wall. The narrowing at the third node

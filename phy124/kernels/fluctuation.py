@@ -10,8 +10,8 @@ nor angular momentum.
 
 RPIC lets the symmetric part of C decay, but not the skew part, which is the spin. With
 PhysGaussian's `rpic_damping` r, (1 - r) C + r/2 (C - C^T) is scattered in each substep, and r = 1
-is RPIC (Jiang et al. 2015, section 5.1). This damping depends on the substep. In phy124, the
-damping of RPIC is a rate [1/s] and does not depend on the substep.
+is RPIC (Jiang et al. 2015, section 5.1). The damping by r depends on the length of the substep. In
+phy124, the damping of RPIC is a rate [1/s] and does not depend on the substep.
 """
 
 from typing import Any

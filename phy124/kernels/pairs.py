@@ -67,8 +67,8 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
 def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
     """Add the gradient of a body's mass at a node [kg per 32 cells] to `zero`; return the sum.
 
-    The gradient along each axis is a mean of nine differences. Otherwise a surface roughness of a
-    hundredth of a cell would brake sliding objects.
+    The gradient along each axis is a mean of nine differences. With a single difference, a surface
+    roughness of a hundredth of a cell would brake sliding objects.
     """
     sum = zero
     for n in range(27):

@@ -1,6 +1,6 @@
 """Energies: sums the work on bodies in every substep, for each cause separately.
 
-This needs two additional phases before the nodes move. The first phase sums only the viscous
+The sums need two additional phases before the nodes move. The first phase sums only the viscous
 forces, and the second phase multiplies all forces by the mean velocities of the substep. The
 kernels for contact and clamps sum the work of contact and clamps.
 """

@@ -9,8 +9,8 @@ vibration in phase with the frames, with the largest speed v, can hide a displac
 
 The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
 object wakes when a force or boundary of the scene changes. Under gravity, an object sleeps only if
-it has also moved much less than a free body would. Otherwise, in a clip with many frames per
-second, an object at the top of its path would count as at rest.
+it has also moved much less than a free body would. Without this condition, in a clip with many
+frames per second, an object at the top of its path would count as at rest.
 """
 
 from __future__ import annotations

@@ -160,7 +160,7 @@ def size_transform(
 
     The object is centred at x = y = 0. If `ground` is set, the lowest visible point is placed at z
     = 0. Visible points are within one standard deviation of Gaussians with an opacity of at least
-    0.1. Otherwise the object is also centred in z.
+    0.1. If `ground` is not set, the object is also centred in z.
 
     Raises:
         InputError: If the size is not positive.

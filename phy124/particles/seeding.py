@@ -3,8 +3,8 @@
 The solid's volume in each lattice cell is divided evenly among the particles in the cell. The
 volume of a cell without particles is added to the nearest particle. The volumes of all particles
 add up to the volume of the solid. If a cell contains many surface Gaussians, their particles get
-small volumes. This does not affect stability, because the limit of the substep depends on stiffness
-and density, not on volume.
+small volumes. Small volumes do not affect stability, because the limit of the substep depends on
+stiffness and density, not on volume.
 """
 
 from __future__ import annotations

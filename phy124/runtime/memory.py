@@ -29,7 +29,8 @@ HEAPS = "MALLOC_ARENA_MAX"
 def release(array: object) -> None:
     """Return the memory of a memory-mapped array to the system after the array has been read.
 
-    Otherwise, a long run that reads all frames from disk seems to need memory for all frames.
+    If the memory is not returned, a long run that reads all frames from disk seems to need memory
+    for all frames.
     """
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):

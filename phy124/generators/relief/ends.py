@@ -121,8 +121,8 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 def stands(solid: NDArray[np.bool_]) -> bool:
     """Return whether the outline is that of an upright cylinder.
 
-    Such an outline has arcs at the top and the bottom, and straight lines at the sides. The arcs of
-    a lying cylinder are at the left and right.
+    The outline of an upright cylinder has arcs at the top and the bottom, and straight lines at the
+    sides. The arcs of a lying cylinder are at the left and right.
     """
     arcs = _arc(solid), _arc(solid[::-1])
     sides = _arc(solid.T), _arc(solid.T[::-1])

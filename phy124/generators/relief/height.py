@@ -50,8 +50,8 @@ class Silhouette:
     """The Laplace operator on the pixels inside a silhouette, with a rim at subpixel accuracy.
 
     The rim is the contour alpha = 1/2. If a neighbour of a pixel is outside, the weight of the
-    neighbour is 1/theta, where theta is the pixel's distance from the rim. This is the symmetric
-    second-order scheme of Gibou et al. 2002.
+    neighbour is 1/theta, where theta is the pixel's distance from the rim. These weights form the
+    symmetric second-order scheme of Gibou et al. 2002.
     """
 
     inside: NDArray[np.bool_]

@@ -101,7 +101,8 @@ def look_closer(
 ) -> NDArray[np.float32]:
     """Segment a small object again in a section of the image, where thin parts have more pixels.
 
-    The second result replaces the first if the two agree (their IoU is at least `AGREED`).
+    The mask of the section replaces the first mask if the two agree (their IoU is at least
+    `AGREED`).
 
     Args:
         rgb: The image [H,W,3].

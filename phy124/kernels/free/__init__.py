@@ -2,12 +2,12 @@
 
 The state of a body is its position X, its orientation q, its velocity V and its angular momentum L
 about X, in float64. In a substep, the nodes that the body touches take on the velocity of the
-body's surface, as at a wall. This happens along the normal n if a node approaches the surface, and
-tangentially as far as Coulomb friction allows. The velocities of the body and the nodes are
-computed together. A light body that exchanged momentum with one node after the other would not come
-to rest. Let u = V + w x r be the surface velocity at a node of mass m. The impulse on the node is m
-W (u' - v), with the velocity u' after the exchange. W is 1 along n, and a fraction of 1 across n.
-With u = B (V, w), the body's motion (V', w') after the exchange follows from six equations: (M +
+body's surface, as at a wall. Along the normal n, a node takes on this velocity if it approaches the
+surface; tangentially, as far as Coulomb friction allows. The velocities of the body and the nodes
+are computed together. A light body that exchanged momentum with one node after the other would not
+come to rest. Let u = V + w x r be the surface velocity at a node of mass m. The impulse on the node
+is m W (u' - v), with the velocity u' after the exchange. W is 1 along n, and a fraction of 1 across
+n. With u = B (V, w), the body's motion (V', w') after the exchange follows from six equations: (M +
 sum B^T m W B) (V', w') = M (V, w) + sum B^T m W v. `assemble` computes the sums, and `solve` the
 solution. The solution of the previous iteration determines whether a node approaches the surface,
 and how much friction acts on the node (semi-smooth Newton method). For any W, the exchange

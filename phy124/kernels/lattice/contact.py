@@ -122,7 +122,7 @@ def make_yields(real: Any, rows: Rows):
     [1/kg].
 
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
-    `whole` is not). Otherwise, an impulse would move the few other nodes violently.
+    `whole` is not). Without this rule, an impulse would move the few other nodes violently.
     """
     t = types(real)
     yielding = rows.yielding

@@ -2,8 +2,8 @@
 
 P = tau F^-T is the first Piola-Kirchhoff stress, computed from the Kirchhoff stress tau of the
 constitutive law. In inverted points (det F < 0), F^-T must have the sign of det F, unless the law
-has a barrier. Otherwise these forces would not derive from the energy, and a few inverted points
-would add energy in every substep.
+has a barrier. Without this rule, the forces would not derive from the energy, and a few inverted
+points would add energy in every substep.
 """
 
 from typing import Any
@@ -94,9 +94,9 @@ def make_shock(real: Any):
     """Kernel over points: adds the forces of an artificial viscosity that resists fast compression.
 
     If the volume shrinks at the rate d, the pressure is `QUADRATIC` rho0 (l d)^2 (von Neumann and
-    Richtmyer 1950). This spreads a shock over a few cells. The length l is the size of a cell times
-    the smallest stretch of the squeezed material, so that the longest stable substep depends only
-    on d.
+    Richtmyer 1950). This pressure spreads a shock over a few cells. The length l is the size of a
+    cell times the smallest stretch of the squeezed material, so that the longest stable substep
+    depends only on d.
 
     The pressure is limited so that it only removes energy, even in a long kick.
     """

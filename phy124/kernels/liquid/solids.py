@@ -7,8 +7,8 @@ Each solid adds a matrix of rank six. Each iteration of conjugate gradients ther
 applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to only one solid.
 
 The pressure of a cell refers to the cell's centre, so the weight of the liquid between the centre
-and the solid's surface is added. Otherwise the buoyancy would jump when the bottom of the solid
-passes a layer of cell centres.
+and the solid's surface is added. Without this weight, the buoyancy would jump when the bottom of
+the solid passes a layer of cell centres.
 """
 
 from typing import Any

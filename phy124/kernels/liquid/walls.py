@@ -192,10 +192,10 @@ def wall_across(
 ):
     """Return the index of the wall that closes a cell's face, or -1 if no wall closes the face.
 
-    This is the wall nearest to the middle of the face. If several walls meet, nine points on the
-    face are compared. The result is the wall nearest to the point at which the distance changes
-    most along the axis. At the bottom of a tank, for example, the result is the floor instead of a
-    side.
+    The wall that closes a face is the wall nearest to the middle of the face. If several walls
+    meet, nine points on the face are compared. The result is the wall nearest to the point at which
+    the distance changes most along the axis. At the bottom of a tank, for example, the result is
+    the floor instead of a side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)

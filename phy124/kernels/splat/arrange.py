@@ -29,7 +29,7 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
     the box. If the eye is on the same side as the box, no ray to the box meets the solid before the
-    box. Otherwise every ray leaves the solid before reaching the box.
+    box. If the eye is on the other side, every ray leaves the solid before reaching the box.
     """
     if not (finite(low[0] + low[1] + low[2]) and finite(high[0] + high[1] + high[2])):
         return AMONG

@@ -87,7 +87,7 @@ def draw_setting(
     # in place: light of the Gaussians, finally the whole frame
     image_out: wp.array(dtype=wp.vec3),
 ):
-    """Draw the surroundings with one thread per pixel. This is the plain version of
+    """Draw the surroundings with one thread per pixel. This kernel is the plain version of
     `blend_staged_simd`, and also runs on GPUs.
 
     The solids are sorted by depth; the first `before` of them are in front of all Gaussians.

@@ -172,9 +172,9 @@ def _refuse_endless(path: Path, count: int) -> None:
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return the mask of the object in a frame.
 
-    If the frame has transparent pixels, the mask contains its opaque pixels. Otherwise, the mask
-    contains the pixels whose colour differs from the median colour of the frame's border; holes in
-    this mask are filled.
+    If the frame has transparent pixels, the mask contains its opaque pixels. If the frame is
+    opaque, the mask contains the pixels whose colour differs from the median colour of the frame's
+    border; holes in this mask are filled.
     """
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127

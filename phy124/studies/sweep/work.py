@@ -119,7 +119,7 @@ class Order:
     def read(self) -> bool:
         """Whether the Gaussians depend on the scene.
 
-        This is the case if the Gaussians are read from files, or if the scene has further objects.
+        They do if they are read from files, or if the scene has further objects.
         """
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))

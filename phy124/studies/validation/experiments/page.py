@@ -133,8 +133,8 @@ HEAD = """# Comparison with published experiments
 - **Band**: the range of values that is permitted by the sources or the theory. A value also counts
   as inside if the band is within the value's error; the table marks such values.
 - **Control**: a run with a deliberate mistake, on the coarsest grid. At least one of its quantities
-  must be outside the band by more than this grid's error. Otherwise the experiment could not detect
-  the mistake, and agreement would prove nothing.
+  must be outside the band by more than this grid's error. If all quantities stayed inside, the
+  experiment could not detect the mistake, and agreement would prove nothing.
 - **Values outside their band** are marked, with the reason if it is known.
 """
 

@@ -70,7 +70,8 @@ def units(setting: Setting) -> list[Check]:
 def free_fall(setting: Setting) -> list[Check]:
     """Check that a falling body follows the exact parabola, up to rounding.
 
-    This requires that the first substep updates velocities by only half a substep (leapfrog).
+    The exact parabola requires that the first substep updates velocities by only half a substep
+    (leapfrog).
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])
