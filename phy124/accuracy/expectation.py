@@ -85,7 +85,7 @@ def law_of(scene: Scene) -> str:
 def kind_of(scene: Scene) -> str:
     """Return the constitutive law and the kind of motion of a scene, such as "elastic landing".
 
-    The kind of a scene on lattices is different: "lattice elastic landing".
+    The kind of a scene on lattices begins with "lattice": "lattice elastic landing".
     """
     kind = f"{law_of(scene)} {motion_of(scene)}"
     return f"lattice {kind}" if scene.on_lattice else kind

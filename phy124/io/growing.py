@@ -200,7 +200,7 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return a description of the file as plain data; `there` reopens the file from it."""
+        """Return plain data from which `there` reopens the file."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod

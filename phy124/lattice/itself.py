@@ -1,10 +1,10 @@
 """Contact between the surface points of two bodies, or of two parts of a body.
 
-Every point is paired with an opposite position on the other surface. Initially, this is the nearest
-point of the other surface; later, the opposite position follows the paired point along the other
-surface. The weights of the pair are the weights of the point minus the weights of the opposite
-position. An impulse along the surface's normal therefore acts on both parts along one line, with
-opposite signs. Impulses are computed in the same way as the impulses of walls.
+Every point is paired with an opposite position on the other surface. Initially, the opposite
+position is the nearest point of the other surface; later, it follows the paired point along the
+other surface. The weights of the pair are the weights of the point minus the weights of the
+opposite position. An impulse along the surface's normal therefore acts on both parts along one
+line, with opposite signs. Impulses are computed in the same way as the impulses of walls.
 
 The pairs are determined again when a part has moved relative to the mean motion of both parts. A
 sample of the surface points shows whether two parts are near each other; if they are not, nothing

@@ -273,9 +273,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum without the impulses since the sums were last cleared, including the
-        walls' last impulse.
-        """
+        """Store the momentum when the open sums were cleared, and the walls' impulses since."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
