@@ -29,6 +29,7 @@ from support.shapes import ball
         ("dance", "command = dance: there is no such command. Choose one of generate, "),
         ("--scene drop generate x.png", "command = --scene: the command comes first."),
         ("generate", "image = nothing: it is required. It is: Picture of one object (PNG, JPEG"),
+        ("fit", "tracked points, a video, or a folder of pictures.\n"),
         ("generate x.png --frames", "frames = nothing: it needs a value. It is: Number of frames."),
         ("generate x.png --frames ten", "frames = ten: it is not a whole number."),
         ("generate x.png --max-seconds soon", "max-seconds = soon: it is not a number."),

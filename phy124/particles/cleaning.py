@@ -108,7 +108,7 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, Cleaning]:
         raise InputError(
             "gaussians",
             f"{total} Gaussians",
-            "none of them is finite, visible and within 1e18 m, so there is no object to move.",
+            f"none of them is finite, visible and within {LARGEST:g} m, so no object is left.",
             "Check the file, or try another picture or generator.",
         )
     return usable, Cleaning(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import shutil
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -329,4 +330,8 @@ def _name(argument: Any) -> str:
 def _help(argument: Any) -> str:
     text = argument.field.helptext
     text = (text() if callable(text) else text) or ""
-    return f"It is: {text.strip().splitlines()[0].rstrip('.')}." if text else "See --help."
+    if not text:
+        return "See --help."
+    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+    sentence = re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]
+    return f"It is: {sentence.rstrip('.')}."
