@@ -329,9 +329,9 @@ def _name(argument: Any) -> str:
 
 def _help(argument: Any) -> str:
     text = argument.field.helptext
-    text = (text() if callable(text) else text) or ""
+    text = text() if callable(text) else text
     if not text:
         return "See --help."
-    paragraph = " ".join(text.strip().partition("\n\n")[0].split())
+    paragraph = " ".join(str(text).strip().partition("\n\n")[0].split())
     sentence = re.split(r"(?<=\.) (?=[A-Z])", paragraph)[0]
     return f"It is: {sentence.rstrip('.')}."
