@@ -1,8 +1,8 @@
 """Encode the pictures of cameras: images, calibration and transforms, in ROS's conventions.
 
 A camera's optical frame is defined as in REP-103 and in phy124: x right, y down, z forward. In ROS,
-as in OpenCV, the centre of the first pixel is (0, 0). In phy124 it is (0.5, 0.5). The principal
-point in a CameraInfo is therefore shifted by -0.5 pixels.
+as in OpenCV, the centre of the first pixel is (0, 0). In phy124, the centre of the first pixel is
+(0.5, 0.5). The principal point in a CameraInfo is therefore shifted by -0.5 pixels.
 """
 
 from __future__ import annotations

@@ -256,8 +256,9 @@ def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[s
 def seconds_to_compile(scene: Scene, device: str = "cpu") -> float:
     """Predict the time to compile a scene's missing kernels on all cores [s]; 0 on a GPU.
 
-    This function creates kernels. Only one thread may call it at a time, and no solver may be built
-    at the same time. Kernels of forces on a part of the object (0.3 s each) are not included.
+    This function creates kernels. Only one thread may call this function at a time, and no solver
+    may be built at the same time. Kernels of forces on a part of the object (0.3 s each) are not
+    included.
     """
     if device != "cpu" or wp.config.kernel_cache_dir is None:
         return 0.0

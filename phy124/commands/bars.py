@@ -35,8 +35,8 @@ def silence() -> Iterator[None]:
 
 
 class Bars:
-    """A `Progress` that shows the current stage; use it as a context manager. On a terminal, it
-    draws a progress bar; otherwise, for example for a log file, it prints a line at regular
+    """A `Progress` that shows the current stage; use it as a context manager. On a terminal, a
+    progress bar is drawn; elsewhere, for example in a log file, a line is printed at regular
     intervals. Within the context, Ctrl-C ends the work at the next report of progress, because
     stopping inside a kernel could crash the process. A second Ctrl-C interrupts at once. If `keeps`
     is true, a message says that the results so far are saved; the caller must save them. `left`

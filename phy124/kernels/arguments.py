@@ -2,8 +2,8 @@
 
 A kernel that is compiled per precision lists its arguments without types; `build.kernel` adds the
 types from this module. A written array has the name of the corresponding read array, followed by
-`_out`. An argument is annotated in the kernel's signature if its type differs from this module, or
-if only one kernel uses the argument.
+`_out`. The signature of a kernel states the type of an argument if the type differs from the one in
+this module, or if only this kernel uses the argument.
 """
 
 from functools import cache

@@ -192,7 +192,7 @@ def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
 def newtonian(F: Any, C: Any, eta: Any):
     """Return J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
-    For an inverted element the stress is zero, so that viscosity never adds energy. If J > 1, it is
+    For an inverted element the stress is zero, so that viscosity never adds energy. A J > 1 is
     replaced by 1, because the limit of the substep assumes J <= 1.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta

@@ -6,7 +6,7 @@ force within the step. The work of an impulse is therefore the impulse times the
 velocities before the force and at the end of the step.
 
 In a scene with only liquids, forces act at the start of a step. In a scene with other materials,
-they act in the substeps of these materials, between two steps of the liquid.
+forces act in the substeps of these materials, between two steps of the liquid.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ class Deformer:
     With the binding `particles`, each Gaussian moves with one particle. With `lattice`, the nearest
     particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and F_g = sum
     w_i F_i, with smooth weights w that sum to 1. The interpolation is exact for every affine
-    motion. For fluid and granular materials, it is exact only while the vectors F_i (X_g - X_i) are
-    at most twice as long as at rest.
+    motion. For fluid and granular materials, the interpolation is exact only while the vectors F_i
+    (X_g - X_i) are at most twice as long as at rest.
     """
 
     def __init__(

@@ -2,7 +2,7 @@
 
 APIC discards the fluctuation, so it needs no additional launches. The schemes other than APIC
 transfer (v, C) to the grid and back, once or several times, before the scatter of a substep. After
-the gather, they restore a part of the difference.
+the gather, these schemes restore a part of the difference.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Makes Warp declare the Python variants of its functions only when one of them is called.
 
-Warp declares every function of its kernel language. In addition, it declares about 2,300 variants
+Warp declares every function of its kernel language. In addition, Warp declares about 2,300 variants
 that Python code outside kernels can call, with values such as `wp.vec3`. Declaring the variants
 took half of the time to import Warp.
 """

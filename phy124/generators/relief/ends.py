@@ -1,10 +1,10 @@
 """Detects the flat ends of an object: the base on which the object stands, and a flat top.
 
-The lower edge of a standing object appears in an image as a straight line. With perspective, it
-appears as an arc between two corners. If the solid were rounded at this edge, as at the rest of the
-rim, it would have a sharp ridge at the bottom. To avoid the ridge, the silhouette is extended below
-the edge by its mirror image, inflated, and then cut off flat. Flat tops are treated in the same
-way.
+The lower edge of a standing object appears in an image as a straight line. With perspective, the
+edge appears as an arc between two corners. If the solid were rounded at this edge, as at the rest
+of the rim, it would have a sharp ridge at the bottom. To avoid the ridge, the silhouette is
+extended below the edge by its mirror image, inflated, and then cut off flat. Flat tops are treated
+in the same way.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 A thread processes a block of sixteen cells. `order` [blocks,16] lists the cells of each block, full
 cells first. The cells of a block are near each other, so that their nodes stay in the cache. In the
-list of all cells they are `APART` cells apart, so that no two cells write to the same node at
-nearly the same time. `packed` [blocks,8,4,16] stores four numbers for each point: the three
-components of `offset`, and the volume. For each number, the values of a block's sixteen cells are
-consecutive in memory.
+list of all cells, the cells of a block are `APART` cells apart, so that no two cells write to the
+same node at nearly the same time. `packed` [blocks,8,4,16] stores four numbers for each point: the
+three components of `offset`, and the volume. For each number, the values of a block's sixteen cells
+are consecutive in memory.
 """
 
 import itertools

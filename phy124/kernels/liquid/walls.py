@@ -220,8 +220,8 @@ def make_openings(shape: str, real: Any):
     """Kernel over cells: multiplies the open fractions of low faces by each wall's open fraction.
 
     For a plane, the open fraction is computed from the distances at the corners of the face. For
-    other shapes, it is computed from 64 points on the face, since distances are not linear at
-    edges. The product is exact if the walls are perpendicular to each other.
+    other shapes, the open fraction is computed from 64 points on the face, since distances are not
+    linear at edges. The product is exact if the walls are perpendicular to each other.
     """
     t = types(real)
     distance = SHAPES[shape]
