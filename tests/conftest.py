@@ -74,11 +74,13 @@ def each_module_is_compiled_once(tmp_path_factory) -> None:
 @pytest.fixture(scope="session", autouse=True)
 def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
     """Tests simulate few bodies again and again; their set-up takes longer than their motion."""
-    from phy124.particles import lattice, solid
+    from phy124.particles import lattice, solid, thickness
 
+    found = (lattice, "_lattice_of"), (thickness, "compliance"), (thickness, "local_thickness")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solid, "MEMORY", 4 * solid.MEMORY)
-        patch.setattr(lattice, "_lattice_of", lru_cache(16)(lattice._lattice_of.__wrapped__))
+        for module, name in found:
+            patch.setattr(module, name, lru_cache(16)(getattr(module, name).__wrapped__))
         yield
 
 
