@@ -48,7 +48,7 @@ def strip_png(data: bytes) -> bytes:
 class PlainTiff(TiffImageFile):
     """A TIFF image in its stored orientation.
 
-    Pillow would rotate it, and fail if EXIF is damaged.
+    Pillow would rotate the image, and fail if EXIF is damaged.
     """
 
     def load_end(self) -> None:

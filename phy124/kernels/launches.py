@@ -1,7 +1,7 @@
 """Repeats recorded launches without copying their arguments again, and changes their arrays.
 
 In every launch Warp copies all arguments into a new structure, which takes 5 to 10 us. A substep of
-a small body consists of some 15 launches. Most of them take little longer than 10 us.
+a small body consists of some 15 launches. Most launches take little longer than 10 us.
 """
 
 import ctypes

@@ -173,8 +173,8 @@ def make_wall_work(real: Any):
 def make_shift_work(real: Any):
     """Kernel: adds `sign` times the uniform acceleration times mass and position to `sums_out`.
 
-    One launch with the sign -1 before particles are displaced and one with the sign 1 afterwards
-    add the work of the displacements.
+    Two launches add the work of displacements: one with the sign -1 before particles are displaced,
+    and one with the sign 1 afterwards.
     """
 
     @kernel(f"phy124_liquid_shift_work_{real.__name__}", real, seconds=0.2)
