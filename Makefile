@@ -11,7 +11,7 @@ INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check -
 # Importing the libraries of networks takes every process 15 s, so one process tests all that need them.
 NETWORKS := $(shell grep -lE "^(from|import) (torch|safetensors.torch|reference.*formula|phy124.generators.neural)" tests/test_*.py)
 
-.PHONY: demo paper app bridge test test-default test-networks test-page test-slow test-browser bench cuda-report gpu accuracy docs gallery dist lint kernels clean chromium
+.PHONY: demo paper app bridge test test-default test-networks test-page test-slow test-foreign test-browser bench cuda-report gpu accuracy docs gallery dist lint kernels clean chromium
 
 demo: .venv/base
 	$(BIN)/phy124 generate demo/examples/duck.png --scene press --stage studio --out out/duck-press
@@ -43,6 +43,12 @@ test-page: .venv/test
 
 test-slow: .venv/test
 	$(BIN)/pytest -m "slow and not gpu and not weights and not ros"
+
+# Without their dependencies, since numba wants older packages than phy124.
+test-foreign: .venv/test
+	$(INSTALL) --no-deps gsply imagecodecs gaussforge numba llvmlite
+	npm install --silent --prefix .venv/foreign @playcanvas/splat-transform
+	PHY124_NODE_MODULES=.venv/foreign/node_modules $(BIN)/pytest -n 0 -m slow tests/test_formats_foreign.py
 
 test-browser: chromium test-page
 

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from phy124 import pipeline
+from phy124.errors import InputError
 from phy124.pipeline.run_folder import list_results, remove_results
 from phy124.scene import Scene
 from support.shapes import ball
@@ -36,6 +37,19 @@ def test_a_run_that_fails_leaves_the_earlier_results(tmp_path, monkeypatch):
     with pytest.raises(ZeroDivisionError):
         pipeline.simulate(ball(200), SCENE, tmp_path, progress=fail)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_two_runs_at_once_in_a_folder_are_not_mixed(tmp_path):
+    refusals = []
+
+    def start_another(*_):
+        with pytest.raises(InputError, match="another run is writing") as caught:
+            pipeline.simulate(ball(200), SCENE.replaced({"view.views": ["back"]}), tmp_path)
+        refusals.append(caught.value)
+
+    made = pipeline.simulate(ball(200), SCENE, tmp_path, progress=start_another)
+    assert refusals and names(tmp_path) == set(made.report["files"])
+    pipeline.simulate(ball(200), SCENE, tmp_path)
 
 
 @pytest.mark.parametrize(

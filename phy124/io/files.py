@@ -150,10 +150,12 @@ def _copy(source: Path, path: Path) -> None:
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
 """Prefix of the names of folders that are not yet complete."""
+RUNNING = f"{MAKING}run-"
+"""Prefix of the names of such folders if no other run may write to the output folder meanwhile."""
 
 
 @contextmanager
-def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
+def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Iterator[Path]:
     """Provide a temporary folder whose files are moved into `out` if the block succeeds.
 
     If the block fails, the folders that were created for `out` are removed, unless they contain
@@ -162,9 +164,10 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
     Args:
         out: The folder to fill.
         keeps: Whether complete files are moved into `out` even if the block fails.
+        alone: Whether to refuse if another `alone` block is filling `out`, in any process.
 
     Raises:
-        InputError: If `out` is a file or cannot be written.
+        InputError: If `out` is a file, cannot be written, or is being filled by another run.
         OSError: If the disk is full.
         Incomplete: If the block failed but some files were kept.
     """
@@ -175,7 +178,8 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
         target.mkdir(parents=True, exist_ok=True)
         with locking(target):
             _sweep(out)
-            folder = Path(tempfile.mkdtemp(prefix=MAKING, dir=out))
+            others = list(out.glob(f"{RUNNING}*")) if alone else []
+            folder = Path(tempfile.mkdtemp(prefix=RUNNING if alone else MAKING, dir=out))
             held = lock(folder)
     except OSError as error:
         _remove_empty(missing)
@@ -184,6 +188,9 @@ def staging(out: PathLike, *, keeps: bool = False) -> Iterator[Path]:
         why = "it is a file" if os.path.isfile(out) else f"it cannot be written ({error.strerror})"
         raise InputError("out", out, f"{why}.", "Choose another folder.") from None
     try:
+        if others and held is not None:  # without locks, they may be leftovers of killed runs
+            limit = "another run is writing its results to this folder."
+            raise InputError("out", out, limit, "Wait until it ends, or choose another folder.")
         yield folder
         deliver(folder)
     except Exception as error:

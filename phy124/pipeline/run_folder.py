@@ -98,7 +98,8 @@ class RunFolder:
     def fill(self, simulate: Callable[[], tuple[Simulation, Clip]]) -> Result:
         """Simulate the scene, save the results and render the videos.
 
-        A folder that cannot be written is refused before the simulation.
+        A folder that cannot be written, or to which another run is writing, is refused before the
+        simulation.
 
         Raises:
             Incomplete: Not everything could be made or written; the message names the saved files.
@@ -106,7 +107,7 @@ class RunFolder:
         """
         before = list_results(self.out) - {PAUSE}  # this run may write a file with the same name
         try:
-            with staging(self.out) as folder:
+            with staging(self.out, alone=True) as folder:
                 sweep(self.out)
                 run, clip, interrupted = self._simulate(simulate)
                 with ThreadPoolExecutor(1, "pack") as pool:

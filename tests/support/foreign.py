@@ -1,11 +1,7 @@
 """Readers of Gaussians from other projects, which check the files that phy124 writes.
 
 They are not part of the test extra, because gsply needs numba, which is large, and one needs
-Node.js.
-
-    pip install gsply imagecodecs gaussforge
-    npm install --prefix FOLDER @playcanvas/splat-transform
-    PHY124_NODE_MODULES=FOLDER/node_modules python -m pytest -m slow tests/test_formats_foreign.py
+Node.js. `make test-foreign` installs them and runs their tests.
 
 spz-js of npm cannot be used, because it reads only version 2, and phy124 writes versions 3 and 4.
 Files that spz-js wrote are read in tests/test_formats.py.
