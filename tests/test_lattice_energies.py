@@ -1,6 +1,7 @@
 """Energy losses of bodies on lattices by cause, compared with known results."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from phy124.boundaries.motion import Path
 from phy124.budget.effects import Effects
 from phy124.errors import InputError
 from phy124.forces import Acceleration, Grab, Gravity, Wind
+from phy124.kernels.work import WORK
 from phy124.materials import FixedCorotated, Hencky, NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.monitor.lattice_dissipation import LatticeDissipation
@@ -101,6 +103,24 @@ def test_each_law_stores_the_work_of_its_stress(law):
     assert stretched.elastic > 0.05 * stretched.first.kinetic
     assert abs(stretched.substeps) < 0.01 * stretched.elastic
     stretched.nothing_but("elastic", "viscous")
+
+
+@pytest.mark.parametrize("law", [NeoHookean, Hencky, FixedCorotated])
+@pytest.mark.parametrize("stretch", [0.7, -0.4])
+def test_power_of_the_stress_is_the_rate_of_the_energy(law, stretch, rng):
+    """Points inside out, too: the forces of laws without a barrier have the sign of det F."""
+    solver = make_bodies([block(CUBE)], law(E=1e5, nu=0.3, density=1000))
+    rest, totals = solver.lattice.x, LatticeTotals(solver)
+    clock = SimpleNamespace(lag=lambda power, momentum: power)
+    way = rest @ rng.normal(size=(3, 3))
+
+    def read(time):
+        solver.carry_nodes(lambda x, v: (rest * [1, 1, stretch] + time * way, way))
+        return totals.read(clock)
+
+    before, now, after = (read(time) for time in (-1e-5, 0.0, 1e-5))
+    assert bool(now.inverted) == (stretch < 0)
+    assert now.lag == pytest.approx((after.elastic - before.elastic) / 2e-5, rel=1e-4)
 
 
 def test_slope_rubs_with_friction_times_weight_times_way():
@@ -232,6 +252,20 @@ def test_impulses_on_held_nodes_do_no_work():
     walls = [Held(lower=(0.2, -1, -1), upper=(1, 1, 1), motion=path), HalfSpace(friction=0.4)]
     both = Balance(make_bodies([block(CUBE)], DAMPED, free=[steel], boundaries=walls), 0.1)
     assert min(abs(both.solids), abs(both.held), both.friction) > 0.1
+
+
+def test_clamp_works_on_another_body_that_its_nodes_push():
+    """A clamp moves a block whole; the block pushes another one, which only loses energy to it."""
+    path = Path(times=(0.0, 0.2), points=((0, 0, 0), (0.4, 0, 0)))
+    clamp = Held(lower=(-1, -1, -1), upper=(0.4, 1, 1), motion=path)
+    solids = [block(CUBE), block(CUBE, low=(0.55, 0.05, 0.05), per=4)]
+    solver = make_bodies(solids, pairs=[Pair(0, 1, 0.2)], boundaries=[clamp])
+    before = solver.walls.sums.numpy()[0, WORK]
+    pushed = Balance(solver, 0.2)
+    assert pushed.held > 5 * pushed.pairs > 0
+    assert pushed.kinetic + pushed.elastic == pytest.approx(pushed.held - pushed.lost, rel=1e-9)
+    work = solver.walls.sums.numpy()[0, WORK] - before
+    assert work == pytest.approx(pushed.held - pushed.impacts, rel=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, -1])

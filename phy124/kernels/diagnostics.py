@@ -12,6 +12,7 @@ import warp as wp
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.elastic import largest_stretch_squared
+from phy124.kernels.lattice.points import safe_volume, signed_volume
 from phy124.kernels.reduction import add_to, raise_to
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law
@@ -58,9 +59,13 @@ def spin(C: Any, dx: Any):
 
 
 @build_once
-def make_totals(law: Law, real: Any):
+def make_totals(law: Law, real: Any, on_lattice: bool = False):
     """Kernel: computes the `SUMS` over the particles and the range of J, and counts invalid
     particles.
+
+    On lattices, C of inverted points is divided by a small positive number instead of by J
+    (phy124/kernels/lattice/points.py). The forces of laws without a barrier have the sign of J, so
+    the power is corrected accordingly.
 
     The power is the rate at which kinetic energy becomes elastic energy. `counts_out` receives the
     number of invalid particles of each kind, `first_out` the lowest index of each kind. Each thread
@@ -69,8 +74,10 @@ def make_totals(law: Law, real: Any):
     energy, stress = law.energy, law.stress
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
     has_history = law.project is not None
+    signed = on_lattice and not law.barrier
+    where = "_signed" if signed else ""
 
-    @kernel(f"phy124_totals_{law.name}_{real.__name__}", real, width=law.width, seconds=0.65)
+    @kernel(f"phy124_totals_{law.name}{where}_{real.__name__}", real, width=law.width, seconds=0.65)
     def totals(
         first,
         each,
@@ -115,6 +122,8 @@ def make_totals(law: Law, real: Any):
                 if wp.isfinite(kinetic + psi + J + wp.length(here)):
                     tau = stress(deformation, wp.mat33d(), h, parameters)
                     power = wp.ddot(tau, to_double(C[p])) * wp.float64(volume[p])
+                    if wp.static(signed):
+                        power *= safe_volume(J) / signed_volume(J)
                     turning = wp.cross(here, moving) + spin(C[p], dx)
                     for i in range(3):
                         sums[MOMENTUM + i] += m * moving[i]

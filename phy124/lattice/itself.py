@@ -165,7 +165,8 @@ class Meeting:
             self._launches.append((model.launch(make_exchange(real), 1, inputs, [self._sums]), 0))
         if self._work is not None:
             at, points = PAIRS if self._between else ITSELF, (pairs["nodes"], pairs["weights"])
-            self._launches.append((self._work.of(at, every, points, gap, pairs["force"]), 1))
+            known = at, every, points, gap, pairs["force"]
+            self._launches.append((self._work.of(*known, clamped=self._between), 1))
         if self._passed is not None:
             points = pairs["nodes"], pairs["weights"]
             self._pass = self._passed.of(every, points, pairs["force"])

@@ -64,4 +64,4 @@ def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -
             yield simd.make_measure_simd()
             continue
         yield from (make_stress(law, real, viscous), make_lattice_measure(real))
-        yield make_totals(law, real)
+        yield make_totals(law, real, on_lattice=True)

@@ -33,6 +33,8 @@ class ContactWork:
         gap: wp.array,
         force: wp.array,
         slot: int = 0,
+        *,
+        clamped: bool = False,
     ) -> wp.Launch:
         """Record the launch that sums the work on listed points; parameter 1 is the number of
         points.
@@ -44,9 +46,11 @@ class ContactWork:
             gap: Normal and distance of each point.
             force: Mean force on each point in a substep [S,3], N.
             slot: Track of the wall; the first track has no rate.
+            clamped: Whether to include the work on nodes in clamps.
         """
         nodes, tracks = self._nodes, self._tracks
-        inputs = [near, 0, at, slot, *points, nodes.movable, gap, force, tracks.clock]
+        moving = nodes.inverse if clamped else nodes.movable
+        inputs = [near, 0, at, slot, *points, moving, gap, force, tracks.clock]
         inputs += [tracks.rates, nodes.before, nodes.v]
         kernel = make_contact_work(self._model.real)
         return cast("wp.Launch", self._model.launch(kernel, 1, inputs, [self._sums]))

@@ -90,6 +90,9 @@ class Diagnostics:
 class Totals:
     """Recorded launches that sum over the particles of a state in float64."""
 
+    on_lattice = False
+    """Whether the particles are points on a lattice."""
+
     def __init__(self, model: Model, state: State) -> None:
         """Record the launches.
 
@@ -114,7 +117,8 @@ class Totals:
             group.start, state.x[part], state.v[part], state.C[part], state.F[part],
             part_of(state.history, part),
         ]  # fmt: skip
-        return [model.launch(make_totals(group.law, model.real), threads, inputs, outputs)]
+        kernel = make_totals(group.law, model.real, on_lattice=self.on_lattice)
+        return [model.launch(kernel, threads, inputs, outputs)]
 
     def read(self, clock: Clock) -> Diagnostics:
         """Return the diagnostics of the current state."""

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 class LatticeTotals(Totals):
     """Sums for a body on a lattice: momentum and kinetic energy over nodes, others over points."""
 
+    on_lattice = True
+
     def __init__(self, solver: LatticeSolver) -> None:
         """Record the launches."""
         self._crew = solver.crew

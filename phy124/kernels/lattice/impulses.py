@@ -14,7 +14,7 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import add3, wide
-from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.lattice.contact import DRIVEN, MOMENT
 from phy124.kernels.reduction import add_to
 from phy124.kernels.work import WORK, add_exchange
 
@@ -61,7 +61,8 @@ def make_pass_on(real: Any):
     Contact does not move a node in a clamp: the clamp absorbs the impulse immediately. The sums of
     the wall or body that exerts an impulse contain the whole impulse. The opposite of the impulse
     on each clamped node is therefore added to the clamp's sums. Impulses on clamped nodes do no
-    work, so their work is subtracted.
+    work, so their work is subtracted from the sums of a wall. If another body exerts the impulse,
+    the clamp does the work that moves this body, which is therefore added to the clamp's sums.
 
     For clamped nodes, `inverse` is zero, but `whole` is not. `holder` is the row of a node's clamp
     in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node.
@@ -95,12 +96,15 @@ def make_pass_on(real: Any):
                 if weights[s, k] != real(0.0) and inverse[n] == real(0.0) and whole[n] > real(0.0):
                     back = -wp.float64(weights[s, k]) * impulse
                     sums = clamps_out[holder[n]]
-                    add_exchange(sums, back, wp.float64(0.0), wp.length(back), wp.float64(0.0))
+                    work = wp.float64(0.5) * wp.dot(back, wide(v_before[n]) + wide(v[n]))
+                    if sums_out.shape[0] > 0:
+                        add_to(sums_out, wp.static(WORK), work)
+                        work = wp.float64(0.0)
+                    else:
+                        add_to(sums, wp.static(DRIVEN), work)
+                    add_exchange(sums, back, work, wp.length(back), wp.abs(work))
                     at = wide(rest[n]) + wide(u[n])
                     add3(sums, wp.static(MOMENT), wp.cross(at, back))
-                    if sums_out.shape[0] > 0:
-                        mean = wp.float64(0.5) * (wide(v_before[n]) + wide(v[n]))
-                        add_to(sums_out, wp.static(WORK), wp.dot(back, mean))
                     if impulse_out.shape[0] > 0:
                         wp.atomic_add(impulse_out, n, back)
 
