@@ -11,8 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.elastic import largest_stretch_squared
-from phy124.kernels.lattice.points import safe_volume, signed_volume
+from phy124.kernels.elastic import largest_stretch_squared, safe_volume, signed_volume
 from phy124.kernels.reduction import add_to, raise_to
 from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law
@@ -64,7 +63,7 @@ def make_totals(law: Law, real: Any, on_lattice: bool = False):
     particles.
 
     On lattices, C of inverted points is divided by a small positive number instead of by J
-    (phy124/kernels/lattice/points.py). The forces of laws without a barrier have the sign of J, so
+    (`safe_volume`). The forces of laws without a barrier have the sign of J, so
     the power is corrected accordingly.
 
     The power is the rate at which kinetic energy becomes elastic energy. `counts_out` receives the

@@ -24,6 +24,20 @@ SMALLEST_J = wp.constant(1.0e-4)
 
 
 @wp.func
+def safe_volume(J: Any):
+    """Return max(J, r), where r is the volume ratio below which laws replace log J by its
+    tangent.
+    """
+    return wp.max(J, type(J)(SMALLEST_J))
+
+
+@wp.func
+def signed_volume(J: Any):
+    """Return J, or a small value of the same sign if J is nearly zero."""
+    return wp.where(J < type(J)(0.0), wp.min(J, -type(J)(SMALLEST_J)), safe_volume(J))
+
+
+@wp.func
 def polar_miss(s: wp.float32):
     """Return the largest accepted |R|^2 - 3 in float32; R is then a rotation to within 1e-6."""
     return wp.float32(2.0e-6)

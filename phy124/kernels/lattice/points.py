@@ -12,6 +12,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.elastic import safe_volume
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
@@ -105,20 +106,6 @@ def spread_slopes(
 def inverse_rows(F: Any):
     """Return the cofactors of F, which are det F times the transpose of F's inverse."""
     return wp.matrix_from_rows(wp.cross(F[1], F[2]), wp.cross(F[2], F[0]), wp.cross(F[0], F[1]))
-
-
-@wp.func
-def safe_volume(J: Any):
-    """Return max(J, r), where r is the volume ratio below which laws replace log J by its
-    tangent.
-    """
-    return wp.max(J, type(J)(1.0e-4))
-
-
-@wp.func
-def signed_volume(J: Any):
-    """Return J, or a small value of the same sign if J is nearly zero."""
-    return wp.where(J < type(J)(0.0), wp.min(J, type(J)(-1.0e-4)), safe_volume(J))
 
 
 @build_once

@@ -12,11 +12,10 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.elastic import safe_volume, signed_volume
 from phy124.kernels.lattice.points import (
     PER_CELL,
     inverse_rows,
-    safe_volume,
-    signed_volume,
     slopes_at,
     spread_slopes,
 )

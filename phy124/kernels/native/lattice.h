@@ -228,7 +228,7 @@ const auto cofactors = [](const auto* F, auto* c) {
     c[8] = F[0] * F[4] - F[1] * F[3];
     return F[0] * c[0] + F[1] * c[1] + F[2] * c[2];
 };
-const float FLOOR = 1.0e-4f;  // `safe_volume` of lattice/points.py
+const float FLOOR = 1.0e-4f;  // `safe_volume` of elastic.py
 const float FLAT = 0.05f;  // `FLAT` of lattice/stress.py
 
 //: rates
