@@ -96,7 +96,7 @@ def test_effects_tell_why_there_is_no_lattice():
     (afloat,) = (
         row for row in Effects.of(scene(objects=[pool])).left_out if row.effect == "rest lattice"
     )
-    assert afloat.why and "liquid acts only on objects made of particles" in afloat.why
+    assert afloat.why and "lattices in a liquid support fewer features" in afloat.why
 
 
 PLATE = {"kind": "half_space", "motion": {"kind": "swing", "amplitude": (0, 0, 0.01)}}

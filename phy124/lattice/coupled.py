@@ -79,14 +79,13 @@ class CoupledSolver(Solver):
         self._lattice: LatticeSolver | None = None
         super().__init__(model, state, pairs=pairs, ceiling=ceiling, graph=False, **options)
         bodies = sorted(model.wet)
-        part = _part_of(model, bodies, still)
+        part, index = part_of_bodies(model, bodies, still)
         number = {body: place for place, body in enumerate(bodies)}
         between = [
             Pair(number[p.first], number[p.second], p.friction, p.sticky)
             for p in pairs
             if {p.first, p.second} <= model.wet
         ]
-        index = np.concatenate([np.arange(len(model))[model.particles(body)] for body in bodies])
         motion = (np.asarray(array.numpy(), np.float64)[index] for array in (state.v, state.C))
         rows = surface.copy()
         rows[:, 6] = np.searchsorted(bodies, rows[:, 6])
@@ -299,8 +298,17 @@ class _Undo:
             material.restore(snapshot["materials"][str(number)])
 
 
-def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model:
-    """Return a model with some of the bodies, numbered in the given order."""
+def part_of_bodies(
+    model: Model, bodies: Sequence[int], still: Sequence[int]
+) -> tuple[Model, NDArray[np.int64]]:
+    """Return a model with some of the bodies, numbered in the given order, and the indices of their
+    particles.
+
+    Args:
+        model: The model.
+        bodies: Indices of the bodies.
+        still: Indices of bodies that never move.
+    """
     groups, runs, start = [], [], 0
     for place, body in enumerate(bodies):
         for group in model.groups:
@@ -316,7 +324,7 @@ def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model
     def chosen(array: wp.array) -> wp.array:
         return model.array(array.numpy()[index], model.real)
 
-    return replace(
+    part = replace(
         model,
         rest=model.rest[index],
         mass=chosen(model.mass),
@@ -329,3 +337,4 @@ def _part_of(model: Model, bodies: Sequence[int], still: Sequence[int]) -> Model
         names=names,
         whole=model,
     )
+    return part, index

@@ -72,6 +72,10 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     """Yield the scene's unsupported features, in the order of the scene's fields."""
     if scene.couples:
         yield from _refusals_of_couples(scene)
+    if scene.couples and scene.projects and not_immersed(scene):
+        limit = "the liquid also contains objects that yield, which are not on lattices."
+        remedy = 'Use accuracy.liquid = "compressible", or accuracy.solver = "mpm".'
+        yield Refusal("accuracy.liquid", "projection", limit, remedy)
     yield from _refusals_of_materials(scene, materials)
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
@@ -113,9 +117,15 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
         yield Refusal("objects.motion", solids, limit)
     if scene.stiffness_profile is not None:
         yield Refusal("stiffness_profile", "set", limit)
-    if scene.projects:
-        remedy = 'Use accuracy.liquid = "compressible", or accuracy.solver = "mpm".'
-        yield Refusal("accuracy.liquid", "projection", limit, remedy)
+
+
+def not_immersed(scene: Any) -> bool:
+    """Return whether a projected liquid of a scene cannot contain the elastic objects as
+    lattices.
+    """
+    sections = scene.materials
+    other = any(not is_elastic(section) and section.law != "fluid" for section in sections)
+    return other or next(_refusals_of_couples(scene), None) is not None
 
 
 def is_elastic(section: Material) -> bool:

@@ -55,6 +55,8 @@ class LatticeSolver:
     """Advances the nodes of bodies in time under forces, boundaries and contact."""
 
     projects: ClassVar[bool] = False
+    clock_type: ClassVar[type[LatticeClock]] = LatticeClock
+    """Class of the clock."""
 
     def __init__(
         self,
@@ -95,7 +97,7 @@ class LatticeSolver:
                 directions.
         """
         self.state = State.of(model) if state is None else state
-        self.clock = LatticeClock(model, ceiling=ceiling)
+        self.clock = self.clock_type(model, ceiling=ceiling)
         self.clock.calm = largest_calm_rate(model.materials, model.dx)
         # Viscosity is part of the measured stiffness.
         self.clock.viscous = math.inf
@@ -198,7 +200,7 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 in_shock_only(self.clock, crew.shock(worker, self.clock.values)),
-                crew.kick(worker, self.tracks, pushed=pushed),
+                crew.kick(worker, self.tracks, pushed=pushed or crew.lasting is not None),
                 self._contact() if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]

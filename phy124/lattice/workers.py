@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -117,6 +118,10 @@ class Crew:
         self._spans = [
             wp.array(np.array(a, np.int32), device=device) for a in (low, high, begin[:-1])
         ]
+        self.lasting: wp.array | None = None
+        """Forces on the nodes that act in all substeps until they are replaced, N, for each worker;
+        None: there are none.
+        """
         self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
         self._read_maxima = reader(self._maxima)
         self.workers = [
@@ -185,7 +190,29 @@ class Crew:
         stress = self._stress(worker, self.nodes.u, outputs)
         if pushes is None:
             return stress
-        return [("clear", worker.pushes.zero_), *launches([self._push(worker, pushes)]), *stress]
+        clear: Callable[[], Any] = worker.pushes.zero_
+        if self.lasting is not None:
+            part = self.part_of(self.lasting, self.workers.index(worker))
+            clear = partial(wp.copy, worker.pushes, part)
+        return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
+
+    def press(self, pushes: wp.array, turns: wp.array) -> None:
+        """Replace the lasting forces on the nodes by the forces of accelerations of the points.
+
+        Args:
+            pushes: Acceleration of each point [P,3], m/s^2.
+            turns: Moments of the acceleration around each point [P,3,3] (`make_press`).
+        """
+        assert self.lasting is not None
+        self.lasting.zero_()
+        model, state, kernel = self._model, self._state, point_kernels.make_press(self._model.real)
+        for index, worker in enumerate(self.workers):
+            span = worker.points
+            inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows]
+            inputs += [self._offset, state.F, pushes, turns]
+            count, part = span.stop - span.start, self.part_of(self.lasting, index)
+            wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
+        wp.copy(self._pushes, self.lasting)
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
         """Return the launches that sum the forces due to trial displacements.

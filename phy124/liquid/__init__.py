@@ -13,8 +13,9 @@ if (
     TYPE_CHECKING
 ):  # Solvers are imported where they are created, because most runs need only one solver.
     from phy124.lattice.solver import LatticeSolver
+    from phy124.liquid.immersed import ImmersedSolver
     from phy124.liquid.solver import LiquidSolver
     from phy124.mpm import Solver
 
-    AnySolver = Solver | LiquidSolver | LatticeSolver
+    AnySolver = Solver | LiquidSolver | LatticeSolver | ImmersedSolver
     """Any of the solvers that a run may use."""

@@ -37,19 +37,34 @@ is right. `MOST`: largest shift [cells].
 """
 
 
+Expect = Callable[[float], tuple[wp.array, wp.array]]
+"""Function that predicts the mean velocities [m/s] and velocity gradients [1/s] of the particles in
+a step [s] under the last pressure.
+"""
+
+
 class Bodies:
     """The bodies of other materials in a run; each body is a wall for the liquid."""
 
-    def __init__(self, model: Model, state: State, grids: Sequence[Grid], free: FreeBodies) -> None:
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        grids: Sequence[Grid],
+        free: FreeBodies,
+        expect: Expect | None = None,
+    ) -> None:
         """Allocate the arrays of the particles.
 
         Args:
-            model: All particles of the run, including the particles of the liquid.
+            model: The particles of the bodies; they may be followed or preceded by a liquid's.
             state: State of the particles.
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
+            expect: Predicts the mean motion of the particles in a step; None: the present motion.
         """
         self._model, self._state, self._grids = model, state, grids
+        self._expect, self._motion = expect, (state.v, state.C)
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
         """Indices of the bodies."""
         t, device, count = types(model.real), model.device, len(self.numbers)
@@ -57,14 +72,17 @@ class Bodies:
         """Freely moving rigid solids, and their number."""
         shape = (count, kernels.MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=device)
-        self._pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
-        self._turns = wp.zeros(len(model), dtype=t.mat33, device=device)
+        self.pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
+        self.turns = wp.zeros(len(model), dtype=t.mat33, device=device)
+        """Accelerations of the particles by the pressure, and rates of change of their C."""
         self._most = wp.zeros(1, dtype=model.real, device=device)
         self._volumes = wp.zeros(3, dtype=wp.float64, device=device)
         self._rims = wp.zeros(6, dtype=wp.vec3d, device=device)
         self._shifts = np.full(model.bodies, np.nan)
         """Distance by which the surface of each body is shifted outwards [cells]."""
-        self._limit, self._kick, self._pull = 0.0, 0.0, np.zeros(3)
+        self.limit = 0.0
+        """Largest acceleration of a particle by the pressure [m/s^2]."""
+        self._kick, self._pull = 0.0, np.zeros(3)
         self.pushed = False
         """Whether forces act on particles in the substeps."""
         self.period = math.inf
@@ -111,13 +129,13 @@ class Bodies:
 
         def record(grid: Grid) -> wp.Launch | None:
             run = grid.run(len(model))
-            inputs = [tracks.clock, self._pushes[run], self._turns[run]]
+            inputs = [tracks.clock, self.pushes[run], self.turns[run]]
             outputs = [state.v[run], state.C[run]]
             return model.launch(kernel, run.stop - run.start, inputs, outputs)
 
         def limit(start: float, end: float) -> float:
             del start, end
-            return self._limit
+            return self.limit
 
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
@@ -125,7 +143,7 @@ class Bodies:
         """End the substeps; the last pressure no longer contributes to the bound of the
         acceleration.
         """
-        self._limit = 0.0
+        self.limit = 0.0
 
     def fit(self, cells: Cells) -> None:
         """Allocate the arrays of a new window."""
@@ -152,6 +170,9 @@ class Bodies:
         """
         self._ahead = ahead
         model, state, real = self._model, self._state, self._model.real
+        if self._expect is not None and ahead > 0:
+            self._motion = self._expect(2 * ahead)
+        v, C = self._motion
         self._sheet.zero_()
         self._contact.zero_()
         wp.copy(self._shares, cells.shares)
@@ -161,7 +182,7 @@ class Bodies:
             self._level.fill_(float(EMPTY))
             run, region = model.particles(body), self._region(cells, body)
             inputs = [ahead, cells.lattice, cells.window, model.mass[run], model.volume[run]]
-            inputs += [state.x[run], state.v[run], state.C[run], part_of(state.deformation, run)]
+            inputs += [state.x[run], v[run], C[run], part_of(state.deformation, run)]
             kernel, count = shapes.make_body_scatter(real), run.stop - run.start
             self._launch(kernel, count, inputs, [self._sheet, self._full])
             size, box = int(np.prod(region.size)), region.box
@@ -202,16 +223,10 @@ class Bodies:
             kick: Duration of the step [s].
             pull: Uniform acceleration [3], m/s^2.
         """
-        self._rows.zero_()
-        for index, body in enumerate(self.numbers):
-            run = self._model.particles(body)
-            threads, *fraction = shared_out(run.stop - run.start, self._model.device)
-            inputs = [*fraction, run.stop - run.start, self._model.dx, self._model.mass[run]]
-            inputs += [self._state.x[run], self._state.v[run], self._state.C[run]]
-            kernel = kernels.make_moments(self._model.real)
-            self._launch(kernel, threads, inputs, [cast("wp.array", self._rows[index])])
-        rows = np.array(self._rows.numpy(), np.float64)
-        motions = [*self.free.motions(), *(Motion.of(row, self._model.dx) for row in rows)]
+        motions = [*self.free.motions(), *self._rigid(self._state.v, self._state.C)]
+        expected = motions
+        if self._expect is not None:
+            expected = [*motions[: self.first], *self._rigid(*self._motion)]
         others = [self._other(index, motion, kick, pull) for index, motion in enumerate(motions)]
         plans, present, centres, mobility = (
             np.array(a.numpy())
@@ -222,7 +237,8 @@ class Bodies:
             if place >= self.first and self.numbers[place - self.first] in self._model.held:
                 mobility[place], plans[place], present[place] = 0.0, 0.0, 0.0
                 continue
-            present[place] = motion.momentum / motion.mass, motion.inverse @ motion.angular
+            mean = expected[place]
+            present[place] = mean.momentum / mean.mass, mean.inverse @ mean.angular
             changed = motion.angular + other[1]
             plans[place] = (motion.momentum + other[0]) / motion.mass, motion.inverse @ changed
             scale = self._solids.scale
@@ -236,6 +252,19 @@ class Bodies:
         self._before = [(motion.momentum, motion.angular) for motion in motions]
         self._centres = centres
         self._kick, self._pull = kick, pull
+
+    def _rigid(self, v: wp.array, C: wp.array) -> list[Motion]:
+        """Return the rigid motion of each body for velocities of the particles."""
+        self._rows.zero_()
+        for index, body in enumerate(self.numbers):
+            run = self._model.particles(body)
+            threads, *fraction = shared_out(run.stop - run.start, self._model.device)
+            inputs = [*fraction, run.stop - run.start, self._model.dx, self._model.mass[run]]
+            inputs += [self._state.x[run], v[run], C[run]]
+            kernel = kernels.make_moments(self._model.real)
+            self._launch(kernel, threads, inputs, [cast("wp.array", self._rows[index])])
+        rows = np.array(self._rows.numpy(), np.float64)
+        return [Motion.of(row, self._model.dx) for row in rows]
 
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
@@ -320,10 +349,10 @@ class Bodies:
         for body in moving:
             run = model.particles(body)
             inputs = [self._ahead, self._kick, cells.lattice, cells.window]
-            inputs += [self._state.x[run], self._state.v[run], self._change]
-            outputs = [self._pushes[run], self._turns[run], self._most]
+            inputs += [self._state.x[run], self._motion[0][run], self._change]
+            outputs = [self.pushes[run], self.turns[run], self._most]
             self._launch(kernels.make_body_gather(real), run.stop - run.start, inputs, outputs)
-        self._limit = float(self._most.numpy()[0])
+        self.limit = float(self._most.numpy()[0])
 
     def _press_film(
         self,
@@ -427,6 +456,7 @@ class Bodies:
             "forces": self._forces.tolist(),
             "period": self.period,
             "films": self._films.tolist(),
+            **({"pushes": self._pressure()} if self._expect else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -436,6 +466,14 @@ class Bodies:
         self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
         self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
         self.period = snapshot["period"]
+        if self._expect:
+            self.limit, pushes, turns = snapshot["pushes"]
+            self.pushes.assign(pushes)
+            self.turns.assign(turns)
+
+    def _pressure(self) -> list[Any]:
+        """Return the last accelerations, under which the next motion is predicted."""
+        return [self.limit, wp.clone(self.pushes), wp.clone(self.turns)]
 
 
 Advance = Callable[[float], None]

@@ -90,8 +90,8 @@ class MixedSolver(Solver):
             InputError: The region of a force contains no particle, or a wall is too thin for the
                 grid.
         """
-        span = _span(model)
-        part = _liquid_model(model, span)
+        span = liquid_span(model)
+        part = liquid_model(model, span)
         self._bodies: Bodies | None = None
         self._liquid: LiquidSolver | None = None
         super().__init__(
@@ -101,7 +101,7 @@ class MixedSolver(Solver):
         self._bodies = Bodies(model, state, self.grids, self.free)
         self._bodies.pushed = pushed
         self._liquid = LiquidSolver(
-            part, _liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
+            part, liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
             ceiling=self.clock.ceiling, threads=threads, bodies=self._bodies,
             advance_bodies=self._advance_bodies, whole=model,
         )  # fmt: skip
@@ -221,13 +221,13 @@ class MixedSolver(Solver):
         self.liquid.restore(snapshot["liquid"])
 
 
-def _span(model: Model) -> slice:
+def liquid_span(model: Model) -> slice:
     """Return the particles of the liquid."""
     runs = [model.particles(body) for body in sorted(model.wet)]
     return slice(runs[0].start, runs[-1].stop)
 
 
-def _liquid_model(model: Model, span: slice) -> Model:
+def liquid_model(model: Model, span: slice) -> Model:
     """Return a model with only the particles in a span, as one body."""
     groups = [
         replace(group, start=group.start - span.start, stop=group.stop - span.start, body=0)
@@ -250,5 +250,6 @@ def _liquid_model(model: Model, span: slice) -> Model:
     )
 
 
-def _liquid_state(state: State, span: slice) -> State:
+def liquid_state(state: State, span: slice) -> State:
+    """Return the state of only the particles in a span, in the same memory."""
     return State(**{name: part_of(array, span) for name, array in state.arrays().items()})

@@ -10,6 +10,7 @@ from phy124.monitor.coupled import (
 )
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork, MeanWork
+from phy124.monitor.immersed import ImmersedPairs, ImmersedWork, ImmersedWrenches
 from phy124.monitor.interior import Interior
 from phy124.monitor.lattice import (
     LatticeContacts,
@@ -77,10 +78,21 @@ COUPLED_OBSERVERS: tuple[type[Observer], ...] = (
     CoupledWatchdog,
 )
 """Observers of runs with both bodies on lattices and particle bodies."""
+IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
+    ImmersedPairs,
+    LatticeSelfContact,
+    LatticeShock,
+    ImmersedWrenches,
+    ImmersedWork,
+    CoupledWatchdog,
+)
+"""Observers of runs with bodies on lattices in a projected liquid."""
 
 
 def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
     """Return the observers for a scene's solver."""
+    if scene.immerses:
+        return IMMERSED_OBSERVERS
     if scene.couples:
         return COUPLED_OBSERVERS
     if scene.projects and not scene.mixes:

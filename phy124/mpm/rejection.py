@@ -59,6 +59,8 @@ class StepRejection:
         turning = any(not stage.keeps_C for stage in pushes)
         self._pushed = [state.v, *([state.C] if turning else [])] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
+        self.pressed = 0.0
+        """Largest acceleration by the pressure of a liquid [m/s^2]."""
         self._pushes = pushes
         self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
@@ -77,7 +79,8 @@ class StepRejection:
         cover one frame before `start`.
         """
         before = start - ROUNDED * (end - start) if math.isfinite(start) else start
-        self.acceleration = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
+        largest = _max_acceleration(self._model, self._tracks, self._pushes, before, end)
+        self.acceleration = largest + self.pressed
         """Upper bound of the acceleration of particles by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)

@@ -17,8 +17,8 @@ Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as
 """
 
 PARTICLES_ONLY = (
-    "the pressure of a liquid acts only on objects made of particles, which tear if they are very "
-    "soft"
+    "lattices in a liquid support fewer features, and are used only by choice (accuracy.solver = "
+    "lattice); objects made of particles tear if they are very soft"
 )
 """Reason why elastic objects in a liquid are not on lattices."""
 

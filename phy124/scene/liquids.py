@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from phy124.errors import InputError, Remedy
+from phy124.lattice.refusals import not_immersed
 from phy124.scene.accuracies import USUAL
 
 REMEDY = Remedy("accuracy.liquid = compressible", {"accuracy.liquid": "compressible"})
@@ -23,7 +24,7 @@ def reason_for_compressible(scene: Any) -> str:
     accuracy = scene.resolution
     if accuracy.liquid is not None:
         return "" if accuracy.liquid == "projection" else "accuracy.liquid is compressible"
-    if accuracy.solver == "lattice":
+    if accuracy.solver == "lattice" and not_immersed(scene):
         return f"accuracy.solver is {accuracy.solver}"
     for name, usual in USUAL.items():
         if getattr(accuracy, name) != usual:

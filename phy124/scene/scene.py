@@ -226,6 +226,11 @@ class Scene(Section):
         return self.projects and self.has_solids
 
     @property
+    def immerses(self) -> bool:
+        """Whether a projected liquid moves together with objects on lattices."""
+        return self.projects and self.couples
+
+    @property
     def on_lattice(self) -> bool:
         """Whether elastic objects are simulated on the lattices of their rest shapes."""
         return not reason_for_mpm(self)

@@ -64,7 +64,7 @@ def _list_solvers(scene: Scene) -> str:
     by_mpm = scene.has_solids or not scene.projects
     used = {
         "lattice": scene.on_lattice,
-        "mpm": scene.couples if scene.on_lattice else by_mpm,
+        "mpm": scene.couples and not scene.projects if scene.on_lattice else by_mpm,
         "projection": scene.projects,
     }
     return " and ".join(name for name, uses in used.items() if uses)

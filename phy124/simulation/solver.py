@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.boundaries import Ground
+from phy124.kernels.lattice.points import make_press
 from phy124.lattice.refusals import is_elastic
 from phy124.monitor import observers_for
 from phy124.monitor.observer import Observer, Subject
@@ -63,7 +64,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     held = {index for index, body in enumerate(scene.every_object) if body.held}
     number = number_bodies(particles.body)
     wet = find_wet(fluid, particles.material, number) if scene.mixes else []
-    if scene.couples:
+    if scene.couples and not scene.projects:
         wet = [place for place, index in enumerate(bodies) if scene.on_lattices[index]]
     names, surface = [scene.names[index] for index in bodies], particles.surface
     if surface is not None:
@@ -102,9 +103,13 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
         return LiquidSolver(model, state, **options, free=setup.free)
     options["pairs"] = list(_pairs(model.names, scene))
     steps = {"measure_every": scene.checks.measure, "scheme": scheme_of(scene)}
-    if scene.on_lattice and not scene.mixes:
+    if scene.on_lattice:
         assert surface is not None
         options["copies"] = particles.copies
+        if scene.immerses:
+            from phy124.liquid.immersed import ImmersedSolver
+
+            return ImmersedSolver(model, surface, state, **options, still=still)
         if scene.couples:
             from phy124.lattice.coupled import CoupledSolver
 
@@ -155,6 +160,8 @@ def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     options = {"forces": forces, "accumulators": sums, "planes": planes_for_free(scene)}
     named = zip(wall_names(scene.boundaries), scene.boundaries, strict=True)
     of_liquid = [(name, wall) for name, wall in named if not wall.holds and wall.object is None]
+    if scene.immerses:
+        return {**options, "boundaries": scene.boundaries, "walls": of_liquid}
     if scene.mixes:
         uniform = [force for force in scene.acting if force.uniform]
         acting = {"uniform": uniform, "pushed": len(uniform) < len(scene.acting)}
@@ -206,6 +213,9 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
             several=bool(scene.objects),
         )
         if not scene.couples:
+            return
+        if scene.projects:
+            yield make_press(real)
             return
         yield from material.kernels_of(real, device)
     yield from substep.kernels(subject.laws, real, form)

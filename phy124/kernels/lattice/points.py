@@ -192,3 +192,47 @@ def make_push(real: Any):
             spread(force_out, low, rows, cell, offset[p], (mass[p] / clock[0]) * change)
 
     return push
+
+
+@build_once
+def make_press(real: Any):
+    """Kernel over points: adds the forces of an acceleration with a gradient to the nodes' forces.
+
+    `turns` are 4 / dx^2 times the moments of the acceleration around the points. Only their
+    antisymmetric part T acts, which contains the angular momentum; the other part would excite
+    vibrations. The force on node i is m w_i (a + T F^-T (X_i - X)) with the positions X at rest. It
+    has the angular momentum of T exactly if the body is deformed uniformly near the point.
+    """
+    t = types(real)
+
+    @kernel(f"phy124_lattice_press_{real.__name__}", real, seconds=0.3)
+    def press(
+        start: int,
+        low: int,
+        mass,
+        dx,
+        rows: Ints,
+        offset: t.vec3s,
+        F,
+        pushes: t.vec3s,
+        turns: t.mat33s,
+        force_out: t.vec3s,
+    ):
+        p = start + wp.tid()
+        f = offset[p]
+        cell = p / wp.static(PER_CELL)
+        turn = real(0.5) * (turns[p] - wp.transpose(turns[p]))
+        T = (dx * mass[p] / safe_volume(wp.determinant(F[p]))) * (turn * inverse_rows(F[p]))
+        first = mass[p] * pushes[p] - T * f
+        wx = spline(f[0])
+        wy = spline(f[1])
+        wz = spline(f[2])
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    n = rows[cell * 9 + i * 3 + j] - low + k
+                    at = wp.vec3i(i, j, k)
+                    arm = wp.vector(real(at[0]), real(at[1]), real(at[2]))
+                    wp.atomic_add(force_out, n, wx[i] * wy[j] * wz[k] * (first + T * arm))
+
+    return press

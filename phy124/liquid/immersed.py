@@ -1,0 +1,311 @@
+"""ImmersedSolver: advances a projected liquid in steps, and bodies on lattices in substeps.
+
+Each step begins with a prediction: the bodies take their substeps under the pressure of the last
+step, and return to where they were. The liquid sees the mean motion of this prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from phy124.boundaries import Boundary
+from phy124.lattice.coupled import STATE, part_of_bodies
+from phy124.lattice.shock import LatticeClock
+from phy124.lattice.solver import LatticeSolver
+from phy124.liquid.bodies import Bodies
+from phy124.liquid.impulses import WallImpulses
+from phy124.liquid.mixed import MixedClock, liquid_model, liquid_span, liquid_state
+from phy124.liquid.solver import LiquidSolver
+from phy124.mpm import Accumulator, Attachable, Model, Pair, Stage, State
+from phy124.mpm.free import Plane
+from phy124.mpm.grid import grids_of
+from phy124.mpm.pairs import Pairs
+from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import Timings, run_timed
+
+MARGIN = 4
+"""Margin of a body's window around its points [cells]."""
+
+
+class ImmersedClock(MixedClock, LatticeClock):
+    """The clock of the bodies' substeps. It includes the delay of the liquid's velocities."""
+
+
+class ImmersedLattices(LatticeSolver):
+    """The solver of the bodies on lattices."""
+
+    clock_type = ImmersedClock
+
+
+class ImmersedSolver:
+    """Advances a liquid and bodies on lattices in time."""
+
+    projects: ClassVar[bool] = True
+    softened = 1.0
+    """Factor on the stiffness of all materials, which does not change in a liquid."""
+
+    def __init__(
+        self,
+        model: Model,
+        surface: NDArray,
+        state: State,
+        *,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Any] = (),
+        walls: Sequence[tuple[str, Boundary]] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
+        pairs: Sequence[Pair] = (),
+        copies: NDArray | None = None,
+        still: Sequence[int] = (),
+        threads: int | None = None,
+        **options: Any,
+    ) -> None:
+        """Divide the particles between the liquid solver and the lattice solver.
+
+        Args:
+            model: All particles; the liquid consists of the bodies `Model.wet`.
+            surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
+            state: Initial state of the particles.
+            forces: Forces, which must be uniform.
+            boundaries: Boundaries for the bodies.
+            walls: The boundaries for the liquid, with their names.
+            accumulators: Sums that are updated in every substep.
+            planes: Not used; there are no freely moving solids.
+            pairs: Pairs of bodies whose contact differs from the default.
+            copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
+            still: Bodies that never move.
+            threads: Number of CPU threads; None: the fastest number.
+            options: Further arguments of `LatticeSolver`.
+
+        Raises:
+            InputError: As in `LatticeSolver` and `LiquidSolver`.
+        """
+        self.model, self.state, self._accumulators = model, state, list(accumulators)
+        self._numbers = [body for body in range(model.bodies) if body not in model.wet]
+        part, self._index = part_of_bodies(model, self._numbers, still)
+        motion = (
+            np.asarray(array.numpy(), np.float64)[self._index] for array in (state.v, state.C)
+        )
+        rows = surface.copy()
+        rows[:, 6] = np.searchsorted(self._numbers, rows[:, 6])
+        place = {body: number for number, body in enumerate(self._numbers)}
+        between = [
+            pair._replace(first=place[pair.first], second=place[pair.second])
+            for pair in pairs
+            if {pair.first, pair.second} <= place.keys()
+        ]
+        self.lattice = ImmersedLattices(
+            part, rows, State.of(part, *motion), forces=forces, boundaries=boundaries,
+            accumulators=self._of_all(accumulators), pairs=between, copies=copies, threads=threads,
+            **options,
+        )  # fmt: skip
+        self.pairs = Pairs(model, pairs, 1)
+        points, crew = self.lattice.state, self.lattice.crew
+        self._mean = wp.zeros_like(points.v), wp.zeros_like(points.C)
+        self._grids = grids_of(part)
+        self.lattice.follow()
+        self._find_windows()
+        self.bodies = Bodies(part, points, self._grids, self.lattice.free, self._predict)
+        crew.lasting = crew.new_pool()
+        self.lattice.record()
+        span = liquid_span(model)
+        self.liquid = LiquidSolver(
+            liquid_model(model, span), liquid_state(state, span), forces=forces, boundaries=walls,
+            ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
+            advance_bodies=self._advance_bodies, whole=model,
+        )  # fmt: skip
+        self.clock.liquid = self.liquid.clock
+        self.clock.share = self.liquid.model.total_mass / model.total_mass
+        self._after: Callable[[], None] | None = None
+
+    @property
+    def clock(self) -> Any:
+        """The clock of the bodies' substeps."""
+        return self.lattice.clock
+
+    @property
+    def impulses(self) -> WallImpulses:
+        """Impulses of the walls on the liquid."""
+        return self.liquid.impulses
+
+    @property
+    def crowding(self) -> float:
+        """Largest mean excess of the liquid's density that lasted for two frames, relative to the
+        rest density.
+        """
+        return self.liquid.crowding
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of the lattices, and of cells in the liquid's window."""
+        return self.lattice.nodes + self.liquid.nodes
+
+    @property
+    def timings(self) -> Timings:
+        """Seconds and number of launches of each stage in the first thread of the lattices."""
+        return self.lattice.timings
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the lattice solver, for observers and reports."""
+        if name.startswith("_") or name == "lattice":
+            raise AttributeError(name)
+        return getattr(self.lattice, name)
+
+    def bind(
+        self,
+        forces: Sequence[Attachable] = (),
+        boundaries: Sequence[Any] = (),
+        accumulators: Sequence[Accumulator] = (),
+        planes: Sequence[Plane] = (),
+        *,
+        walls: Sequence[tuple[str, Boundary]] = (),
+    ) -> None:
+        """Replace forces, boundaries and sums, from the next step on.
+
+        Args:
+            forces: Forces, which must be uniform.
+            boundaries: Boundaries for the bodies.
+            accumulators: Sums that are updated in every substep.
+            planes: Not used; there are no freely moving solids.
+            walls: The boundaries for the liquid, with their names.
+
+        Raises:
+            InputError: As in `__init__`.
+        """
+        self._accumulators = list(accumulators)
+        self.liquid.bind(forces, walls)
+        self.lattice.bind(forces, boundaries, self._of_all(accumulators))
+
+    def _of_all(self, accumulators: Sequence[Accumulator]) -> list[Any]:
+        """Return the sums, attached to all particles instead of only to the lattices' points."""
+        return [_OfAll(item, self.model, self.state) for item in accumulators]
+
+    def advance(
+        self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
+    ) -> None:
+        """Take steps of the liquid; the bodies' substeps follow each step.
+
+        Args:
+            until: The time at which to stop [s].
+            after: Called after each substep.
+            each: Not used; `after` is called after each substep in any case.
+
+        Raises:
+            Unstable: A value is not finite, or a particle is too far away.
+        """
+        del each
+        self._after = after
+        self.lattice.pairs.begin()
+        self.liquid.clock.time = self.clock.time
+        self.liquid.clock.bodies = self.clock.extremes.speed
+        self.liquid.advance(until)
+        self.clock.time = until
+        for (first, second), (impulse, moment) in self.lattice.pairs.wrenches(1.0).items():
+            self.pairs.add(self._numbers[first], self._numbers[second], impulse, moment)
+        self._copy_state()
+
+    def _advance_bodies(self, until: float) -> None:
+        """Advance the bodies by substeps under the pressure of the liquid."""
+        wet, bodies, lattice = min(self.model.wet), self.bodies, self.lattice
+        for body, (impulse, moment) in zip(self._numbers, bodies.impulses, strict=True):
+            self.pairs.add(wet, body, impulse, moment)
+        self._press()
+        lattice.advance(until, after=self._after)
+        self._find_windows()
+        self.liquid.clock.bodies = self.clock.extremes.speed
+
+    def _press(self) -> None:
+        """Let the last pressure act in the next substeps."""
+        bodies, lattice = self.bodies, self.lattice
+        lattice.rejection.pressed = bodies.limit
+        run_timed(self.timings, "press", lambda: lattice.crew.press(bodies.pushes, bodies.turns))
+
+    def _predict(self, duration: float) -> tuple[wp.array, wp.array]:
+        """Return the mean velocities of the points and their gradients in a step of `duration` [s]
+        under the last pressure.
+        """
+        lattice, nodes = self.lattice, self.lattice.nodes_state
+        sums = [item.snapshot() for item in self._accumulators]
+        kept, u = lattice.snapshot(), nodes.u.numpy().copy()
+        self._press()
+        lattice.advance(lattice.clock.time + duration)
+        mean = (nodes.u.numpy() - u) / duration
+        lattice.restore(kept)
+        for item, values in zip(self._accumulators, sums, strict=True):
+            item.restore(values)
+        v = wp.clone(nodes.v)
+        nodes.v.assign(mean)
+        lattice.follow()
+        for array, now in zip(self._mean, (lattice.state.v, lattice.state.C), strict=True):
+            wp.copy(array, now)
+        nodes.v.assign(v)
+        lattice.follow()
+        return self._mean
+
+    def _find_windows(self) -> None:
+        """Place a window around the points of each body."""
+        part, x = self.lattice.model, self.lattice.state.x.numpy()
+        for body, grid in enumerate(self._grids):
+            cells = np.floor((x[part.particles(body)] - part.origin) / part.dx).astype(int)
+            grid.low = cells.min(axis=0) - MARGIN
+            grid.size = cells.max(axis=0) + MARGIN + 1 - grid.low
+
+    def _copy_state(self) -> None:
+        """Copy the state of the lattices' points to the state of all particles."""
+        points = self.lattice.state
+        for name in STATE:
+            array = getattr(self.state, name)
+            values = array.numpy()
+            values[self._index] = getattr(points, name).numpy()
+            array.assign(values)
+        if len(self.state.total):
+            total = self.state.total.numpy()
+            total[self._index] = points.F.numpy()
+            self.state.total.assign(total)
+
+    def renew(self) -> None:
+        """Measure all limits again; call after changing the state from outside."""
+        self.clock.expire()
+        self.liquid.renew()
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a snapshot from which `restore` continues bit for bit."""
+        return {
+            "lattice": self.lattice.snapshot(),
+            "liquid": self.liquid.snapshot(),
+            "pairs": self.pairs.snapshot(),
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
+        self.lattice.restore(snapshot["lattice"])
+        self._find_windows()
+        self.liquid.restore(snapshot["liquid"])
+        self.pairs.restore(snapshot["pairs"])
+        self._copy_state()
+
+
+class _OfAll:
+    """Sums over all particles, updated in the substeps of only some of them."""
+
+    def __init__(self, item: Accumulator, model: Model, state: State) -> None:
+        self._item, self._model, self._state = item, model, state
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Return the stages of the sums."""
+        del model, state
+        return self._item.attach(self._model, self._state, tracks)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a snapshot of the sums."""
+        return self._item.snapshot()
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore the sums from a snapshot."""
+        self._item.restore(snapshot)

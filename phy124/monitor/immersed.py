@@ -1,0 +1,76 @@
+"""Observers of runs with bodies on lattices in a projected liquid.
+
+The contact of a body with a wall sums the wall's impulse (phy124/monitor/lattice.py). The liquid
+sums the impulses of walls on the liquid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.kernels.lattice.contact import MOMENT
+from phy124.kernels.work import WORK, make_uniform_sums
+from phy124.monitor.coupled import CoupledPairs, elastic_names
+from phy124.monitor.external_work import MEAN_PUSH, MeanWork
+from phy124.monitor.lattice import LatticeWrenches
+from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.scene import Scene
+
+BODIES = MEAN_PUSH
+"""Cause of the work of walls on lattices. No forces act on points, so the name is free."""
+
+
+class ImmersedWork(MeanWork):
+    """Reads the external impulse and work on lattices and liquid from the sums for walls."""
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernel that sums the work of a uniform acceleration, if needed."""
+        if subject.changes:
+            yield make_uniform_sums(real)
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, in order to read the sums of walls on the liquid and on lattices."""
+        self._solver = self._liquid = solver
+        self._read_impulses()
+
+    def change(self, scene: Scene) -> None:
+        """Keep the sums of the previous walls, and read the sums of the new walls from now on."""
+        self._closed[BODIES] = self._closed[BODIES] + self._open(BODIES)
+        self._read_impulses()
+
+    def _read_impulses(self) -> None:
+        self._device[BODIES] = self._solver.walls.sums
+        super()._read_impulses()
+        self._solver.record()
+
+    def of_walls(self) -> float:
+        """Return the work of the walls since the start [J]; negative for walls at rest."""
+        return super().of_walls() + float(self._sum(BODIES)[WORK])
+
+
+class ImmersedWrenches(LatticeWrenches):
+    """Computes wrenches on walls from the sums of the lattices and of the liquid."""
+
+    def _now(self) -> NDArray[np.float64]:
+        rows, impulses = super()._now(), self._solver.impulses
+        for row, name in zip(rows, self._names, strict=True):
+            if name in impulses.names:
+                impulse, moment = np.split(impulses.wrench(name).numpy(), 2)
+                row[:3] += impulse
+                row[MOMENT : MOMENT + 3] += moment
+        return rows
+
+
+class ImmersedPairs(CoupledPairs):
+    """The row of the effects report that lists the bodies on lattices."""
+
+    @classmethod
+    def effect(cls, subject: Subject) -> Effect:
+        """Return the row of the effects report before a run."""
+        bodies = ", ".join(elastic_names(subject.scene))
+        return Effect(f"rest lattices (accuracy.solver = lattice) for {bodies}, in the liquid")

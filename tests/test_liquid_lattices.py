@@ -1,0 +1,188 @@
+"""Elastic bodies on lattices in a projected liquid: floating, landing, and conserved momentum."""
+
+import numpy as np
+import pytest
+
+from phy124.boundaries import Container, Held
+from phy124.errors import InputError
+from phy124.forces import Gravity
+from phy124.liquid.immersed import ImmersedSolver
+from phy124.liquid.mixed import MixedSolver
+from phy124.materials import Fluid, NeoHookean
+from phy124.mpm import Model, State
+from phy124.particles.lattice import lattice_of
+from phy124.particles.solid import Solid
+from phy124.runtime.context import RunContext
+from phy124.simulation import Simulation, prepare
+from support.liquids import DENSITY, TANK, G, block
+from support.shapes import ball
+from test_liquid_bodies import CELLS, DX, LEVEL, pool
+
+SMOOTH = Container(inside=TANK.inside, contact="separate", friction=0.0)
+
+
+def immersed(low, cells, *, density=DENSITY / 2, E=1e5, v=(0, 0, 0), gravity=G, clamps=(), held=()):
+    """Return a block on its lattice in a tank of water; the block's lowest corner is in cells."""
+    lower, upper = np.array(low) * DX, (np.array(low) + cells) * DX
+    x = block((0, 0, 0), (1, 1, LEVEL), CELLS)
+    x = x[((x < lower) | (x > upper)).any(axis=1)]
+    halves = np.round(2 * np.array([low, cells])).astype(int)
+    solid = Solid(halves[0], DX / 2, np.ones(halves[1], np.float32))
+    points = lattice_of(solid, density=density, dx=DX)
+    number = np.repeat([0, 1], [len(x), len(points)])
+    materials = [Fluid(density=DENSITY), NeoHookean(density=density, E=E, nu=0.3)]
+    volume = np.concatenate([np.full(len(x), DX**3 / 8), points.volume])
+    named = {"names": ["water", "body"], "wet": [0], "held": held}
+    every = np.concatenate([x, points.x.astype(float)])
+    model = Model.of(every, volume, materials, dx=DX, material=number, body=number, **named)
+    walls = [SMOOTH] if gravity else []
+    return ImmersedSolver(
+        model,
+        points.surface + [0, 0, 0, 0, 0, 0, 1],
+        State.of(model, np.outer(number, v)),
+        forces=[Gravity(g=(0, 0, -gravity))] if gravity else [],
+        boundaries=[*walls, *clamps],
+        walls=[("tank", wall) for wall in walls],
+        copies=points.copies,
+        still=held,
+        threads=1,
+    )
+
+
+def run(solver, frames, fps=24):
+    start = solver.clock.time
+    for frame in range(frames):
+        solver.advance(start + (frame + 1) / fps)
+    return solver
+
+
+def motion(solver):
+    """Return momentum and angular momentum of the nodes."""
+    nodes = solver.lattice.nodes_state
+    moves = nodes.inverse.numpy() > 0
+    p = nodes.v.numpy()[moves] / nodes.inverse.numpy()[moves, None].astype(float)
+    x = (solver.lattice.lattice.x + nodes.u.numpy())[moves]
+    return np.array([p.sum(axis=0), np.cross(x, p).sum(axis=0)])
+
+
+def rise(solver):
+    """Return the mean height of the block above its height at the start [cells]."""
+    mine = solver.model.particles(1)
+    return float((solver.state.x.numpy()[mine, 2] - solver.model.rest[mine, 2]).mean()) / DX
+
+
+def energy(solver):
+    """Return the kinetic and potential energy [J]."""
+    mass, x, v = (
+        a.numpy().astype(float) for a in (solver.model.mass, solver.state.x, solver.state.v)
+    )
+    return float(mass @ (G * x[:, 2] + (v**2).sum(axis=1) / 2))
+
+
+@pytest.mark.parametrize(
+    "ratio", [0.5, *(pytest.param(ratio, marks=pytest.mark.slow) for ratio in (0.3, 0.7))]
+)
+def test_cube_without_damping_floats_at_its_depth(ratio):
+    """In its exact depth, the cube bobs by a few percent, and its vibrations do not grow."""
+    low = CELLS * LEVEL - 6 * ratio
+    solver = immersed((5, 5, low), (6, 6, 6), density=ratio * DENSITY)
+    exact = low - round(2 * low) / 2
+    places = [rise(run(solver, 1)) for _ in range(24)]
+    assert np.mean(places[8:]) == pytest.approx(exact, abs=0.03 * 6)
+    v = solver.lattice.state.v.numpy()
+    assert np.linalg.norm(v - v.mean(axis=0), axis=1).max() < 0.3
+
+
+@pytest.mark.parametrize(("density", "E", "speed"), [(30.0, 1e3, 0.0), (300.0, 1e3, 3.0)])
+def test_very_light_or_soft_body_gains_no_energy(density, E, speed):
+    solver = immersed((5, 5, 8), (5, 5, 5), density=density, E=E, v=(0, 0, -speed))
+    start = energy(solver)
+    assert all(energy(run(solver, 1)) < start for _ in range(20))
+    assert solver.lattice.state.x.numpy()[:, 2].min() > 0.05
+
+
+def test_block_receives_exactly_the_impulse_of_the_liquid():
+    solver = immersed((2, 2, 8), (4, 4, 4), density=DENSITY, v=(0.5, 0, -2), gravity=0)
+    before = motion(solver)
+    solver.pairs.begin()
+    run(solver, 12, fps=48)
+    (force, torque), *_ = solver.pairs.wrenches(1.0).values()
+    change = motion(solver) - before
+    assert abs(change[0, 2]) > 0.2 * abs(before[0, 2])
+    np.testing.assert_allclose(change[0], force, atol=1e-3 * abs(change[0, 2]))
+    np.testing.assert_allclose(change[1], torque, atol=3e-3 * abs(change[1]).max())
+
+
+def test_held_block_is_lifted_by_the_water_it_displaces():
+    solver = run(immersed((5, 5, 3), (6, 6, 6), density=DENSITY, held=[1]), 12)
+    np.testing.assert_array_equal(rise(solver), 0)
+    solver.pairs.begin()
+    run(solver, 6)
+    level = solver.model.volume.numpy()[solver.model.particles(0)].sum()
+    level = (level - 36 * DX**2 * 3 * DX) / (1 - 36 * DX**2)
+    lift = solver.pairs.wrenches(6 / 24)[0, 1].force[2]
+    assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 3 * DX), rel=0.05)
+
+
+def test_clamped_reed_sways_with_the_water():
+    clamp = Held(lower=(-9, -9, -9), upper=(9, 9, DX))
+    solver = immersed((7, 7, 0), (2, 2, 8), density=600.0, clamps=[clamp])
+    run(solver, 2)
+    solver.bind([Gravity(g=(2, 0, -9.6))], [SMOOTH, clamp], walls=[("tank", SMOOTH)])
+    run(solver, 9)
+    x, rest = solver.lattice.state.x.numpy(), solver.lattice.model.rest
+    tip, foot = rest[:, 2] > 7 * DX, rest[:, 2] < DX / 2
+    assert (x - rest)[tip, 0].mean() > 0.5 * DX
+    assert abs((x - rest)[foot]).max() < 0.1 * DX
+
+
+@pytest.mark.slow
+def test_stone_presses_on_the_floor_by_weight_minus_buoyancy():
+    solver = run(immersed((6, 6, 2), (4, 4, 4), density=2.5 * DENSITY, E=1e6), 40)
+    solver.pairs.begin()
+    run(solver, 24)
+    lift = solver.pairs.wrenches(1.0)[0, 1].force[2]
+    assert lift == pytest.approx(DENSITY * G * 64 * DX**3, rel=0.03)
+
+
+def on_lattice(**changes):
+    return pool(**changes).replaced({"accuracy.solver": "lattice"})
+
+
+def test_scene_runs_on_lattices_by_choice_and_reports():
+    clip = Simulation(prepare(ball(), on_lattice(wrenches=True), RunContext(threads=1))).run()
+    assert clip.report["complete"], clip.report["stopped"]
+    assert clip.report["balance"]["momentum_gain"] < 0.02
+    assert clip.report["balance"]["energy_gain"] < 0.02
+    assert clip.report["pairs"]["object_on_pool"]["largest_force"] > 100
+    assert clip.report["walls"]["container_z_low"]["largest_force"] > 1000
+    ran = clip.report["effects"]["ran"]
+    assert any("for object, in the liquid" in effect for effect in ran)
+    assert "pressure projection" in ran
+
+
+def test_default_is_mpm_and_sand_keeps_its_solver():
+    assert pool().solver == "mpm"
+    sand = {"name": "sand", "shape": "sphere", "size": 0.4, "lift": 2.0}
+    sand = {**sand, "material": {"law": "sand"}}
+    objects = [*pool().data()["objects"], sand]
+    scene = on_lattice(objects=objects)
+    with pytest.raises(InputError, match="yield"):
+        prepare(ball(), scene, RunContext(threads=1))
+    free = scene.replaced({"accuracy.liquid": None})
+    assert not free.projects
+    assert free.couples
+
+
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_run_on_lattices_resumes_bit_for_bit(threads):
+    setup = prepare(ball(), on_lattice(), RunContext(threads=threads))
+    first = Simulation(setup)
+    for _ in range(5):
+        first.step()
+    saved = first.snapshot()
+    ahead = [first.step().gaussians.means for _ in range(2)]
+    second = Simulation(setup)
+    assert not isinstance(second.solver, MixedSolver)
+    second.restore(saved)
+    assert all(np.array_equal(second.step().gaussians.means, means) for means in ahead)
