@@ -29,6 +29,7 @@ def immersed(low, cells, *, density=DENSITY / 2, E=1e5, v=(0, 0, 0), gravity=G, 
     halves = np.round(2 * np.array([low, cells])).astype(int)
     solid = Solid(halves[0], DX / 2, np.ones(halves[1], np.float32))
     points = lattice_of(solid, density=density, dx=DX)
+    assert points.surface is not None
     number = np.repeat([0, 1], [len(x), len(points)])
     materials = [Fluid(density=DENSITY), NeoHookean(density=density, E=E, nu=0.3)]
     volume = np.concatenate([np.full(len(x), DX**3 / 8), points.volume])
