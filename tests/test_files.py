@@ -60,6 +60,12 @@ def test_unwritable_paths_are_refused(tmp_path, name):
     assert names(tmp_path) == ["folder"]
 
 
+def test_a_link_to_itself_is_no_output_folder(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(InputError, match="symbolic links"), staging(tmp_path / "loop"):
+        pytest.fail("it began")
+
+
 def test_a_folder_is_writable_if_the_nearest_that_exists_is(tmp_path):
     (tmp_path / "file").touch()
     assert writable(tmp_path) and writable(tmp_path / "a" / "b")

@@ -185,7 +185,10 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
         _remove_empty(missing)
         if error.errno in SHORT_CODES:
             raise
-        why = "it is a file" if os.path.isfile(out) else f"it cannot be written ({error.strerror})"
+        # A link to itself makes mkdir say that the folder exists.
+        loops = error.errno == errno.EEXIST and out.is_symlink()
+        reason = os.strerror(errno.ELOOP) if loops else error.strerror
+        why = "it is a file" if os.path.isfile(out) else f"it cannot be written ({reason})"
         raise InputError("out", out, f"{why}.", "Choose another folder.") from None
     try:
         if others and held is not None:  # without locks, they may be leftovers of killed runs
