@@ -185,15 +185,17 @@ class Shine:
         if self._matte:
             sh = gaussians.sh.copy()
             for part in self._matte:
-                light = part.light(_finite(gaussians.means[part.which]), LAMP)
-                sh[part.which] = illuminate(sh[part.which], light)
+                which = _as_slice(part.which)
+                light = part.light(_finite(gaussians.means[which]), LAMP)
+                sh[which] = illuminate(sh[which], light)
             gaussians = replace(gaussians, sh=sh)
         if self._dents:
             sh = gaussians.sh.copy()
             for solid in self._dents:
-                rgb = np.clip(0.5 + SH_C0 * sh[solid.which, 0], 0, 1)
-                lit = solid.illuminate(rgb, _finite(gaussians.means[solid.which]))
-                sh[solid.which, 0] += (lit - rgb) / SH_C0
+                which = _as_slice(solid.which)
+                rgb = np.clip(0.5 + SH_C0 * sh[which, 0], 0, 1)
+                lit = solid.illuminate(rgb, _finite(gaussians.means[which]))
+                sh[which, 0] += (lit - rgb) / SH_C0
             gaussians = replace(gaussians, sh=sh)
         self._keep(frame.index, (gaussians, normals))
         return gaussians, normals
