@@ -1,4 +1,4 @@
-/* Optional inputs: pictures from the side and from behind, a depth map, the thickness, and whether the
+/* Optional inputs: pictures from the side and from behind, a depth map, the thickness, the shape, and whether the
  * object is filmed in its photograph; or the orientation of a file of Gaussians. Names, ranges and choices
  * are those of the command line. The panel's value contains the inputs by option. The server's answers replace
  * the value, which is then sent again. */
@@ -29,37 +29,62 @@
       for (const option of Object.keys(PICTURES)) this.views[option] = new View(option, this);
       this.thickness();
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
-      const { generator } = this.options; // offered if the server has weights
-      this.generator = generator && h('select', { 'aria-label': 'Generator', title: generator.description, onchange: (event) => this.tell({ generator: event.target.value === generator.default ? null : event.target.value }) },
-        ...generator.enum.map((value) => h('option', { value, selected: value === generator.default }, value)));
+      this.shape = this.choice('shape');
+      this.elevation = h('input', { type: 'number', ...this.limited('photo_elevation'), step: 'any', placeholder: 'estimated', 'aria-label': 'Elevation of the camera in degrees', title: this.options.photo_elevation.description,
+        onchange: ({ target }) => { if (target.reportValidity()) this.tell({ photo_elevation: target.value === '' ? null : Number(target.value) }); } });
+      this.generator = this.options.generator && this.choice('generator'); // offered if the server has weights
       places.pictures.replaceChildren(h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
         ...Object.values(this.views).map((view) => view.status),
         h('div', { class: 'knob', title: this.options.thickness.description }, h('div', { class: 'knob-head' }, h('span', { class: 'knob-name' }, 'Thickness'), this.deep), this.slider),
+        this.row('Shape', this.shape),
+        h('div', { class: 'knob' }, h('span', { class: 'knob-name' }, 'Elevation of the camera [degrees]'), this.elevation),
         h('label', { class: 'check', title: this.options.highlights.description }, this.highlights, 'Remove highlights'),
-        ...(this.generator ? [h('div', { class: 'view' }, h('span', { class: 'knob-name' }, 'Generator'), this.generator)] : []));
+        ...(this.generator ? [this.row('Generator', this.generator)] : []));
       this.compose = h('input', { type: 'checkbox', onchange: (event) => this.tell({ compose: event.target.checked || null }) });
       places.film.replaceChildren(h('label', { class: 'check', title: this.options.compose.description }, this.compose, 'Also film it in the photograph'));
     }
 
+    /** A menu of an option's values, of which the default is not sent. */
+    choice(option) {
+      const { description, enum: values, default: usual } = this.options[option];
+      return h('select', { 'aria-label': words(option), title: description, onchange: ({ target }) => this.tell({ [option]: target.value === usual ? null : target.value }) },
+        ...values.map((value) => h('option', { value, selected: value === usual }, value)));
+    }
+
+    limited(option) {
+      const { minimum, maximum } = this.options[option].anyOf.find((s) => s.type === 'number');
+      return { min: minimum, max: maximum };
+    }
+
+    row(name, input) {
+      return h('div', { class: 'view' }, h('span', { class: 'knob-name' }, name), input);
+    }
+
     thickness() {
-      const { minimum, maximum } = this.options.thickness.anyOf.find((s) => s.type === 'number');
+      const limits = this.limited('thickness');
       this.deep = h('output', {});
-      this.slider = h('input', { type: 'range', min: minimum, max: maximum, step: minimum, value: 1, 'aria-label': 'Thickness, relative to the estimate',
+      this.slider = h('input', { type: 'range', ...limits, step: limits.min, value: 1, 'aria-label': 'Thickness, relative to the estimate',
         oninput: (event) => this.tell({ thickness: Number(event.target.value) === 1 ? null : Number(event.target.value) }) });
       this.say();
     }
 
     say() {
       // A picture from the side determines the depth.
-      this.slider.disabled = Boolean(this.told.side);
+      for (const input of [this.slider, this.shape, this.elevation]) input.disabled = Boolean(this.told.side);
       this.deep.textContent = this.told.side ? 'from the side picture' : this.told.thickness ? `${this.told.thickness} × the estimate` : 'estimated';
     }
 
     tell(changes) {
       Object.assign(this.told, changes);
-      if (this.told.side) { this.told.thickness = null; this.slider.value = 1; }
+      if (this.told.side) this.forget();
       this.say();
       this.send({ ...this.told });
+    }
+
+    /** Set the options of the guessed shape to their defaults. */
+    forget() {
+      Object.assign(this.told, { thickness: null, shape: null, photo_elevation: null });
+      [this.slider.value, this.shape.value, this.elevation.value] = [1, 'auto', ''];
     }
 
     each(act) { Object.values(this.views).forEach(act); }
@@ -81,10 +106,11 @@
     }
 
     clear() {
+      this.forget();
       this.told = {};
       this.element.replaceChildren();
       for (const place of [places.pictures, places.film]) place.hidden = false;
-      [this.slider.value, this.highlights.checked, this.compose.checked] = [1, false, false];
+      [this.highlights.checked, this.compose.checked] = [false, false];
       if (this.generator) this.generator.value = 'relief';
       for (const view of Object.values(this.views)) view.clear();
       this.say();

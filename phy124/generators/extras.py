@@ -123,7 +123,7 @@ def _array(path: Path) -> NDArray:
 
 
 class OtherViews(Section):
-    """Options for images of other sides, the look of the back, the thickness and highlights."""
+    """Options for images of other sides, the look of the back, the shape and highlights."""
 
     side: Path | None = Field(
         default=None,
@@ -155,7 +155,20 @@ class OtherViews(Section):
             "fish."
         ),
     )
-
+    shape: Literal["auto", "round", "upright", "flat"] = Field(
+        default="auto",
+        description="Kind of object, if relief guesses it wrongly: round (as deep as its parts are "
+        "wide, such as an animal), upright (round when seen from above, such as a cup or a lamp), "
+        "flat (a thin sheet, such as a leaf or a shirt) or auto (as the picture shows).",
+    )
+    photo_elevation: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=80.0,
+        description="Angle above the horizontal from which the picture was taken [degrees], such "
+        "as 25 for an object on a table. relief turns the object upright by this angle. Default: "
+        "the angle that a vessel or a box shows, and 0 for other objects.",
+    )
     highlights: Literal["keep", "remove"] = Field(
         default="keep",
         description="Treatment of highlights in the pictures: keep (highlights are painted on the "
@@ -181,12 +194,8 @@ class OtherViews(Section):
         """
         known = signature(generator).parameters
         options: dict[str, Any] = dict(self.pictures)
-        if self.thickness is not None:
-            options["thickness"] = self.thickness
-        if self.highlights == "remove":
-            options["highlights"] = self.highlights
-        if self.back_look != "auto":
-            options["back_look"] = self.back_look
+        choices = self.model_dump(exclude_defaults=True, exclude={*options, "facing"})
+        options.update(choices)
         for field, value in options.items():
             if field not in known:
                 limit = f"{name} does not use it."

@@ -57,7 +57,8 @@ def measured(name: str, renderer: Renderer) -> dict[str, float]:
     picture, _ = truths._picture(solid, camera)
     made = relief(Image.fromarray(truths._rounded(picture)), count=GAUSSIANS)
     low, high = made.means.min(axis=0), made.means.max(axis=0)
-    middle = made.means - np.array([(low[0] + high[0]) / 2, 0, 0], np.float32)
+    # The picture shows neither how far away nor how high the object is.
+    middle = made.means - np.array([1, 0, 1], np.float32) * (low + high) / 2
     placed = Gaussians(middle, made.quats, made.scales, made.opacities, made.sh)
     overlaps = []
     for view in VIEWS:

@@ -40,13 +40,15 @@ def extents(gaussians, low, high):
     return np.ptp(part[:, 0]), np.ptp(part[:, 1])
 
 
-def outlines(renderer, gaussians, inputs):
+def outlines(renderer, gaussians, inputs, elevation=0.0):
     """Return the object's mask in a picture [H,W], and in the front camera's rendering of the same
-    size."""
+    size. The camera may be raised by an elevation in degrees."""
     wanted = np.asarray(inputs)[..., 3] > 127
     rows, columns = np.nonzero(wanted)
     longest = max(np.ptp(rows), np.ptp(columns)) + 1
     fov = np.degrees(2 * np.arctan(SIZE / 2 / (longest * VIEW_DISTANCE)))
     shift = tuple((middle.min() + middle.max() + 1 - SIZE) / 2 for middle in (columns, rows))
-    camera = Camera((VIEW_DISTANCE, 0, 0), (0, 0, 0), SIZE, SIZE, float(fov), shift)
+    up = np.radians(elevation)
+    eye = VIEW_DISTANCE * np.cos(up), 0, VIEW_DISTANCE * np.sin(up)
+    camera = Camera(eye, (0, 0, 0), SIZE, SIZE, float(fov), shift)
     return wanted, renderer(gaussians, camera, (0, 0, 0), alpha=True)[..., 3] > 0.5

@@ -21,7 +21,7 @@ from phy124.generators.relief.back import BackLook
 from phy124.generators.relief.highlights import matte
 from phy124.generators.relief.picture import Picture, open_picture
 from phy124.generators.relief.several import Facing, from_sides
-from phy124.generators.relief.single import from_front
+from phy124.generators.relief.single import Shape, from_front
 from phy124.generators.relief.surface import VIEW_DISTANCE as VIEW_DISTANCE
 from phy124.imaging.depth import DepthNetwork
 from phy124.kernels.implicit import HULL, INFLATED, push
@@ -43,14 +43,17 @@ def relief(
     back: Picture | None = None,
     back_look: BackLook = "auto",
     thickness: float | None = None,
+    shape: Shape = "auto",
+    photo_elevation: float | None = None,
     highlights: Literal["keep", "remove"] = "keep",
 ) -> Gaussians:
     """Inflate the opaque part of an image to the closed shell of an object.
 
-    The object faces +x. A camera at the distance `VIEW_DISTANCE` in front of the shell sees the
-    silhouette of the image. In the plane x = 0, the longest side of the silhouette is 1 m. If the
-    object is longer in the side image, its longest side there is 1 m instead. Calls with the same
-    seed return the same Gaussians.
+    The object faces +x and stands upright. A camera at the distance `VIEW_DISTANCE` in front of the
+    shell, raised by the elevation from which the picture was taken, sees the silhouette of the
+    image. In the vertical plane x = 0, as a camera that is not raised sees it, the longest side of
+    the silhouette is 1 m. If the object is longer in the side image, its longest side there is 1 m
+    instead. Calls with the same seed return the same Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].
@@ -68,6 +71,10 @@ def relief(
             silhouette is symmetric, otherwise mirrored.
         thickness: Factor by which the depth guessed from the silhouette is multiplied; None means
             1.
+        shape: "round": as deep as its parts are wide; "upright": turned about a vertical axis;
+            "flat": a thin sheet; "auto": the most plausible of these, a slab or a box.
+        photo_elevation: Angle above the horizontal from which the picture was taken [degrees], 0 to 80.
+            None: the angle that a vessel or a box shows, and 0 for other objects.
         highlights: "keep": highlights are painted on the object and move with it; "remove":
             highlights are removed from the images first.
 
@@ -103,9 +110,12 @@ def relief(
             back=behind,
             look=back_look,
             thickness=1.0 if thickness is None else thickness,
+            shape=shape,
+            elevation=photo_elevation,
         )
     else:
-        _refuse_double(depth, thickness)
+        _refuse_double(depth=depth, thickness=thickness, photo_elevation=photo_elevation)
+        _refuse_double(shape=None if shape == "auto" else shape)
         shell = from_sides(
             front,
             prepare(side, "side"),
@@ -121,11 +131,12 @@ def relief(
     return gaussians
 
 
-def _refuse_double(depth: object | None, thickness: float | None) -> None:
+def _refuse_double(**options: object | None) -> None:
+    """Raise InputError if an option is set that the picture from the side excludes."""
     limit = "The picture from the side determines the object's depth already."
-    for field, option in (("depth", depth), ("thickness", thickness)):
+    for field, option in options.items():
         if option is not None:
             value = "map" if field == "depth" else option
             raise InputError(
-                field, value, limit, "Give either the picture from the side or --depth-scale."
+                field, value, limit, f"Give either the picture from the side or {field}."
             )

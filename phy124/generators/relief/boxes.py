@@ -32,6 +32,9 @@ FARTHER = (2.0, 4.0, 8.0)
 """Distances of cameras with a weaker perspective, relative to that of the front camera."""
 LONGEST = 12.0
 """Largest ratio of the box's longest side to its shortest side."""
+ASKEW = 8.0
+"""Largest angle in the image between the vertical and the edges of a box that stands upright
+[degrees]."""
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 
@@ -78,6 +81,20 @@ class Cuboid:
                 normals.append(np.tile(side * np.eye(3)[axis], (points[-1].shape[0], 1)))
         placed = np.concatenate(points) @ self.turn.T + self.centre
         return placed, np.concatenate(normals) @ self.turn.T, pitch
+
+    def upright(self) -> Field:
+        """Return the rotation from upright coordinates to those of the camera [3,3].
+
+        The axis of the box that is most vertical in the image is vertical, unless the box stands
+        askew or is seen from below.
+        """
+        axes = self.turn.T * np.where(self.turn[1] > 0, -1, 1)[:, None]
+        up = axes[axes[:, 1].argmin()]  # rows point downwards
+        roll, elevation = np.arctan2(up[0], -up[1]), np.arcsin(up[2])
+        if abs(roll) > np.radians(ASKEW) or elevation < 0:
+            return np.eye(3)
+        rotation = scipy.spatial.transform.Rotation
+        return (rotation.from_euler("z", roll) * rotation.from_euler("x", -elevation)).as_matrix()
 
     def colours(self, points: Field, normals: Field, seen: Field) -> Field:
         """Return colours [N,3].

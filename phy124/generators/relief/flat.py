@@ -47,7 +47,9 @@ SHARPNESS = 4
 """Exponent of the smooth minimum of round shape and limit."""
 
 
-def flatten(half: Field, surface: Surface, picture: Continued, size: int) -> Field | None:
+def flatten(
+    half: Field, surface: Surface, picture: Continued, size: int, *, always: bool = False
+) -> Field | None:
     """Limit squared half thicknesses [H,W] of an object whose front shows no shading.
 
     Return None if the object is round.
@@ -57,20 +59,30 @@ def flatten(half: Field, surface: Surface, picture: Continued, size: int) -> Fie
         surface: Surface of the round object.
         picture: Colours of the image, and mask of the object.
         size: Size of the object, pixels.
+        always: Whether the object is flat whatever its front shows.
     """
     shading = Shading.of(picture.rgba[..., :3], surface, picture.object_mask)
-    if shading.total < PLAIN or shading.contrast >= SHADED[1]:
-        return None
     radius = float(nearest_of(~picture.object_mask)[0].max()) / size
-    if radius < DISC and is_turned(body_without_handles(picture.object_mask)):
-        return None
-    if picture.body is not None or stands_on_feet(picture.object_mask):
+    if not always and (
+        shading.total < PLAIN or shading.contrast >= SHADED[1] or _is_thick(picture, radius)
+    ):
         return None
     deepest = float(np.sqrt(half.max()))
     flat = min(deepest, size * float(np.interp(radius, RADII, HALVES)))
-    limit = float(np.interp(shading.contrast, SHADED, (flat, deepest)))
+    contrast = 0.0 if always else shading.contrast
+    limit = float(np.interp(contrast, SHADED, (flat, deepest)))
     ratio = half / limit**2
     return half / (1 + ratio**SHARPNESS) ** (1 / SHARPNESS)
+
+
+def _is_thick(picture: Continued, radius: float) -> bool:
+    """Return whether the outline shows a solid of revolution, or an object on feet.
+
+    `radius` is that of the largest inscribed disc, relative to the image's size.
+    """
+    if radius < DISC and is_turned(body_without_handles(picture.object_mask)):
+        return True
+    return picture.body is not None or stands_on_feet(picture.object_mask)
 
 
 def stands_on_feet(object_mask: NDArray[np.bool_]) -> bool:

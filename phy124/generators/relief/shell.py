@@ -56,6 +56,12 @@ class Shell:
         )
 
 
+def join(*shells: Shell) -> Shell:
+    """Return one shell with the points of several shells."""
+    parts = zip(*(vars(shell).values() for shell in shells), strict=True)
+    return Shell(*(np.concatenate(part) for part in parts))
+
+
 def _frames(normals: Field) -> Field:
     """Return rotation matrices [N,3,3] whose third columns are the normals."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])

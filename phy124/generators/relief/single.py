@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from phy124.generators.relief.colours import (
     clean_picture,
     colour_points,
 )
+from phy124.generators.relief.elevation import Raised
 from phy124.generators.relief.ends import Continued, continue_silhouette
 from phy124.generators.relief.flat import flatten
 from phy124.generators.relief.height import Silhouette
@@ -38,6 +40,7 @@ from phy124.generators.relief.solids import (
     make_slab,
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
+from phy124.generators.relief.vessel import vessel_shell
 
 CARD = 0.12
 """Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
@@ -48,6 +51,7 @@ It is relative to half the block's depth.
 """
 
 Field = NDArray[np.float64]
+Shape = Literal["auto", "round", "upright", "flat"]
 Step = Callable[[int], None]
 FRONT, BACK, ACROSS = np.array([0.0, 0, 1]), np.array([0.0, 0, -1]), np.array([1.0, 0, 0])
 
@@ -62,11 +66,10 @@ def from_front(
     back: Image.Image | None,
     look: BackLook,
     thickness: float,
+    shape: Shape,
+    elevation: float | None,
 ) -> Shell:
-    """Inflate the silhouette of the object to a shell.
-
-    The colours of the back are taken from an image of the back if there is one, otherwise from the
-    rim of the front.
+    """Build the upright shell of the object, which is a vessel, a box, or inflated.
 
     Args:
         picture: Image of the front.
@@ -77,24 +80,67 @@ def from_front(
         back: Image of the object from behind.
         look: Look of the back if there is no image from behind.
         thickness: Factor by which the depth guessed from the silhouette is multiplied.
+        shape: Kind of solid; "auto": the most plausible one.
+        elevation: Angle above the horizontal from which the picture was taken [degrees]; None: the
+            angle that a vessel or a box shows, otherwise 0.
     """
-    work = continue_silhouette(work_picture(picture, depth=depth), PADDING)
+    rgba = work_picture(picture, depth=depth)
+    view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)
+    if depth is None and back is None and thickness == 1:
+        shell = None
+        if shape in ("auto", "upright"):
+            shell = vessel_shell(rgba, view, count, rng, elevation, always=shape == "upright")
+        if shell is None and shape == "auto" and (box := find_box(rgba[..., 3] > 0.5, view)):
+            shell = _box_shell(box, clean_picture(rgba), count, elevation)
+        if shell is not None:
+            step(1)
+            return shell
+    work = continue_silhouette(rgba, PADDING)
+    shell = _inflated_shell(
+        work,
+        count=count,
+        rng=rng,
+        step=step,
+        back=back,
+        look=look,
+        thickness=thickness,
+        shape=shape,
+    )
+    return Raised(np.radians(elevation), view.distance).stand(shell) if elevation else shell
+
+
+def _inflated_shell(
+    work: Continued,
+    *,
+    count: int,
+    rng: np.random.Generator,
+    step: Step,
+    back: Image.Image | None,
+    look: BackLook,
+    thickness: float,
+    shape: Shape,
+) -> Shell:
+    """Inflate the silhouette of the object to a shell that the front camera sees.
+
+    The colours of the back are taken from an image of the back if there is one, otherwise from the
+    rim of the front. If the image has a fifth channel, the channel is the depth map. The other
+    arguments are those of `from_front`.
+    """
     view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
-    guessed = depth is None and back is None and thickness == 1
-    if guessed and (box := find_box(work.object_mask, view)):
-        step(1)
-        return _box_shell(box, clean_picture(work.rgba[..., :4]), count)
     silhouette = Silhouette.of(work.alpha)
-    half = half_thickness(silhouette, work, WORK)
+    half = half_thickness(silhouette, work, WORK, shape)
+    mapped = work.rgba.shape[2] > 4
     if half is None:
         work = work.shorten()
         surface = make_slab(work, view, thickness)
     else:
         surface = inflate(half, silhouette, work, view, thickness)
-    limited = None if half is None or depth is not None else flatten(half, surface, work, WORK)
+    limited = None
+    if half is not None and not mapped and shape != "round":
+        limited = flatten(half, surface, work, WORK, always=shape == "flat")
     if limited is not None:
         surface = inflate(limited, silhouette, work, view, thickness)
-    if depth is not None:
+    if mapped:
         surface = apply_depth(surface, work.rgba[..., 4], work.object_mask)
     step(1)
     points, normals, spacing, caps = _points(surface, view, work, count, rng, lambda: step(1))
@@ -132,13 +178,22 @@ def from_front(
     return Shell(drawn, turned, spacing, rgb)
 
 
-def _box_shell(box: Cuboid, front: Field, count: int) -> Shell:
-    """Return the shell of a box with the colours of the image [H,W,3]."""
+def _box_shell(box: Cuboid, front: Field, count: int, elevation: float | None) -> Shell:
+    """Return the upright shell of a box with the colours of the image [H,W,3].
+
+    If the elevation of the camera is None, the box shows it.
+    """
     points, normals, pitch = box.spread(count)
     middle = float(box.view.middle[0]), float(box.view.middle[1])
     seen = Shown(front, middle, FRONT, ACROSS).colours(points, box.view.distance)
     spacing = np.full(len(points), pitch)
-    return Shell(points, normals, spacing, box.colours(points, normals, seen))
+    turn = box.upright() if elevation is None else _turn(elevation)
+    colours = box.colours(points, normals, seen)
+    return Shell(points @ turn, normals @ turn, spacing, colours)
+
+
+def _turn(elevation: float) -> Field:
+    return Raised(np.radians(elevation), 1.0).turn
 
 
 def _reach_behind(surface: Surface, slab: bool, flat: bool) -> float:

@@ -108,18 +108,35 @@ def _with_feet(w: Field, picture: Continued) -> Field:
     return w
 
 
-def half_thickness(silhouette: Silhouette, picture: Continued, size: int) -> Field | None:
+def round_thickness(silhouette: Silhouette, size: int) -> Field:
+    """Return the squared half thicknesses [H,W] of an object as deep as its parts are wide.
+
+    Args:
+        silhouette: The silhouette.
+        size: Size of the object, pixels.
+    """
+    return _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
+
+
+def half_thickness(
+    silhouette: Silhouette, picture: Continued, size: int, shape: str = "auto"
+) -> Field | None:
     """Return the squared half thicknesses [H,W] of a round object; None if the object is a slab.
 
     Args:
         silhouette: The silhouette, extended beyond flat ends.
         picture: Colours of the image, and mask of the object.
         size: Size of the object, pixels.
+        shape: "upright" for a solid of revolution, "round" or "flat" for an object that is neither
+            a solid of revolution nor a slab; "auto": the most plausible one.
     """
-    round_ = _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
-    if _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
+    round_ = round_thickness(silhouette, size)
+    if shape in ("round", "flat"):
+        return round_
+    if shape == "auto" and _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
-    if picture.body is not None or is_turned(picture.object_mask):
+    turned = shape == "upright" or picture.body is not None or is_turned(picture.object_mask)
+    if turned:
         lathe = np.maximum(_lathe(silhouette, picture), round_)
         limit = smooth(lathe, silhouette.inside, 2.0)
         round_ = np.minimum(_within(silhouette, lathe, 0.3, 30, size), limit)

@@ -86,24 +86,28 @@ def upright_body(object_mask: Mask) -> Mask | None:
         return None
     for body in (_without_handles(object_mask), object_mask):
         profile = None if body is None else Profile.of(body)
-        if profile and (profile.is_drum() or profile.is_vessel()):
+        if profile and profile.symmetric and (profile.is_drum() or profile.is_vessel()):
             return body
     return None
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Half the width of each row of a symmetric silhouette, from the top to the bottom."""
+    """Half the width of each row of a silhouette, from the top to the bottom."""
 
     half: Field
     """Half widths [H], pixels."""
+    rows: Field
+    """The rows [H], counted from the top of the image."""
+    axis: float
+    """Column of the axis."""
+    symmetric: bool
+    """Whether the silhouette is symmetric about its axis."""
 
     @classmethod
-    def of(cls, solid: Mask) -> Profile | None:
-        """Return the profile of a mask [H,W], or None if it is not symmetric about its axis."""
+    def of(cls, solid: Mask) -> Profile:
+        """Return the profile of a mask [H,W]."""
         rows = np.flatnonzero(solid.any(axis=1))
-        if len(rows) < FEWEST:
-            return None
         solid = solid[rows[0] : rows[-1] + 1]
         low = solid.argmax(axis=1)
         high = solid.shape[1] - solid[:, ::-1].argmax(axis=1)
@@ -111,7 +115,8 @@ class Profile:
         axis = np.average(middle, weights=half)
         centred = np.abs(middle - axis) < CENTRED * half.max()
         good = centred & (np.count_nonzero(solid, axis=1) == high - low)
-        return cls(half) if good.mean() >= EVERY else None
+        symmetric = len(half) >= FEWEST and bool(good.mean() >= EVERY)
+        return cls(half, np.arange(rows[0], rows[-1] + 1.0), float(axis) - 0.5, symmetric)
 
     @cached_property
     def top(self) -> int:

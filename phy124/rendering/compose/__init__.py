@@ -1,7 +1,7 @@
 """Renders the moving object inside the photograph from which the object was made.
 
-Generators assume that the camera is straight in front of the object. The zoom and shift of the
-assumed camera are matched to the photograph. The object is removed from the photograph by
+The camera is assumed to be in front of the object. Its elevation, zoom and shift are matched to the
+photograph. The object is removed from the photograph by
 inpainting. The moving object and its shadow are then drawn over the inpainted photograph.
 """
 

@@ -33,6 +33,13 @@ DISTANCES = (2.0, 1.6, 3.0)
 
 Relief and LGM assume the first two distances; the third distance is typical of a longer lens.
 """
+ELEVATIONS = tuple(range(0, 65, 5))
+"""Elevations of the camera that are tried [degrees]."""
+SMALL = 128
+"""Longest side of the picture in which the elevations are compared [pixels]."""
+CLEARER = 1.0
+"""A raised camera is assumed if its picture is better than that of the front camera by this PSNR
+[dB]."""
 RIM = 0.008
 """Width of the compared rim around the object, relative to the photograph's longest side."""
 ROUNDS = (False, False, False, True, True)
@@ -68,6 +75,14 @@ class Photograph:
             limit = "it shows no part of the object."
             raise InputError("compose", "the cut-out", limit, "Give another picture or mask.")
         return cls(np.asarray(rgb), opaque)
+
+    def reduce(self, longest: int) -> Photograph:
+        """Return the photograph with sides of at most `longest` pixels."""
+        scale = min(1.0, longest / max(self.alpha.shape))
+        height, width = (max(16, round(side * scale)) for side in self.alpha.shape)
+        small = Image.fromarray(self.rgb).resize((width, height), Image.Resampling.BOX)
+        opaque = Image.fromarray(self.alpha).resize((width, height), Image.Resampling.BOX)
+        return Photograph(np.asarray(small), np.asarray(opaque))
 
     def erase_object(self) -> NDArray[np.uint8]:
         """Return the photograph without its object, whose area is inpainted (Telea 2004)."""
@@ -108,9 +123,11 @@ def match(
         each: Function that is called before each correction. It may raise Cancelled.
     """
     renderer = Renderer(device=device)
+    each()
+    elevation = _elevation(renderer, gaussians, photograph)
     tried = []
     for distance in DISTANCES:
-        camera = _first_camera(gaussians, photograph, distance)
+        camera = _first_camera(gaussians, photograph, distance, elevation)
         for near in ROUNDS:
             each()
             tried.append((likeness(renderer, gaussians, camera, photograph), camera))
@@ -136,8 +153,31 @@ def likeness(
     return float(-10 * math.log10(float((seen**2).mean()) + 1e-12))
 
 
-def _first_camera(gaussians: Gaussians, photograph: Photograph, distance: float) -> Camera:
-    """Return a front camera that shows the object at its size and position in the photograph."""
+def _elevation(renderer: Renderer, gaussians: Gaussians, photograph: Photograph) -> float:
+    """Return the elevation [degrees] from which the object looks most like in the photograph.
+
+    `relief` turns some objects upright that were photographed from above.
+    """
+    small = photograph.reduce(SMALL)
+    if not (small.alpha > 0.99).any():
+        return 0.0
+    quality = [
+        likeness(
+            renderer, gaussians, _first_camera(gaussians, small, DISTANCES[0], elevation), small
+        )
+        for elevation in ELEVATIONS
+    ]
+    best = int(np.argmax(quality))
+    return float(ELEVATIONS[best]) if quality[best] > quality[0] + CLEARER else 0.0
+
+
+def _first_camera(
+    gaussians: Gaussians, photograph: Photograph, distance: float, elevation: float
+) -> Camera:
+    """Return a camera that shows the object at its size and position in the photograph.
+
+    The camera is in front of the object, raised by an elevation [degrees].
+    """
     means = gaussians.means[gaussians.opacities > 0.1].astype(float)
     means = means[np.isfinite(means).all(axis=1)]
     low, high = means.min(axis=0), means.max(axis=0)
@@ -146,7 +186,9 @@ def _first_camera(gaussians: Gaussians, photograph: Photograph, distance: float)
     rows, columns = np.nonzero(photograph.alpha > 0.5)
     height, width = photograph.alpha.shape
     # The scale is found by a trial with a focal length of a thousand pixels.
-    camera = _camera((x + distance * size, y, z), (x, y, z), (width, height), 1000.0, (0.0, 0.0))
+    up = math.radians(elevation)
+    eye = (x + distance * size * math.cos(up), y, z + distance * size * math.sin(up))
+    camera = _camera(eye, (x, y, z), (width, height), 1000.0, (0.0, 0.0))
     pixels, _ = camera.project(means)
     seen = pixels.max(axis=0) - pixels.min(axis=0)
     wanted = np.array([np.ptp(columns) + 1, np.ptp(rows) + 1], float)

@@ -1,0 +1,234 @@
+"""Builds vessels and drums that a raised camera sees, with a horizontal lid.
+
+A solid of revolution consists of circles, which a raised camera sees as ellipses. The circle at a
+height is the largest one whose image lies inside the silhouette. Flat ellipses fill any outline.
+The higher the camera is, the rounder are the ellipses, and the less they fill the ends of the
+outline. The elevation of the camera is therefore assumed to be the largest one for which the
+circles fill the silhouette.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.generators.relief.elevation import Raised
+from phy124.generators.relief.shell import DRAWN_IN, Shell
+from phy124.generators.relief.upright import Profile
+
+Field = NDArray[np.float64]
+ELEVATIONS = np.radians([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
+"""Elevations that are tried first [radians]. An outline that is filled at the last one, such as
+that of a ball, shows no elevation."""
+HALVINGS = 3
+"""Number of times the step between these elevations is halved."""
+LEFT, MORE = 0.015, 0.004
+"""Largest fraction of the silhouette that the circles leave empty.
+
+The second number is the largest fraction by which this fraction exceeds its minimum.
+"""
+ANGLES = np.linspace(0, np.pi, 33)
+"""Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
+EDGE = 1.0
+"""A circle touches the first or last row of the outline if it is at most so far away [pixels]."""
+CLEAR = 0.95
+"""Fraction of a ring's visible angle in which the image is not stretched too much."""
+STEEP = 0.2
+"""Angle from the front, up to which a ring must be visible to have its colours [radians]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lathe:
+    """A solid of revolution, from its base to its lid."""
+
+    heights: Field
+    """Heights of its circles above the object's centre [M], pixels."""
+    radii: Field
+    """Radii of these circles [M], pixels."""
+    camera: Raised
+    """The camera that sees the object."""
+
+    @classmethod
+    def fill(cls, profile: Profile, middle: float, camera: Raised, step: float = 1.0) -> Lathe:
+        """Return the largest circles inside an outline, from the lowest to the highest.
+
+        Args:
+            profile: The outline.
+            middle: Row at the centre of the image.
+            camera: The camera.
+            step: Distance between the circles, pixels.
+        """
+        rows = profile.rows - middle
+        reach = 1.5 * len(rows)
+        heights = np.arange(-reach, reach, step)
+        low, high = np.zeros(len(heights)), np.full(len(heights), 1.3 * profile.half.max())
+        for _ in range(12):
+            radii = (low + high) / 2
+            column, row = _images(heights, radii, camera)
+            half = np.interp(row, rows, profile.half, left=-1.0, right=-1.0)
+            fits = (column <= half + 0.25).all(axis=1)
+            low, high = np.where(fits, radii, low), np.where(fits, high, radii)
+        kept = low > 1
+        return cls(heights[kept], low[kept], camera)
+
+    def between(self, first: float, last: float) -> Lathe | None:
+        """Cut off the circles below the base and above the lid; None if nothing is left.
+
+        Base and lid are the innermost circles whose images reach the last and the first row of the
+        outline. The circles beyond them form cones, which the camera does not see.
+        """
+        row = _images(self.heights, self.radii, self.camera)[1]
+        top = np.flatnonzero(row.min(axis=1) <= first + EDGE)
+        bottom = np.flatnonzero(row.max(axis=1) >= last - EDGE)
+        if not len(top) or not len(bottom) or top[0] - bottom[-1] < 2:
+            return None
+        kept = slice(bottom[-1], top[0] + 1)
+        smooth = scipy.ndimage.gaussian_filter1d(self.radii[kept], 1.5, mode="nearest")
+        return Lathe(self.heights[kept], smooth, self.camera)
+
+    @cached_property
+    def path(self) -> Field:
+        """Radius and height along the outline from the base's centre to that of the lid [M+2,2]."""
+        wall = np.stack([self.radii, self.heights], axis=1)
+        return np.concatenate([[[0, self.heights[0]]], wall, [[0, self.heights[-1]]]])
+
+    def spread(self, count: int) -> tuple[Field, Field, Field, float]:
+        """Distribute about `count` points evenly over the surface.
+
+        Returns:
+            Radius and height of each point [N,2], its angle from the front [N], the radial and the
+            upward component of its outward normal [N,2], and the spacing of the points.
+        """
+        steps = np.diff(self.path, axis=0)
+        lengths = np.hypot(*steps.T)
+        area = np.pi * float(((self.path[1:, 0] + self.path[:-1, 0]) * lengths).sum())
+        pitch = float(np.sqrt(area / count))
+        edge = pitch * (4 / 3) ** 0.25  # each point of the lattice has the area pitch^2
+        ends = np.concatenate([[0.0], np.cumsum(lengths)])
+        along = np.linspace(0, ends[-1], max(8, round(ends[-1] / (edge * 3**0.5 / 2))))
+        segment = np.clip(np.searchsorted(ends, along, side="right") - 1, 0, len(lengths) - 1)
+        normals = (steps[:, ::-1] * [1, -1] / np.maximum(lengths, 1e-9)[:, None])[segment]
+        ring = np.stack([np.interp(along, ends, part) for part in self.path.T], axis=1)
+        numbers = np.maximum(1, np.rint(2 * np.pi * ring[:, 0] / edge)).astype(int)
+        owner = np.repeat(np.arange(len(ring)), numbers)
+        place = np.arange(len(owner)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+        # Every second ring is turned by half a spacing.
+        angles = 2 * np.pi * (place + 0.5 * (owner % 2)) / numbers[owner]
+        return ring[owner], (angles + np.pi) % (2 * np.pi) - np.pi, normals[owner], pitch
+
+    def shell(self, count: int, front: Field, middle: Field, offset: float) -> Shell:
+        """Return the shell with the colours of the image.
+
+        Hidden parts of the wall have the colours of the mirrored front, the base those of the wall
+        above it.
+
+        Args:
+            count: Approximate number of points.
+            front: Colours of the image [H,W,3].
+            middle: Column of the axis and row of the image's centre [2].
+            offset: Distance of the axis from the centre of the image, pixels.
+        """
+        rings, angles, normals, pitch = self.spread(count)
+        rgb = self._colours(rings, angles, normals, front, middle)
+        inner = np.maximum(rings - DRAWN_IN * normals, [0.0, -np.inf])
+        points = _upright(inner, angles) + np.array([offset, 0, 0])
+        return Shell(points, _upright(normals, angles), np.full(len(points), pitch), rgb)
+
+    def _colours(
+        self, rings: Field, angles: Field, normals: Field, front: Field, middle: Field
+    ) -> Field:
+        seen = self._visible(rings, normals)
+        wall = (np.abs(normals[:, 0]) > 1e-6) & (seen > STEEP)
+        # Rings that are not visible at all have the colours of the nearest visible ring.
+        known = np.flatnonzero(wall)
+        order = known[np.argsort(rings[known, 1], kind="stable")]
+        nearest = np.searchsorted(rings[order, 1], rings[:, 1]).clip(0, len(order) - 1)
+        source = np.where(seen > STEEP, np.arange(len(rings)), order[nearest])
+        limit = np.where(seen[source] < np.pi, CLEAR * seen[source], np.pi)
+        size = np.abs(angles)
+        folded = np.where(size <= limit, size, np.minimum(np.pi - size, limit))
+        points = _upright(rings[source], np.copysign(folded, angles))
+        column, row = self.camera.pixels(points).T
+        place = [row + middle[1], column + middle[0]]
+        rgb = [
+            scipy.ndimage.map_coordinates(front[..., c], place, order=1, mode="nearest")
+            for c in range(3)
+        ]
+        colours = np.stack(rgb, axis=1)
+        for hidden in (normals[:, 1] == side for side in (-1, 1)):
+            if hidden.any() and seen[hidden].max() <= STEEP:
+                colours[hidden] = np.median(colours[hidden], axis=0)
+        return colours
+
+    def _visible(self, rings: Field, normals: Field) -> Field:
+        """Return the largest angle from the front at which the camera sees a ring [N], radians."""
+        (radius, height), (out, up) = rings.T, normals.T
+        _, eye_height, eye_ahead = self.camera.distance * self.camera.turn[2] * [1, -1, 1]
+        hidden = out * radius - up * (eye_height - height)
+        cosine = hidden / np.maximum(out * eye_ahead, 1e-9)
+        return np.where(
+            out > 1e-6, np.arccos(np.clip(cosine, -1, 1)), np.where(hidden < 0, np.pi, 0)
+        )
+
+
+def find_lathe(profile: Profile, middle: float, distance: float) -> Lathe | None:
+    """Return the vessel or drum that a raised camera sees; None if no elevation is certain.
+
+    Args:
+        profile: The outline of the object.
+        middle: Row at the centre of the image.
+        distance: Distance of the camera, pixels.
+    """
+
+    def empty(elevation: float) -> float:
+        lathe = Lathe.fill(profile, middle, Raised(elevation, distance), 2.0)
+        return _empty(lathe, profile, middle)
+
+    left = [empty(elevation) for elevation in ELEVATIONS.tolist()]
+    most = min(left) + MORE
+    filled = np.flatnonzero(np.array(left) <= most)[-1]
+    if min(left) > LEFT or filled == len(ELEVATIONS) - 1:
+        return None
+    low, high = ELEVATIONS[filled : filled + 2].tolist()
+    for _ in range(HALVINGS):
+        elevation = (low + high) / 2
+        low, high = (elevation, high) if empty(elevation) <= most else (low, elevation)
+    return cut_lathe(profile, middle, Raised((low + high) / 2, distance))
+
+
+def cut_lathe(profile: Profile, middle: float, camera: Raised) -> Lathe | None:
+    """Return the solid of revolution that a camera sees as an outline; None if it has no wall."""
+    first, last = profile.rows[[0, -1]] - middle
+    return Lathe.fill(profile, middle, camera).between(first, last)
+
+
+def _images(heights: Field, radii: Field, camera: Raised) -> tuple[Field, Field]:
+    """Return the columns and rows [M,A] of the right halves of circles, relative to the axis."""
+    rings = np.stack([np.repeat(radii, len(ANGLES)), np.repeat(heights, len(ANGLES))], axis=1)
+    pixels = camera.pixels(_upright(rings, np.tile(ANGLES, len(radii))))
+    column, row = pixels.T.reshape(2, len(radii), len(ANGLES))
+    return column, row
+
+
+def _upright(rings: Field, angles: Field) -> Field:
+    """Return vectors [N,3] with a radial and an upward component [N,2] and an angle [N]."""
+    radius, height = rings.T
+    return np.stack([radius * np.sin(angles), -height, radius * np.cos(angles)], axis=1)
+
+
+def _empty(lathe: Lathe, profile: Profile, middle: float) -> float:
+    """Return the fraction of an outline that the images of the circles do not fill."""
+    wide = int(profile.half.max()) + 2
+    drawn = np.zeros((len(profile.half), wide), np.uint8)
+    column, row = _images(lathe.heights, lathe.radii, lathe.camera)
+    first = profile.rows[0] - middle
+    # The last points are on the axis, so that the right half of the circle is closed.
+    for outline in np.rint(16 * np.stack([column, row - first], axis=2)).astype(np.int32):
+        cv2.fillConvexPoly(drawn, outline, 1, shift=4)
+    solid = np.arange(wide) < profile.half[:, None]
+    return 1 - np.count_nonzero(solid & (drawn > 0)) / np.count_nonzero(solid)
