@@ -12,7 +12,8 @@ from pathlib import Path
 from tables import DOCS, markdown
 
 PROGRAM = re.compile(
-    r"`[^`\n]*?(tests/benchmarks/\w+(?:\.py)?|tests/test_\w+\.py|phy124 [a-z]+|make [a-z-]+)"
+    r"`(?:[^`\n]*\bpython\n|[^`\n]*?)"
+    r"(tests/benchmarks/\w+(?:\.py)?|tests/test_\w+\.py|phy124 [a-z]+|make [a-z-]+)"
 )
 MACHINE = "2 cores of an AMD EPYC"
 HEAD = f"""# The lab
