@@ -27,11 +27,11 @@
     constructor(element, offer, trigger, send) {
       Object.assign(this, { element, options: offer.known, limits: offer.limits, trigger, send, told: {}, views: {} });
       for (const option of Object.keys(PICTURES)) this.views[option] = new View(option, this);
-      this.thickness();
       this.highlights = h('input', { type: 'checkbox', onchange: (event) => this.tell({ highlights: event.target.checked ? 'remove' : null }) });
       this.shape = this.choice('shape');
       this.elevation = h('input', { type: 'number', ...this.limited('photo_elevation'), step: 'any', placeholder: 'estimated', 'aria-label': 'Elevation of the camera in degrees', title: this.options.photo_elevation.description,
         onchange: ({ target }) => { if (target.reportValidity()) this.tell({ photo_elevation: target.value === '' ? null : Number(target.value) }); } });
+      this.thickness();
       this.generator = this.options.generator && this.choice('generator'); // offered if the server has weights
       places.pictures.replaceChildren(h('div', { class: 'views' }, ...Object.values(this.views).map((view) => view.element)),
         ...Object.values(this.views).map((view) => view.status),
