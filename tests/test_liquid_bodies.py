@@ -10,14 +10,10 @@ from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import FreeBody, Model, State
 from phy124.runtime.context import RunContext
-from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from support.liquids import DENSITY, TANK, G, block
+from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, pool
 from support.shapes import ball
-
-CELLS, LEVEL = 16, 6.5 / 16
-DX = 1 / CELLS
 
 
 def mixed(
@@ -159,26 +155,6 @@ def test_momentum_of_liquid_and_body_is_conserved():
     v = solver.state.v.numpy()
     assert (mass[: len(water)] @ v[: len(water)])[2] < 0.2 * start[2]
     np.testing.assert_allclose(mass @ v, start, atol=0.08 * abs(start[2]))
-
-
-def pool(**changes) -> Scene:
-    """A ball that falls into a pool."""
-    water = {"name": "pool", "shape": "box", "size": 1.5, "sides": (1.0, 1.0, 0.3)}
-    container = {
-        "kind": "container",
-        "inside": {"lower": (-0.75, -0.75, 0), "upper": (0.75, 0.75, 9)},
-    }
-    data = {
-        "accuracy": {"cells": 8, "liquid": "projection"},
-        "object": {"lift": 0.5, "velocity": (0, 0, -2)},
-        "material": {"law": "neo_hookean", "density": 400, "E": 1e5},
-        "objects": [{**water, "material": {"law": "fluid"}}],
-        "forces": [{"kind": "gravity"}],
-        "boundaries": [{**container, "friction": 0.0}],
-        "time": {"frames": 8, "fps": 24},
-        **changes,
-    }
-    return Scene.from_data(data)
 
 
 def test_ball_that_lands_in_a_pool_is_pushed_by_the_water():

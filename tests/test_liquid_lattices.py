@@ -14,9 +14,8 @@ from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
 from phy124.runtime.context import RunContext
 from phy124.simulation import Simulation, prepare
-from support.liquids import DENSITY, TANK, G, block
+from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, pool
 from support.shapes import ball
-from test_liquid_bodies import CELLS, DX, LEVEL, pool
 
 SMOOTH = Container(inside=TANK.inside, contact="separate", friction=0.0)
 

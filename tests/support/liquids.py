@@ -9,9 +9,12 @@ from phy124.forces import Gravity
 from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid
 from phy124.mpm import Model, State
+from phy124.scene import Scene
 from phy124.schema.region import Region
 
 G, DENSITY, FPS = 9.81, 1000.0, 48
+CELLS, LEVEL = 16, 6.5 / 16
+DX = 1 / CELLS
 TANK = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1e9)), contact="slip")
 
 
@@ -74,3 +77,23 @@ def heights(solver: LiquidSolver) -> np.ndarray:
         part = phi[i, j, k] / (phi[i, j, k] - phi[i, j, k + 1])
         results.append(solver.model.origin[2] + dx * (solver.cells.low[2] + k + 0.5 + part))
     return np.array(results)
+
+
+def pool(**changes) -> Scene:
+    """A ball that falls into a pool."""
+    water = {"name": "pool", "shape": "box", "size": 1.5, "sides": (1.0, 1.0, 0.3)}
+    container = {
+        "kind": "container",
+        "inside": {"lower": (-0.75, -0.75, 0), "upper": (0.75, 0.75, 9)},
+    }
+    data = {
+        "accuracy": {"cells": 8, "liquid": "projection"},
+        "object": {"lift": 0.5, "velocity": (0, 0, -2)},
+        "material": {"law": "neo_hookean", "density": 400, "E": 1e5},
+        "objects": [{**water, "material": {"law": "fluid"}}],
+        "forces": [{"kind": "gravity"}],
+        "boundaries": [{**container, "friction": 0.0}],
+        "time": {"frames": 8, "fps": 24},
+        **changes,
+    }
+    return Scene.from_data(data)
