@@ -20,7 +20,8 @@ SIGINT."""
 # Only light modules are imported above, because Ctrl-C shows a traceback until `importing` runs.
 @contextmanager
 def importing(status: int, text: str = "") -> Iterator[None]:
-    """Let Ctrl-C or SIGTERM end the process immediately, with a status and a text, in this context.
+    """Within this context, let Ctrl-C and SIGTERM end the process immediately, with a status and a
+    text.
 
     A KeyboardInterrupt could be lost, because some libraries catch it while they are imported.
     """

@@ -1,4 +1,4 @@
-"""Backends that publish frames live: rclpy if ROS 2 is installed, otherwise DDS; or Foxglove.
+"""Backends that publish frames live: rclpy (if ROS 2 is installed), DDS and Foxglove.
 
 A package adds a backend by an entry point in the group `phy124.sinks`
 (docs/guide/extending-files.md).

@@ -1,7 +1,7 @@
 """Turn an MCAP file into a ROS 2 bag: add quality of service to channels, and write metadata.yaml.
 
 A bag is a folder `<name>/` that contains `<name>_0.mcap` and a metadata.yaml of format version 9
-(ROS 2 Jazzy). A bag can also be the .mcap file alone, which Jazzy opens as well.
+(ROS 2 Jazzy). Jazzy also opens a bag that consists of the .mcap file alone.
 """
 
 from __future__ import annotations
@@ -70,8 +70,7 @@ def mcap_file(bag: Path) -> Path:
 
 
 def recorded_files(path: Path) -> list[Path]:
-    """Return the .mcap files of a recording in order; files that metadata.yaml lists may be
-    missing.
+    """Return the .mcap files of a recording in order; some of the returned files may not exist.
 
     A bag that was renamed keeps the names of its files, and a split bag has several files.
 

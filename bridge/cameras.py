@@ -54,7 +54,9 @@ class SeenFrame(Frame):
 
 
 class Cameras:
-    """Adds the pictures of all chosen cameras to frames; if there are none, frames are kept."""
+    """Adds the pictures of all chosen cameras to frames; frames are unchanged if no camera is
+    chosen.
+    """
 
     def __init__(
         self, options: Options, scene: Mapping[str, Any], clip: Clip | None = None
@@ -260,7 +262,7 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of the scene's length in which the object is the same in all frames."""
+    """Return a clip that is as long as the scene, and in which the object does not move."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

@@ -129,7 +129,7 @@ def _member(member: Field) -> Encoder:
 
 
 def _numbers(member: Field) -> Encoder:
-    """Return the encoder of a sequence or array of primitives, which copies all values at once."""
+    """Return an encoder that copies all values of a sequence or array of primitives at once."""
     dtype = np.dtype("<" + PRIMITIVES[member.base])
 
     def encode_numbers(body: _Body, value: Any) -> None:
@@ -172,7 +172,7 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """Return the primitives of a message in wire order; empty if it has members of other types."""
+    """Return the primitives of a message in wire order; empty if any member has another type."""
     primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

@@ -189,7 +189,9 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Open the live sink and the recordings within this context; recordings store `about`."""
+        """Within this context, keep the live sink and the recordings open; every recording stores
+        `about`.
+        """
         backend = choose(self.backend)
         with ExitStack() as stack:
             records: list[Sink] = []
@@ -266,7 +268,7 @@ class Steer:
         checked_duration("oldest_stamp", self.oldest_stamp)
         if self.frames is not None and self.frames < 1:
             limit = "it must be at least 1."
-            raise InputError("frames", self.frames, limit, "Remove the option for no limit.")
+            raise InputError("frames", self.frames, limit, "Remove the option to set no limit.")
         if self.session is not None:
             refuse_unwritable(self.session)
         backend = choose(self.backend)

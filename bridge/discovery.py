@@ -89,7 +89,9 @@ class Discovery:
         return cls(reach, peers, domain_id(), network)
 
     def configurations(self) -> tuple[str, ...]:
-        """Return Cyclone's XML, and another XML for machines whose only network is loopback."""
+        """Return two XML configurations for Cyclone DDS; the second is for machines that have only
+        loopback.
+        """
         if self.range == "SYSTEM_DEFAULT":
             return (_xml(FAST_DDS),)
         if self.range == "OFF":

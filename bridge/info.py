@@ -169,5 +169,5 @@ def _buffer_advice(name: str) -> str:
         return text
     return (
         f"{text}, {SHORT[name]}; "
-        f"`sudo sysctl -w net.core.{name}={WANTED_BUFFER}` on the receiving machine"
+        f"run `sudo sysctl -w net.core.{name}={WANTED_BUFFER}` on the receiving machine"
     )

@@ -67,7 +67,7 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 
 
 def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, Any]:
-    """Return the CompressedPointCloud2 of `viz`, in a form for draco_point_cloud_transport.
+    """Return a frame in the profile `viz`, compressed in the format of draco_point_cloud_transport.
 
     The decoder of that package writes attribute i of the Draco data at the offset of field i.
     Attribute 0 contains the three coordinates, and attribute 1 the four bytes of `rgb`, so `rgb` is
@@ -115,7 +115,7 @@ def require_draco() -> None:
 
 
 def points(frame: Frame, profile: Profile) -> NDArray[Any]:
-    """Return a structured array with a row per Gaussian [N], 4 bytes per field; not for `small`."""
+    """Return a structured array [N] with 4 bytes per field, for all profiles except `small`."""
     gaussians = frame.gaussians
     if profile == "ply":
         return raw_table(gaussians)
@@ -202,7 +202,7 @@ def splat_array(gaussians: Gaussians, stamp: int, frame: str) -> bytes:
 
 
 def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
-    """Return the offset of each splat in the message modulo 8, which is 0 or 4."""
+    """Return the offset of each splat in the message, modulo 8; the result is 0 or 4."""
     phases = np.full(count, FIRST)
     if (FIRST + sizes[FIRST]) % 8 == 0:
         # The second splat begins at a multiple of 8. The offset of later splats, modulo 8, is that

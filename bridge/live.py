@@ -84,7 +84,7 @@ def follow(
     speed: float = 1.0,
     clock: Clock = time.monotonic,
 ) -> None:
-    """Send each frame of a running simulation when it is computed and due.
+    """Send each frame of a running simulation when the frame has been computed and is due.
 
     A simulation that is faster than `speed` is slowed down. A pause also pauses the simulation,
     after the current frame. A separate thread receives commands at all times. Commands that seek or
@@ -276,7 +276,9 @@ class Listener:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop listening; raise the error that ended it, unless another error was raised."""
+        """Stop listening; raise the error that ended the listening, unless another error was
+        raised.
+        """
         self._over.set()
         self._thread.join()
         if error is None:

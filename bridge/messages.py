@@ -1,9 +1,9 @@
 """Definitions of the ROS 2 messages that the bridge uses, and their RIHS01 hashes in ROS 2 Jazzy.
 
 Constants are omitted from the definitions, because they are not part of the wire format. The tests
-compare every definition and hash of ROS 2 itself with the package rosbags. Other packages are
-represented by names and types: simulation_interfaces 2.1.0, splat_interfaces (of RVizSplat),
-foxglove_msgs and point_cloud_interfaces.
+compare the definitions and hashes of ROS 2's own messages with the package rosbags. The messages of
+four other packages are defined by names and types only: simulation_interfaces 2.1.0,
+splat_interfaces (of RVizSplat), foxglove_msgs and point_cloud_interfaces.
 """
 
 from __future__ import annotations

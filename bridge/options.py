@@ -165,8 +165,8 @@ class Options(Section):
         return tuple(map(camera_name, sides))
 
     def live(self) -> Options:
-        """Return the options with the defaults of live sinks, which limit points to arrive at 30
-        Hz.
+        """Return the options with the defaults of live sinks: few enough points to send 30 frames
+        per second.
         """
         chosen = {
             "max_points": live_points(self.profile, self.max_points),
@@ -175,12 +175,12 @@ class Options(Section):
         return self.model_copy(update=chosen)
 
     def for_recording(self) -> Options:
-        """Return the options with the defaults of recordings, in which no points are omitted."""
+        """Return the options with the defaults of recordings, which contain all points."""
         return self.model_copy(update={"profile": self.profile or "full"})
 
 
 def azimuth(view: str) -> float | None:
-    """Return the azimuth [deg] that a view names, or None if the view is a word."""
+    """Return the azimuth [deg] of a view whose name is a number; None if the name is a word."""
     try:
         return float(view)
     except ValueError:

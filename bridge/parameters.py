@@ -82,7 +82,7 @@ Each field of a section is a parameter.
 
 
 def _start(field: FieldInfo) -> Any:
-    """Return the initial value of a field's parameter; 0 or "" means None, which ROS lacks."""
+    """Return the initial value of a field's parameter; ROS has no None, so 0 or "" means None."""
     if field.default is None:
         kinds = get_args(field.annotation)
         return 0 if int in kinds else 0.0 if float in kinds else ""

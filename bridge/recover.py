@@ -118,7 +118,7 @@ def _is_finished(path: Path, source: Path) -> bool:
 
 
 def _refuse_foreign(file: Path) -> None:
-    """Raise InputError if the file does not begin as an MCAP file."""
+    """Raise InputError if the file does not begin with the signature of MCAP files."""
     from mcap.writer import MCAP0_MAGIC
 
     with open(file, "rb") as stream:
@@ -129,7 +129,7 @@ def _refuse_foreign(file: Path) -> None:
 
 
 def _inspect(file: Path) -> tuple[bool, int]:
-    """Return whether the file has a footer and no damage, and the number of its frames."""
+    """Return whether the file is complete and undamaged, and the number of frames in the file."""
     from mcap.records import Channel, Footer, Header, Message
 
     footer, damaged, frames, points = False, 0, 0, None

@@ -78,7 +78,9 @@ class Reports:
         return [STATUS, DIAGNOSTICS, *([CLOCK] if self._clock else [])]
 
     def change(self, playback: Playback) -> None:
-        """Publish the status and all due reports; the first call starts the other reports."""
+        """Publish the status and all due reports; the first call starts the diagnostics and the
+        clock.
+        """
         if self._playback is None:
             self._due["diagnostics"] = self._now()
             self._due["clock"] = self._now() if self._clock else math.inf

@@ -42,11 +42,11 @@ class Sink(Protocol):
         """Close the sink."""
 
     def write(self, frame: Frame) -> None:
-        """Receive a frame, whose `time` [s] is sent as the time since the start."""
+        """Receive a frame; `time` [s] is the frame's time since the start of the clip."""
 
 
 class Recorder(Sink, Protocol):
-    """A sink that also receives messages without a frame."""
+    """A sink that also receives messages that do not belong to a frame."""
 
     def send(self, message: Message) -> None:
         """Receive a message."""

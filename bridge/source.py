@@ -61,14 +61,16 @@ class LiveOptions:
             raise InputError("live", self.live, limit, "Add --live, or remove these options.")
 
     def resolve(self) -> Scene:
-        """Return the scene with all changes, by default with velocities, or raise InputError."""
+        """Return the scene with all changes; frames have velocities unless a change omits them."""
         from phy124.scene import Scene, parse_changes
 
         return Scene.named(self.scene).replaced({"velocities": True, **parse_changes(self.set)})
 
 
 class LiveRun:
-    """A simulation that does not store its frames, because together they may exceed the memory."""
+    """A simulation that does not store its frames, because all frames may not fit into the
+    memory.
+    """
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
         """Check the source and the scene.
@@ -154,7 +156,7 @@ def open_clip(path: str | Path) -> Clip:
 def make_object(
     source: Path, options: LiveOptions, scene: Scene, device: str, progress: Progress
 ) -> StaticObject:
-    """Make Gaussians from a picture or a file, and the scene for them; raise InputError on failure.
+    """Make the Gaussians and the scene for a picture or a file; raise InputError on failure.
 
     Args:
         source: The picture or the file.

@@ -85,7 +85,7 @@ The clock is not recorded, because it would conflict with the clock of `ros2 bag
 
 
 def contact(at: str) -> Topic:
-    """Return the topic of a force by its name: the force on a wall, or of one object on another."""
+    """Return the topic that publishes the force on a wall, or the force between two objects."""
     name = at.replace("-", "_")  # ROS allows no hyphens
     return Topic(
         f"~/contact/{name}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
@@ -118,7 +118,7 @@ def full_name(name: str, node: str) -> str:
 
 @dataclass(frozen=True)
 class Service:
-    """A service, whose requests are served by the thread that calls the sink's `listen`."""
+    """A service; the thread that calls the sink's `listen` answers its requests."""
 
     name: str
     type: str

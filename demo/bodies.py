@@ -115,7 +115,7 @@ def _limit(receive: Receive, most: int) -> Receive:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Return a function that returns a body already read, then continues to receive."""
+    """Return a receive function that first returns the body that has already been read."""
     unread = True
 
     async def again() -> Message:

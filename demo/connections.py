@@ -30,7 +30,9 @@ AT_ONCE = 2048
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as possible; return half of it for connections."""
+    """Raise the limit of open files as far as possible; return half of the limit, for
+    connections.
+    """
     if resource is None:
         return UNLIMITED // 2
     now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -120,7 +122,7 @@ class Patient(H11Protocol):
             self.clock = self.loop.call_later(seconds, self.transport.close)
 
     def _make_room(self) -> None:
-        """Close the connection with the earliest deadline, or this connection."""
+        """Close the connection with the earliest deadline, which may be this connection."""
         waiting = [each for each in self.connections if isinstance(each, Patient)]
         slowest = min(waiting, key=lambda each: (_due(each), each is not self), default=self)
         slowest._stop()

@@ -85,7 +85,7 @@ class ExtraInputs:
     """The generator that creates the object from the picture."""
 
     def cut_views(self, deadline: Deadline) -> None:
-        """Create the cut-outs of the other views that are still missing.
+        """Create the missing cut-outs of the other views.
 
         Raises:
             InputError: No object is found in one of the pictures.
@@ -100,7 +100,7 @@ class ExtraInputs:
                 raise InputError(field, error.value, limit, error.remedy) from error
 
     def suit(self, source: Source) -> ExtraInputs:
-        """Return the inputs for an object; replace unset axes by the likely axes of the file.
+        """Return the inputs for an object; if no axes are set, use the likely axes of the file.
 
         Raises:
             InputError: An input does not apply to this kind of object.

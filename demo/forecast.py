@@ -170,13 +170,17 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Make a run; return the scene, and the times after correction for other programs."""
+        """Make a run; return the scene, and the times corrected for the load from other
+        programs.
+        """
         before = self.meter.measure()
         report, scene = run()
         return _alone(report, before.mean(self.meter.measure())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
-        """Update the rates from a finished run; `before` is the machine load when it started."""
+        """Update the rates from a finished run; `before` is the machine load when the run
+        started.
+        """
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:

@@ -386,7 +386,9 @@ class Studio:
         return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
 
     def _compiling(self, scene: Scene) -> float:
-        """Return the time to compile a scene's kernels [s]; 0 if a run may compile them now."""
+        """Return the time to compile a scene's kernels [s]; 0 if a running job may be compiling
+        them.
+        """
         if self.forks or not DEVICE.acquire(blocking=False):
             return 0.0
         try:

@@ -1,4 +1,4 @@
-"""A queue that runs jobs in order of arrival, and messages about the end of jobs.
+"""Runs jobs in the order of their arrival, and describes how each job ended.
 
 A job continues when its visitor disconnects. Each job has a name that cannot be guessed.
 """

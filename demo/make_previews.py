@@ -58,7 +58,7 @@ PLAYERS, SPLATS = ("press", "bounce", "jelly"), 9_000
 
 
 def main() -> None:
-    """Render the previews of the presets and materials that the command line names, or all."""
+    """Render all previews, or only those that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     materials = [f"material_{name}" for name in SUBSTANCES]
     ready = [f"ready_{name}" for name in READY]
@@ -184,9 +184,7 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Rotate the frames of a loop, so that it starts with the frame that differs most from the
-    first.
-    """
+    """Let a loop start with the frame that differs most from the first frame."""
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

@@ -154,7 +154,7 @@ def mark_answers(page: Any) -> None:
 
     Gradio does not send a panel a value that equals the previous value. If a request were refused
     twice with the same message, the panel would wait forever. Each answer therefore contains a
-    different number. Handlers receive values without marks.
+    different number. Handlers receive values without the number.
     """
     for event in page.fns.values():
         panels = [isinstance(block, gr.HTML) for block in event.outputs]

@@ -102,7 +102,9 @@ def cut_out(
 
 
 def cutout_file(visitor: Visitor, picture: Path, *more: Any) -> Path:
-    """Return the path of a visitor's cut-out; its name depends on the picture and on `more`."""
+    """Return the path of a visitor's cut-out; the file name depends on the picture and on
+    `more`.
+    """
     return visitor.folder / "cutouts" / f"{key(picture.read_bytes(), *more)}.png"
 
 
@@ -252,7 +254,7 @@ def read_place(data: Any) -> Point | None:
 
 
 def paint(strokes: list[Stroke] | tuple[Stroke, ...], size: tuple[int, int]) -> Image.Image:
-    """Paint the strokes into a map (0: nothing, 1: remove, 2: keep), later ones on top."""
+    """Paint the strokes in order into a map (0: nothing, 1: remove, 2: keep)."""
     marks = Image.new("L", size)
     draw, side = ImageDraw.Draw(marks), max(size)
     for stroke in strokes:

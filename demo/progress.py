@@ -76,7 +76,7 @@ class Progress:
     def data(self, seen: int = 0) -> dict[str, Any]:
         """Return plain data for the page, including the frames from index `seen` on.
 
-        A frame is included once its picture and its file are there, so that none is skipped.
+        A frame is included only after its picture and its file exist, so that no frame is skipped.
         """
         frames = slice(seen, min(len(self.glimpses), len(self.live)))
         return {

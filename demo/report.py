@@ -88,7 +88,7 @@ def _accuracy(
 
 
 def _pareto(report: dict[str, Any], promise: Promise, stops: Sequence[Stop]) -> str:
-    """Plot the error of the named accuracies and of this run against their time."""
+    """Plot the error against the run time, for the named accuracies and for this run."""
     reached = promise.error
     known = [(stop, stop.error) for stop in stops if stop.error]
     if not known or not reached:

@@ -151,7 +151,9 @@ class Arrivals:
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address with most bytes; return whether there was one."""
+        """Remove the oldest upload of the address that stores most bytes; return whether there was
+        one.
+        """
         if not self._uploads:
             return False
         sizes: Counter[str] = Counter()

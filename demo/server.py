@@ -86,13 +86,13 @@ def check_address(settings: Settings) -> None:
             raise InputError("port", port, limit, remedy) from None
         if error.errno == errno.EACCES:
             limit = "This user is not allowed to listen at this port."
-            raise InputError("port", port, limit, "Give a port from 1024 on.") from None
+            raise InputError("port", port, limit, "Give a port of at least 1024.") from None
         limit = "This machine cannot listen at this address."
         raise InputError(
             "host",
             host,
             limit,
-            "With 127.0.0.1 only this machine can connect, with 0.0.0.0 every network.",
+            "With 127.0.0.1 only this machine can connect; with 0.0.0.0 any machine can.",
         ) from None
 
 

@@ -97,7 +97,7 @@ class Tool:
         }
 
     def bind(self, request: Any, values: Mapping[str, Any]) -> list[Any]:
-        """Return the values of the function's arguments in the function's order."""
+        """Return the values of all arguments, in the order of the function's parameters."""
         parameters = inspect.signature(self.function).parameters.values()
         sent = {"request": request, **values}
         return [sent.get(each.name, self._default(each)) for each in parameters]

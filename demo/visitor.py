@@ -119,7 +119,7 @@ class Visitor:
         return self.used
 
     def trim(self, room: Room) -> None:
-        """Remove all but the latest results of each stage, and more if disk space is short."""
+        """Remove all but the latest results of each stage; if disk space is short, remove more."""
         for stage in ("uploads", *STAGES):
             entries = newest_first(self.folder / stage)
             # A clip may have videos of several views. Cut-outs and uploads are small.

@@ -92,7 +92,7 @@ def _nodes(context):
 
 
 def _end(event, context):
-    """End RViz as well; launch exits with a nonzero status if the node did."""
+    """End RViz when the node has ended; raise an error if the node's exit status is not zero."""
     del context
     if event.returncode:
         raise RuntimeError(f"The {PACKAGE} node has ended with exit status {event.returncode}.")

@@ -1,1 +1,1 @@
-"""The sinks: one file for each kind of output, which implements `bridge.sink.Sink`."""
+"""The sinks: each file implements `bridge.sink.Sink` for one kind of output."""

@@ -40,7 +40,7 @@ HEADER = struct.Struct("<Qq")
 
 
 class DdsSink:
-    """Publishes frames over DDS; only to this machine, unless `network` is set."""
+    """Publishes frames over DDS, by default only to this machine."""
 
     monotonic = True
 

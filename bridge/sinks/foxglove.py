@@ -176,7 +176,8 @@ class FoxgloveSink:
         )
 
     def control(self, playing: bool, speed: float, seek: int | None, request: str) -> None:
-        """Execute a viewer's use of the playback controls; a server thread calls this method.
+        """Carry out a viewer's command from the playback controls; a server thread calls this
+        method.
 
         Args:
             playing: True to play, False to pause.

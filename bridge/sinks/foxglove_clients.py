@@ -81,7 +81,7 @@ class Clients:
         self._channels.pop((client, channel), None)
 
     def message(self, client: int, channel: int, data: bytes) -> None:
-        """Append a message that a viewer has published to the queue."""
+        """Append to the queue a message that a viewer has published."""
         topic = self._channels.get((client, channel))
         if topic is None:
             return

@@ -237,7 +237,9 @@ class RclpySink:
 
     @contextmanager
     def _until_shutdown(self) -> Iterator[None]:
-        """Turn errors after the shutdown of ROS into a KeyboardInterrupt within this context."""
+        """Within this context, turn errors that follow a shutdown of ROS into a
+        KeyboardInterrupt.
+        """
         try:
             yield
         finally:

@@ -120,7 +120,9 @@ class Entities:
         }
 
     def set_state(self, request: Any) -> dict[str, Any]:
-        """Move an entity as a rigid body (SetEntityState); a request of 1.x sets pose and twist."""
+        """Move an entity as a rigid body (SetEntityState); a request of version 1.x sets pose and
+        twist.
+        """
         name, state = request.entity, request.state
         before = self._motions.get(name)
         if before is None:
@@ -168,7 +170,9 @@ class Entities:
         return result(Code.NOT_FOUND, f"There is no {name!r}, only {', '.join(self._motions)}.")
 
     def _overlapping(self, bounds: Any) -> set[str] | None:
-        """Return the entities with at least one point within the bounds; None means all."""
+        """Return the entities with at least one point within the bounds; None if the bounds are
+        empty.
+        """
         if bounds.type == EMPTY:
             return None
         first, second = (np.array([p.x, p.y, p.z]) for p in bounds.points[:2])

@@ -134,7 +134,9 @@ class Inputs:
         self._attempt(lambda: self._transforms.hear(message))
 
     def pose(self, frame: str) -> np.ndarray:
-        """Return the pose of a coordinate frame in the world [4,4]; raise InputError if unknown."""
+        """Return the pose of a coordinate frame in the world [4,4]; raise InputError if it is
+        unknown.
+        """
         return self._transforms.pose(frame)
 
     def apply(self) -> None:
@@ -224,7 +226,9 @@ def _static(options: Options) -> Any:
 
 
 class Remarks:
-    """Sentences about refused inputs: counted, logged at intervals, shown in the diagnostics."""
+    """Messages about refused inputs, which are counted, logged at intervals and shown in the
+    diagnostics.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.count = 0

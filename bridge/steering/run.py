@@ -45,7 +45,7 @@ def checked_duration(name: str, seconds: float) -> float:
     shortest, longest = DURATIONS
     if not shortest <= seconds <= longest:
         limit = f"It must lie between {shortest:g} and {longest:g}."
-        raise InputError(name, seconds, limit, "Remove the option for the default.")
+        raise InputError(name, seconds, limit, "Remove the option to use the default.")
     return seconds
 
 

@@ -48,7 +48,9 @@ class Standard:
     """The standard services of a run."""
 
     def __init__(self, run: SteeredRun, options: Options, *, action: bool) -> None:
-        """Store the run and the options; `action` also lets peers step by a ROS action."""
+        """Store the run and the options; if `action` is set, peers can also step by a ROS
+        action.
+        """
         self._run, self._action = run, action
         self._entities = Entities(run, options)
 

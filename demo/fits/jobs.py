@@ -144,6 +144,6 @@ def _watch(job: Job, out: Path) -> None:
 
 
 def _folder(visitor: Visitor, done: Done, upload: Path, asked: FitOptions) -> Path:
-    """Return the folder of a fit, which depends on the video; an interrupted fit can continue."""
+    """Return the folder of a fit; a fit to the same video continues in the same folder."""
     options = asked.model_dump(exclude={"seconds"})
     return visitor.folder / "fits" / f"{done.clip.name}-{key(upload.read_bytes(), options)}"

@@ -38,5 +38,5 @@ def path_of(file: Any) -> Any:
 
 
 def file_of(path: Path) -> dict[str, Any]:
-    """Return a link to a file, whose folder has a name that cannot be guessed."""
+    """Return a link to a file; the link contains a name that cannot be guessed."""
     return FileData(path=str(path), orig_name=path.name, size=path.stat().st_size).model_dump()

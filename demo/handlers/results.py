@@ -132,7 +132,7 @@ def on_load(studio: Studio) -> Handler:
 
 
 def _run_to_show(visitor: Visitor) -> Job | None:
-    """Return the latest run if it goes on, else the latest run that has a result."""
+    """Return the latest run if it is still running, otherwise the latest run that has a result."""
     runs = [job for job in reversed(list(visitor.jobs.values())) if job.kind == "run"]
     if runs and not runs[0].over:
         return runs[0]

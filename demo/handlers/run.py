@@ -43,7 +43,7 @@ def on_scene_changed(studio: Studio) -> Handler:
 
 
 def answer_change(change: Any, html: str | None) -> dict[str, Any]:
-    """Return the value of the forecast panel, which ignores answers to earlier changes.
+    """Return the value of the forecast panel; the panel ignores answers to earlier changes.
 
     Args:
         change: Number of the change of the scene, counted by the page.
@@ -227,7 +227,7 @@ def on_measure(studio: Studio) -> Handler:
 
 
 def follow_job(job: Job) -> dict[str, Any]:
-    """Return the progress panel's value with which the panel shows the progress of a job."""
+    """Return the value that makes the progress panel show the progress of a job."""
     return {**job.progress.data(), "job": job.name, "kind": job.kind}
 
 

@@ -123,7 +123,7 @@ def _in_photograph(
 ) -> dict[str, Any]:
     """Write the video in the photograph if it is requested and time is left.
 
-    Return its entry in the report, or an empty entry.
+    Return the report's entry about this video, or an empty entry.
     """
     if order.photograph is None or limits.spent > FILMING:
         return {}

@@ -1,4 +1,6 @@
-"""An order is the request for a run, created by a click on the page, with the run's files."""
+"""Orders: an order is the request for a run that a click on the page starts, with the run's
+files.
+"""
 
 from __future__ import annotations
 

@@ -75,8 +75,8 @@ class Material(Section):
 
     @property
     def lit(self) -> bool:
-        """Whether a lamp lights the material in videos (phy124/rendering/matte.py) instead of the
-        light of the picture, as for tinted grains.
+        """Whether a lamp lights the material in videos (phy124/rendering/matte.py). If not, the
+        material keeps the light of the picture.
         """
         return self.tint is not None and self.grains and not self.shines
 
@@ -168,7 +168,7 @@ class Material(Section):
 
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
-    """Return the substep [s] in which viscosity stops a particle's strain, rho dx^2 / (8 eta).
+    """Return the substep [s] that lets viscosity just stop a particle's strain: rho dx^2 / (8 eta).
 
     The formula is for an isolated particle; twice the substep would be unstable. If elastic stress
     acts as well, the limit is smaller by the factor `timestep.beside_elastic`.
@@ -226,13 +226,14 @@ class Elastic(Material):
 class Logarithmic(Elastic):
     """Base class of materials whose stress is linear in the Hencky strain.
 
-    The modulus A is at most 2 mu (1 + x) + 3 lambda for a difference x of principal strains.
+    If two principal strains differ by x, the modulus A is at most 2 mu (1 + x) + 3 lambda.
     """
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
-        A strain changes a difference x of principal strains by at most sqrt(2) times the strain.
+        If the strain changes by e, the difference of two principal strains changes by at most
+        sqrt(2) e.
         """
         del stiffness
         return (growth - 1) / math.sqrt(2)

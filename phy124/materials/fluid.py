@@ -14,8 +14,7 @@ from phy124.materials.base import Material, viscous_substep
 RINGING = 0.7
 """Bulk viscosity relative to the largest value that does not shorten the substep."""
 SUDDEN = 0.3
-"""Ratio K' / K: relative increase of the stiffness for changes faster than the relaxation time.
-"""
+"""Ratio K' / K: relative increase of the stiffness for changes faster than the relaxation time."""
 RELAXATION = 10.0
 """Relaxation time relative to the time in which sound crosses a cell.
 
@@ -83,7 +82,7 @@ class Fluid(Material):
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
-        """Return the initial history variables: the past value 1 of J, and an unused 0."""
+        """Return the initial history variables: 1 as the previous value of J, and an unused 0."""
         return 1.0, 0.0
 
     @property

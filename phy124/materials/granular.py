@@ -71,7 +71,7 @@ class Sand(Logarithmic):
         An infinitely long slope flows at constant volume if its shear stress is 3 alpha / sqrt(2)
         times the pressure. The angle a of such a slope satisfies tan(a) = 3 alpha / sqrt(2). A
         slope at rest stays stable up to the angle asin(tan(a)). A steep heap therefore comes to
-        rest at an angle larger than a, and a is chosen smaller than the repose angle.
+        rest at a larger angle, so the angle of flow is chosen smaller than the repose angle.
         """
         if self.repose_angle is not None:
             flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)

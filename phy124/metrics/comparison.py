@@ -132,7 +132,8 @@ def check_comparable(a: Clip, b: Clip) -> None:
     ) / _size(a)
     if not apart <= SAME_OBJECT:
         raise _refusal(
-            f"the clips show different objects: at rest they differ by {apart:.0%} of the size.",
+            "the clips show different objects: at rest, the positions differ by "
+            f"{apart:.0%} of the object's size.",
             "Make both clips from one picture or .ply file, with the same object.size.",
         )
 

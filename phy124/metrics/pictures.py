@@ -66,10 +66,10 @@ def motion(video: Video) -> float:
 def flicker(video: Video) -> float:
     """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
-    Flicker is half the mean absolute second difference, in time, of the mean of each channel.
-    Flicker is 0 if the mean changes at a constant rate, and 100 if the frames alternate between
-    black and white. If an object only moves, the mean hardly changes, so flicker does not measure
-    motion.
+    Each channel of each frame is averaged; flicker is half the mean absolute second difference of
+    these averages in time. Flicker is 0 if the mean changes at a constant rate, and 100 if the
+    frames alternate between black and white. If an object only moves, the mean hardly changes, so
+    flicker does not measure motion.
     """
     colours = to_unit(video).mean(axis=(1, 2))
     return 50 * float(np.abs(np.diff(colours, n=2, axis=0)).mean()) if len(colours) > 2 else 0.0

@@ -1,7 +1,7 @@
-"""Observers of runs with both bodies on lattices and particle bodies.
+"""Observers of runs in which some bodies are on lattices and the others consist of particles.
 
-On lattices, the contact with a wall sums the wall's impulse (phy124/monitor/lattice.py). On the
-grids of particles, observers measure the impulses of walls.
+On lattices, the kernel of the contact with a wall sums the wall's impulse
+(phy124/monitor/lattice.py). On the grids of particles, observers measure the impulses of walls.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ class CoupledWork(ExternalWork):
     """Sums external impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to read the solver's sums for walls on lattices as well."""
+        """Bind to the solver, in order to read also the solver's sums for walls that touch
+        lattices.
+        """
         self._solver = solver
         super().bind(solver, observers)
 
@@ -92,7 +94,7 @@ class CoupledWrenches(Wrenches):
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the impulses of walls on lattices."""
+        """Bind to the solver, because it sums the impulses of walls on lattices."""
         super().bind(solver, observers)
         self._before = self._now()
 
@@ -142,7 +144,9 @@ class CoupledContacts(Contacts):
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the Gaussian for the impulse of each particle, surface point and node."""
+        """Return the Gaussian that receives the impulse of each particle, surface point and
+        node.
+        """
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:

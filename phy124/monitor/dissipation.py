@@ -129,7 +129,7 @@ class Dissipation(Observer):
         """Start counting from the current state."""
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the sums, and the stress at the start of the next substep."""
+        """Return a snapshot of the sums, and of the stress at the start of the next substep."""
         assert self._sums is not None
         return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
 

@@ -1,9 +1,9 @@
 """External work: sums impulse and work of forces and walls on the object in every substep.
 
 Velocities are stored before the forces on particles or the walls act, and compared with the
-velocities afterwards. A constant uniform acceleration contributes the impulse M a dt and the work M
-a . dx, which needs no launch. If the acceleration varies in time, a single-thread kernel adds its
-impulse and work at the end of each substep.
+velocities afterwards. A constant uniform acceleration `a` contributes the impulse `M a dt` and the
+work `M a . dx`; both are computed without a launch. If the acceleration varies in time, a
+single-thread kernel adds its impulse and work at the end of each substep.
 """
 
 from __future__ import annotations
@@ -273,7 +273,9 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum when the open sums were cleared, and the walls' impulses since."""
+        """Store the momentum at the time when the open sums were cleared, and the impulses of walls
+        since then.
+        """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
@@ -331,8 +333,8 @@ class ExternalWork(Observer):
 class MeanWork(ExternalWork):
     """Reads the external work from solvers that sum the work of walls and forces themselves.
 
-    In a projected liquid, the pressure resists a force within the step; on lattices, clamps do so.
-    All work is therefore computed with the mean velocities of the step.
+    In a projected liquid, the pressure counteracts a force within the same step; on lattices,
+    clamps counteract a force. All work is therefore computed with the mean velocities of the step.
     """
 
     @classmethod
@@ -360,8 +362,8 @@ class MeanWork(ExternalWork):
 
 
 def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
-    """Return the kernels that run before and after forces on particles; with `keeps_C`, no force
-    changes C.
+    """Return the kernels that run before and after forces on particles; if `keeps_C` is set, no
+    force changes C.
     """
     sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
     return kernels.make_push_copy(real, keeps_C), sums

@@ -1,7 +1,7 @@
 """Observers of runs with bodies on lattices in a projected liquid.
 
-The contact of a body with a wall sums the wall's impulse (phy124/monitor/lattice.py). The liquid
-sums the impulses of walls on the liquid.
+The kernel of the contact between a body and a wall sums the wall's impulse
+(phy124/monitor/lattice.py). The liquid sums the impulses of walls on the liquid.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return a mask of inner particles that are too far from a neighbour at rest.
+        """Return a mask of the inner particles that have moved too far away from a neighbour.
 
         The kernel is compiled at first use, because most runs do not need it.
         """
@@ -157,8 +157,8 @@ class Interior(Observer):
     def _list_exposed(self, count: int) -> Exposed | None:
         """Return the particles that are exposed in any of `count` frames; None if there are none.
 
-        If a frame was not examined because nothing had moved, it has the exposed particles of the
-        frame before.
+        A frame in which nothing has moved is not examined, and has the same exposed particles as
+        the frame before.
         """
         latest: Opened = {"ids": np.zeros(0, int), "x": np.zeros((0, 3), np.float32)}
         frames = [latest := self._opened.get(index, latest) for index in range(count)]
@@ -175,7 +175,7 @@ class Interior(Observer):
         return Exposed(grains, above.astype(np.int32), *listed)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the exposed particles of all frames so far."""
+        """Return a snapshot of the exposed particles of all frames so far."""
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:

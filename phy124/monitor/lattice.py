@@ -1,6 +1,6 @@
 """Observers of bodies on lattices: momentum, energy, and the impulse and work of walls.
 
-The contact with a wall sums the wall's impulse, moment and work
+The kernel of the contact with a wall sums the wall's impulse, moment and work
 (phy124/kernels/lattice/contact.py), so nothing has to be copied before and after walls act.
 """
 
@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: momentum and kinetic energy over nodes, others over points."""
+    """Sums for a body on a lattice: momentum and kinetic energy over its nodes, and all other
+    quantities over its points.
+    """
 
     on_lattice = True
 
@@ -61,7 +63,7 @@ class LatticeTotals(Totals):
         return super()._sum(group, outputs)
 
     def read(self, clock: Clock) -> Diagnostics:
-        """Return the diagnostics of the current state, after the points have followed the nodes."""
+        """Move the points with the nodes, then return the diagnostics of the current state."""
         points = super().read(clock)
         self._of_nodes.zero_()
         if self._launch is not None:
@@ -101,9 +103,9 @@ class LatticeWatchdog(Watchdog):
 class LatticeWork(MeanWork):
     """Computes the external impulse and work from the solver's sums for walls and forces on points.
 
-    If there are other forces, the work of a constant acceleration is summed in every substep as
-    well. The product of acceleration and displacement would refer to the time of the positions. In
-    a wind against gravity, in a frame of two substeps, the difference was 32 % of the energy.
+    If there are other forces, the work of a constant acceleration is also summed in every substep.
+    The product of acceleration and displacement would refer to the time of the positions. In a wind
+    against gravity, in a frame of two substeps, the difference was 32 % of the energy.
     """
 
     @classmethod
@@ -118,7 +120,7 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to read the sums of its walls as well."""
+        """Bind to the solver, in order to read also the sums of the solver's walls."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)

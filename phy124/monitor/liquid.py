@@ -71,7 +71,8 @@ class LiquidDissipation(Dissipation):
         return Loss(viscous, friction, lost - viscous - friction)
 
     def details(self, loss: Loss, change: float) -> dict[str, float]:
-        """Return the work that changed kinetic energy, and the parts of the numerical loss [J].
+        """Return the work [J] that changed the kinetic energy, and the parts [J] of the numerical
+        loss.
 
         Args:
             loss: Lost energy by cause.

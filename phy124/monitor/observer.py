@@ -1,7 +1,7 @@
 """Observer: measures or checks a run, from the first launch to the report.
 
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
-requires; the others cost no compilation, memory or launches. A run compiles, binds, calls, pauses,
+requires; all other observers cost no time and no memory. A run compiles, binds, calls, pauses,
 resumes and reports its observers in loops, in the order of the list. Every method has a default
 that does nothing, so a new observer overrides only the methods that it needs.
 """
@@ -68,7 +68,7 @@ class Violation(NamedTuple):
 
 
 class Subject(NamedTuple):
-    """The properties of a run that determine its observers."""
+    """The properties of a run that decide which observers the run needs."""
 
     scene: Scene
     materials: Sequence[AnyMaterial]
@@ -97,7 +97,7 @@ class Observed(Protocol):
 
     @property
     def subject(self) -> Subject:
-        """The properties of the run that determine its observers."""
+        """The properties of the run that decide which observers it needs."""
         ...
 
     @property
@@ -155,7 +155,7 @@ class Observer:
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Return the observer of a run, before the run's solver exists."""
+        """Create the observer of a run; the run's solver does not exist yet."""
         del setup
         return cls()
 

@@ -7,10 +7,10 @@ in the next M = m Q frames. In the worst case, a particle first moved by D to on
 starting point, turned, and is now at the distance D on the other side, moving away. In addition, a
 vibration in phase with the frames, with the largest speed v, can hide a displacement of v T / 2 pi.
 
-The object sleeps if the sum of both displacements is invisible and its speed does not grow. The
-object wakes when a force or boundary of the scene changes. Under gravity, an object sleeps only if
-it has also moved much less than a free body would. Without this condition, in a clip with many
-frames per second, an object at the top of its path would count as at rest.
+The object sleeps if the sum of both displacements is invisible and the object's speed does not
+grow. The object wakes when a force or boundary of the scene changes. Under gravity, an object
+sleeps only if it has also moved much less than a free body would. Without this condition, in a clip
+with many frames per second, an object at the top of its path would count as at rest.
 """
 
 from __future__ import annotations
@@ -104,7 +104,9 @@ class Sleep(Observer):
         self._stiffness_changes = scene.stiffness_profile is not None
 
     def skip_to(self, index: int) -> float | None:
-        """Count a frame that needs no substeps, and return its time [s]; otherwise return None."""
+        """If the frame needs no substeps, count the frame and return its time [s]; otherwise return
+        None.
+        """
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None
@@ -193,22 +195,23 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration with a largest speed [m/s] and one period per
-        frame.
+        """Return the amplitude [m] of a vibration that has this largest speed [m/s] and one period
+        per frame.
         """
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether material under the acceleration a [m/s^2] stays in place.
+        """Return whether something holds the material in place against the acceleration `a`
+        [m/s^2].
 
-        Free material would move by a t^2 / 8.
+        Material that nothing holds would move by `a t^2 / 8`.
         """
         pull: NDArray[Any] = self._solver.tracks.values.numpy()
         way = float(np.linalg.norm(pull[0, :3])) * (len(self.speeds) / self._fps) ** 2 / 8
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the motion was fastest in the last frame, as if an object begins to
+        """Return whether the motion was fastest in the last frame; an object may then begin to
         topple.
         """
         *before, latest = self.speeds
@@ -220,7 +223,8 @@ class Sleep(Observer):
 
 
 def next_change(track: Track, time: float) -> float:
-    """Return the next time at which a track changes [s], or `time` if it is already changing.
+    """Return the next time at which a track changes [s]; `time` if the track is changing at this
+    time.
 
     If the track never changes again, the result is infinity.
     """

@@ -91,11 +91,13 @@ class Softening(Observer):
         ]
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the factor."""
+        """Return a snapshot of the factor."""
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor without counting the work, which is part of the restored state."""
+        """Set the factor; its work is not counted, because the restored state includes this
+        work.
+        """
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

@@ -187,7 +187,7 @@ class Tearing(Observer):
 
     @property
     def briefly(self) -> str:
-        """The note about tearing as a short clause."""
+        """The note about tearing, shortened to a clause."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"

@@ -196,7 +196,9 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return an error with the problem that stopped the solver and a responsible particle."""
+        """Return an error that describes why the solver stopped, and names a responsible
+        particle.
+        """
         broken = broken_particles(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
@@ -348,7 +350,7 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return an error if there is spurious energy, except from invisible rounding errors;
+        """Return an error if there is more spurious energy than invisible rounding errors explain,
         otherwise None.
         """
         if energy <= ENERGY_GAIN * turnover:
@@ -377,8 +379,8 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of an unstable run: the substep, and others for violent
-        motions.
+        """Return possible causes of an unstable run: the length of the substep and, for violent
+        motions, others.
         """
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("solver", "substep", "law", "push", "damping") if violent else ("substep",)

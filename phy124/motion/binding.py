@@ -64,7 +64,9 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return the value [N] of each Gaussian's own or nearest particle, from values [P]."""
+    """Return for each Gaussian the value [N] of its own or its nearest particle, from values
+    [P].
+    """
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():
         return np.repeat(values[:1], len(gaussians), axis=0)
@@ -80,7 +82,9 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the carriers [N,K] of each Gaussian, from its own object, with weights [N,K]."""
+    """Return the carriers [N,K] of each Gaussian and their weights [N,K]; carriers belong to the
+    Gaussian's own object.
+    """
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
     neighbours = np.zeros((len(gaussians), CARRIERS), np.int32)

@@ -90,7 +90,7 @@ class Deformer:
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
-            """Return an array on the device; if all values are equal, it has the length of one
+            """Return an array on the device; if all values are equal, the array is shortened to one
             block.
             """
             values = np.broadcast_to(values, n)
@@ -199,7 +199,9 @@ class Deformer:
         return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Return a snapshot: the axes of the Gaussians, from which the next frame starts."""
+        """Return a snapshot of the Gaussians' axes; the axes in the next frame are computed from
+        these axes.
+        """
         axes = {"quats": self._quats, "inner": self._inner}
         if self.gaussians.sh_degree:
             axes["turned"] = self._turned

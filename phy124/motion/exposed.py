@@ -40,8 +40,8 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """Index of the first exposure of each frame when sorted by frame; the last entry is the
-        number of exposures.
+        """Index of the first exposure of each frame if exposures are sorted by frame. The last
+        entry is the number of exposures.
         """
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
@@ -49,7 +49,7 @@ class Exposed:
     def show(
         self, row: Mapping[str, Array], index: int, grains: NDArray[np.intp]
     ) -> dict[str, Array]:
-        """Return the arrays of a frame with the right centres and sizes of these Gaussians.
+        """Return the arrays of a frame after setting the centres and sizes of these Gaussians.
 
         Args:
             row: Arrays of M Gaussians by name; a hidden Gaussian has the values of the Gaussian

@@ -198,7 +198,7 @@ class Recorded:
         return (part._advance() for _ in range(len(self)))
 
     def _return_to(self, index: int) -> None:
-        """Return to the latest stored state before or at a frame."""
+        """Return to the latest state that was stored at or before a frame."""
         start = max((state for state in self._states if state <= index), default=0)
         self._next = start
         assert self._deformer is not None
@@ -269,7 +269,9 @@ class Recorded:
 
 
 class Torn:
-    """Frames of a motion, including Gaussians that become visible by a tear; these come last."""
+    """Frames of a motion, including Gaussians that a tear makes visible; these Gaussians come
+    last.
+    """
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
         """Store the frames, which do not contain the exposed Gaussians."""

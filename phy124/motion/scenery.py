@@ -30,7 +30,7 @@ class Track(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Adds all other Gaussians to a frame of the Gaussians that the solver moves."""
+    """Adds the Gaussians that the solver does not move to a frame."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""
@@ -48,13 +48,13 @@ class Scenery:
 
     @property
     def moving(self) -> Gaussians:
-        """The Gaussians at rest that the solver moves, in their original order."""
+        """The Gaussians that the solver moves, in their rest positions and original order."""
         return self.gaussians.select(self.moves) if self.count else self.gaussians
 
     def whole(
         self, frame: Frame, poses: Sequence[NDArray] = (), motions: NDArray | None = None
     ) -> Frame:
-        """Return a frame of all Gaussians from a frame of the Gaussians that the solver moves.
+        """Add all other Gaussians to a frame that contains only the Gaussians moved by the solver.
 
         Static Gaussians are bitwise unchanged. Gaussians of rigid solids and of objects on tracks
         are at their positions at the frame's time.

@@ -6,7 +6,7 @@ displacement u and the gradient F of each particle are averaged over its neighbo
 
     u' = sum w_j u_j + (F' - 1) (X - sum w_j X_j),   F' = sum w_j F_j,
 
-with smooth weights w that sum to 1. Every affine motion remains as it is, also at the surface,
+with smooth weights w that sum to 1. Smoothing does not change affine motions, even at the surface,
 where all neighbours are on one side.
 """
 

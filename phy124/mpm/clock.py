@@ -103,9 +103,9 @@ class Clock:
     def complete(self, calm_strain: float) -> bool:
         """Return whether the next measurement must include stiffness and positions.
 
-        A measurement of only the speeds suffices under two conditions. No particle can have been
-        strained by more than `calm_strain`, which would change the stiffness. No particle can have
-        left the margin of its window.
+        A measurement of only the speeds suffices under two conditions. First, no particle can have
+        been strained by more than `calm_strain`; a larger strain changes the stiffness. Second, no
+        particle can have left the margin of its window.
         """
         late = self.since_complete + MEASURE_EVERY > self.measure_every
         elapsed = self.time - self._last_measured
@@ -166,7 +166,9 @@ class Clock:
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count the substeps that a limit determined; `needed` is the number before rounding up."""
+        """Count the substeps whose length a limit determined; `needed` is the number before
+        rounding up.
+        """
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 

@@ -1,6 +1,6 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation, so it needs no additional launches. The schemes other than APIC
+APIC discards the fluctuation, so APIC needs no additional launches. The schemes other than APIC
 transfer (v, C) to the grid and back, once or several times, before the scatter of a substep. After
 the gather, these schemes restore a part of the difference.
 """

@@ -1,8 +1,8 @@
 """Free bodies: freely moving rigid solids without particles, which exchange momentum with material.
 
 The position, orientation and motion of free bodies are stored on the device; phy124/kernels/free
-explains the mechanics. In a substep, free bodies touch each particle body after the contact between
-particle bodies, and before walls act.
+explains the mechanics. In each substep, the contact of free bodies with particle bodies is computed
+after the contact between particle bodies and before walls act.
 """
 
 from __future__ import annotations

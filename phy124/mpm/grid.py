@@ -133,8 +133,8 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the current wall; allocated at first use, zero between
-        walls.
+        """Change of each node's velocity by the current wall. The array is allocated at first use,
+        and is zero between walls.
         """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
@@ -203,8 +203,8 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; without rows, a body extends from -inf to
-    inf.
+    """Return the lowest and highest corner of each body; a body that has no row extends from -inf
+    to inf.
 
     Args:
         rows: Measured maxima of parts of the particles [R,M]; see `Maxima.of`.

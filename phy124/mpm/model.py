@@ -206,7 +206,7 @@ class Model:
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
         """Return the rest positions [Q,3], m, of a body's particles, or of all particles if the
-        name is None. The body may belong only to the model of all bodies.
+        name is None. This model need not contain the body if the model of all bodies contains it.
         """
         model = self if self.whole is None else self.whole
         return model.rest[model.named(name)]
@@ -380,7 +380,7 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the range of particles of each law in each body: first and end index.
+    """Return the first index and the end index of the particles of each law in each body.
 
     Raises:
         ValueError: The particles of different bodies or laws are mixed, or a body has no particle.

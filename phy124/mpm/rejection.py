@@ -92,7 +92,8 @@ class StepRejection:
         return self._pushy and (self._changing or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
-        """Return whether a substep may move a particle or a wall too far, by the last measurement.
+        """Return whether, according to the last measurement, a substep may move a particle or a
+        wall too far.
 
         Args:
             clock: Clock with the last measurement.
@@ -131,9 +132,9 @@ class StepRejection:
     def room(self, clock: Clock) -> int:
         """Return the number of substeps in which no particle can leave the margin of its window.
 
-        In substep k a particle moves by at most (v + k a dt) dt. Here a dt^2 is capped at `PULL`
-        cells. If a dt^2 is larger, substeps are trials, and the particles are measured after a
-        violent substep.
+        In substep k, a particle moves by at most `(v + k a dt) dt`. The term `a dt^2` is limited to
+        `PULL` cells. If `a dt^2` is larger, substeps are trials, and the particles are measured
+        after a violent substep.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):

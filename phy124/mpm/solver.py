@@ -234,8 +234,8 @@ class Solver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: change velocities for the time `kick` [s], positions and F for `drift`
-        [s].
+        """Take one substep: advance velocities by the time `kick` [s], and positions and F by
+        `drift` [s].
         """
         self._measure_if_due()
         self._scatter(kick, drift)
@@ -331,7 +331,7 @@ class Solver:
             self.runner.run(phase)
 
     def _run_task(self, member: int, task: int) -> None:
-        """Run a phase of a worker, or one of its measurements."""
+        """Run a phase of a worker, or a measurement of a worker."""
         worker = self.workers[member]
         measure = {MEASURE: worker.measure, GLANCE: worker.glance}.get(task)
         if measure is None:
@@ -365,7 +365,9 @@ class Solver:
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and the other limits if they may have changed, or raise Unstable."""
+        """Measure the speeds, and also the other limits if they may have changed; may raise
+        Unstable.
+        """
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):
@@ -391,7 +393,7 @@ class Solver:
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
 
     def _measure(self) -> None:
-        """Measure the stability limits and fit the windows to the particles, or raise Unstable."""
+        """Measure the stability limits and fit the windows to the particles; may raise Unstable."""
         corners = self._corners(rows := self._maxima())
         if self.outliers.confine(corners):
             corners = self._corners(rows := self._maxima())

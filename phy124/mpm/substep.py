@@ -58,7 +58,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """An object that reads each part of the particles after the part's gather."""
+    """An object that reads each part of the particles after the gather of this part."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate memory for a number of workers."""
@@ -147,7 +147,7 @@ class Recorder:
             yield launches([kept.remain(part, grid, turn) for part, grid in pairs])
 
     def _put_down(self, body: int) -> None:
-        """Scatter the mass of a body that never moves to its grid, once for all substeps."""
+        """Scatter the mass of a fixed body to the body's grid, once for all substeps."""
         grid = self.grids[body]
         grid.nodes.zero_()
         every = wp.zeros(0, dtype=int, device=self.model.device)
@@ -169,8 +169,8 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return the launches of forces of a worker; if one cannot be divided, the first worker
-        gets all.
+        """Return a worker's launches of forces; if a force cannot be divided, the first worker gets
+        all forces.
         """
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):
@@ -208,7 +208,9 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return one launch for both the grid update and a wall; None if it needs two launches."""
+        """Return a single launch for the grid update and a wall; None if two launches are
+        necessary.
+        """
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)

@@ -37,7 +37,7 @@ MEASURE_EVERY = 4
 
 
 class Extremes(NamedTuple):
-    """The largest values of all particles, which limit the substep."""
+    """The largest values among all particles; these values limit the substep."""
 
     speed: float
     """|v| [m/s]."""
@@ -47,8 +47,8 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes, with the speed at least `speed` and at least the decayed old
-        stiffness.
+        """Return the extremes after raising the speed to at least `speed`, and the stiffness to at
+        least the decayed old stiffness.
 
         Args:
             before: Extremes measured `substeps` earlier.
@@ -71,7 +71,7 @@ class Maxima(NamedTuple):
 
     @classmethod
     def of(cls, row: NDArray[np.float64]) -> Maxima:
-        """Return the maxima from the numbers that `phy124.kernels.measure` defines."""
+        """Convert an array of numbers, as defined in `phy124.kernels.measure`, to maxima."""
         speed, gradient, stiffness = row[[SPEED, GRADIENT, STIFFNESS]].tolist()
         return cls(Extremes(speed, gradient, stiffness), -row[LOW : LOW + 3], row[HIGH : HIGH + 3])
 

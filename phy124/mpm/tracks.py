@@ -54,17 +54,17 @@ class Table(Section):
 
 
 class Constant(Table):
-    """Profile with the factor 1 at all times."""
+    """A profile whose factor is always 1."""
 
     kind: Literal["constant"] = "constant"
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a table with a single key."""
+        """Return a table that contains a single key."""
         return np.zeros(1), np.ones(1)
 
 
 class Ramp(Table):
-    """Profile that changes linearly from one factor to another and is then constant."""
+    """A profile that changes linearly from one factor to another and is then constant."""
 
     kind: Literal["ramp"] = "ramp"
     duration: float = Field(
@@ -74,12 +74,12 @@ class Ramp(Table):
     last: Factor = Field(default=1.0, description="Factor at the end of the ramp and afterwards.")
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a table with two keys."""
+        """Return a table that contains the start and the end of the change as keys."""
         return np.array([0.0, self.duration]), np.array([self.first, self.last])
 
 
 class Sine(Table):
-    """Profile that oscillates: offset + sin(2 pi (frequency t + phase / 360))."""
+    """A profile that oscillates: `offset + sin(2 pi (frequency t + phase / 360))`."""
 
     kind: Literal["sine"] = "sine"
     frequency: float = Field(
@@ -103,7 +103,7 @@ class Sine(Table):
 
 
 class Keyframes(Table):
-    """Profile with factors at given times, and linear interpolation."""
+    """A profile that interpolates linearly between factors at given times."""
 
     kind: Literal["keyframes"] = "keyframes"
     times: tuple[Instant, ...] = Field(

@@ -158,7 +158,7 @@ class Slabs:
 
     @property
     def share(self) -> float:
-        """Ratio of the nodes of all slabs to the nodes of the windows."""
+        """Number of nodes of all slabs, divided by the number of nodes of the windows."""
         shared = sum(grid.count for grid in self._grids)
         return sum(part.nodes.count for part in self.parts) / max(shared, 1)
 

@@ -133,7 +133,8 @@ def visible_area(gaussians: Gaussians) -> NDArray[np.float32]:
 
 
 def compute_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower and upper corner [3], m, of all centres +- one standard deviation.
+    """Return the lower and upper corner [3], m, of the box around all Gaussians up to one standard
+    deviation.
 
     At each end of each axis, the outermost 0.1 % of the opacity is excluded, so that a few faint
     Gaussians do not affect the size. If there are more than 200,000 Gaussians, an evenly spaced

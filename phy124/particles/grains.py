@@ -138,8 +138,8 @@ def tint(
 ) -> Gaussians:
     """Tint Gaussians in the colour of the material, and keep some of the picture's light and shade.
 
-    A colour that would be brighter than white darkens all Gaussians, so that the brightest parts
-    remain distinguishable.
+    If a colour would be brighter than white, all Gaussians are darkened, so that the brightest
+    parts remain distinguishable.
 
     Args:
         gaussians: N Gaussians.

@@ -2,10 +2,10 @@
 
 The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
 has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3. Here c is the centre of the part
-of the body in the cell; s^2 and e are the eigenvalues and eigenvectors of this part's second
-moments per volume. Together, the eight points have the volume, the centre and the second moments of
-this part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss points. Without
-exact second moments, plates thinner than a cell would be too stiff.
+of the body that lies in the cell; s^2 and e are the eigenvalues and eigenvectors of this part's
+second moments per volume. Together, the eight points have the volume, the centre and the second
+moments of this part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss points.
+Without exact second moments, plates thinner than a cell would be too stiff.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).resh
 
 
 def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
-    """Return the integration points and surface points of a solid with voxels aligned with the
+    """Return the integration points and surface points of a solid whose voxels align with the
     cells.
 
     Args:

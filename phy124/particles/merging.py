@@ -159,8 +159,8 @@ def check_not_empty(count: int) -> None:
 
 
 def _feature_points(means: list[NDArray], rgb: NDArray) -> NDArray:
-    """Return points [N,3T+3] that are near each other if the Gaussians have similar colours and are
-    near each other in T frames.
+    """Return a point [N,3T+3] for each Gaussian. Two points are close if their Gaussians have
+    similar colours and are close in all T frames.
     """
     size = max(float(np.ptp(means[0], axis=0).max()), 1e-12)
     return np.concatenate([*(x / size / len(means) ** 0.5 for x in means), COLOUR * rgb], axis=1)

@@ -203,7 +203,8 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return for 27 nodes of a cell the numbers of these nodes in another cell [L,27]; -1: none.
+    """Return the numbers that 27 nodes of a cell have in another cell [L,27]; -1 for nodes that the
+    other cell does not have.
 
     Args:
         step: Steps from the first cell to the other cell [L,3].
@@ -318,8 +319,8 @@ def _find_clumps(
 def _distinct(
     pairs: NDArray, count: int, size: NDArray | int = 1
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the distinct pairs [L,2] of different items of `count`, the smaller item first, and
-    the sums of the sizes of equal pairs [L].
+    """Return all distinct pairs [L,2] of different items, each with the smaller item first, and for
+    each pair the total size of its occurrences [L].
     """
     low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
     apart = low < high

@@ -1,8 +1,8 @@
 """Moves particles from a lattice to random positions, so that no rows are visible.
 
-Sand that spreads in thin layers is stretched several times along the flow. Particles of a regular
-lattice would then form visible rows with empty grooves in between. Each particle stays in its
-lattice cell, so the density hardly varies.
+Sand that spreads in thin layers is stretched to several times its length along the flow. Particles
+of a regular lattice would then form visible rows with empty grooves in between. Each particle stays
+in its lattice cell, so the density hardly varies.
 """
 
 from __future__ import annotations

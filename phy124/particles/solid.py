@@ -12,7 +12,7 @@ interior is found in four steps:
   inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
 - Only the fraction of a surface voxel below the local surface is part of the solid. The local
   surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Filled
-  fractions make volumes accurate below the voxel size.
+  fractions make volumes more accurate than whole voxels would.
 
 The voxels depend only on the Gaussians, so the solid does not depend on the simulation grid. The
 solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing. The
@@ -198,7 +198,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest voxel grid with connected samples; if there is none, the finest grid."""
+    """Return the finest voxel grid with connected samples; if no grid has them, the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -228,7 +228,7 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Return odd numbers of samples per axis [N,3]: 1 within a voxel, otherwise about 1 per
+    """Return the number of samples along each axis of each Gaussian [N,3]: odd, and about one per
     voxel.
     """
     sigma = gaussians.scales.astype(np.float64) / voxel
@@ -329,7 +329,7 @@ def _dilate(mask: Mask, radius: int) -> Mask:
 def _trim_surface(
     fraction: NDArray[np.float32], region: Mask, outside: Mask, grid: _Voxels
 ) -> None:
-    """Set the fractions of surface voxels with samples, in place."""
+    """Set the filled fractions of the surface voxels that contain samples, in place."""
     surface = region & _dilate(outside, 1)
     at = grid.points.astype(np.int32)
     here = surface[tuple(at.T)]

@@ -5,8 +5,9 @@ inside the object (Hildebrand and Ruegsegger 1997, Journal of Microscopy 185). A
 opening with balls of a certain diameter removes exactly the parts that are thinner than this
 diameter.
 
-The compliance is the deflection of the object as an upright beam under its own weight, acting
-sideways (Euler and Bernoulli). An object with a heavy top on a thin stem has a large compliance.
+The compliance is the deflection that the object, as an upright beam, would have if its own weight
+acted sideways (Euler and Bernoulli). An object with a heavy top on a thin stem has a large
+compliance.
 """
 
 from __future__ import annotations

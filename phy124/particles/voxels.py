@@ -100,7 +100,8 @@ def find_voxels(filled: NDArray) -> Voxels:
 
 
 def _within(padded: NDArray, index: NDArray, steps: int) -> NDArray[np.float64]:
-    """Return the values of a grid at `NEAR` (one step) or `FAR` (two steps) from each voxel [V,S].
+    """Return the values of a grid at the neighbours `NEAR` (one step) or `FAR` (two steps) of each
+    voxel [V,S].
 
     The grid is padded by two voxels.
     """
@@ -274,7 +275,7 @@ def _part_moments(
 
 
 def _wrap(values: NDArray) -> wp.array:
-    """Return an array of numbers, vectors or matrices in the same memory."""
+    """Return a Warp array of numbers, vectors or matrices that uses the memory of a NumPy array."""
     kinds = {1: wp.float64, 2: wp.vec3d, 3: wp.mat33d}
     kind = wp.bool if values.dtype == bool else kinds[values.ndim]
     return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)

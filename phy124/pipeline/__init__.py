@@ -72,7 +72,7 @@ def generate(
     error: bool = True,
     **making: Any,
 ) -> Result:
-    """Turn a picture into moving Gaussians, and write them, videos and a report into a folder.
+    """Turn a picture into moving Gaussians; write the Gaussians, videos and a report into a folder.
 
     Args:
         image: The picture, or one picture for each object of the scene; not used if the generator
@@ -134,8 +134,7 @@ def simulate(
     each: Callable[[Simulation, Frame], object] | None = None,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Turn static Gaussians into moving Gaussians, and write them, videos and a report into a
-    folder.
+    """Make static Gaussians move; write the moving Gaussians, videos and a report into a folder.
 
     Args:
         gaussians: The object at any size, standing upright, facing +x.
@@ -216,7 +215,7 @@ def go_on(
     error: bool = True,
     **fields: Unpack[ContextOptions],
 ) -> Result:
-    """Continue an interrupted run in its folder; an uninterrupted run has the same result.
+    """Continue an interrupted run in its folder; the result equals that of an uninterrupted run.
 
     The continued and the uninterrupted run are equal bit for bit if the number of threads is the
     same.

@@ -281,7 +281,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse the further pictures if there are more of them than objects that need a picture.
+    """Refuse the further pictures if there are more pictures than objects that need a picture.
 
     Raises:
         InputError: There are too many pictures.

@@ -208,7 +208,7 @@ class Recording:
 
 
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """Return the interrupted run in a folder and its recording, if the run can be continued.
+    """Return the interrupted run in a folder and the run's recording, if the run can be continued.
 
     Args:
         out: The folder; None: nothing is written.

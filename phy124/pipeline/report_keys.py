@@ -1,4 +1,4 @@
-"""Declares the keys of report.json; every run writes this file and stores it in its clip.
+"""Declares the keys of report.json; every run writes this file and also stores it in the clip.
 
 A `NotRequired` key is present only if a run uses the option named in the key's description. A
 user's observer may add keys. If a release removes a key, the changelog names this key.

@@ -171,13 +171,15 @@ def _threads_differ(before: int, now: int) -> list[str]:
     if before == now:
         return []
     return [
-        f"The run was paused with {before} CPU thread(s) and continued with {now}: from then on it "
-        "equals an uninterrupted run up to rounding errors, not bit for bit."
+        f"The run was paused with {before} CPU thread(s) and continued with {now}: from then on, "
+        "the results differ from those of an uninterrupted run by rounding errors."
     ]
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the `scene` of a saved run, the number of its `frames`, and the entries `about`."""
+    """Return the metadata of a saved run: its `scene`, the number of its `frames`, and its entries
+    `about`.
+    """
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 

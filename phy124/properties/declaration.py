@@ -95,8 +95,8 @@ class Properties(Section):
                 f"it holds {len(table):,} values without positions, but "
                 f"the object has {len(means):,} "
                 "Gaussians.",
-                "Add x, y, z to the file, or write one value per Gaussian of the gaussians.ply "
-                "that a run writes.",
+                "Add x, y, z to the file, or write one value for each Gaussian in the file "
+                "gaussians.ply of a run.",
             )
         turned = orientation(self.up, self.front).T
         points = table.points @ turned

@@ -1,4 +1,6 @@
-"""Evaluates values of points at other positions: of the nearest point, or trilinearly."""
+"""Evaluates values of points at other positions: takes the nearest point's value, or
+interpolates.
+"""
 
 from __future__ import annotations
 

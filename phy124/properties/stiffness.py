@@ -42,9 +42,7 @@ class _Field(Section):
 
 
 class Gradient(_Field):
-    """Fraction of E that varies linearly from one end of the object to the other, for example in a
-    plant.
-    """
+    """A fraction of E that varies linearly between the ends of the object, as in a plant."""
 
     kind: Literal["gradient"] = "gradient"
     axis: Literal["x", "y", "z"] = Field(
@@ -60,7 +58,7 @@ class Gradient(_Field):
 
 
 class Picture(_Field):
-    """Fraction of E from a grey image, painted over the object's image; white is stiff."""
+    """A fraction of E that a grey image, laid over the object's image, defines; white is stiff."""
 
     kind: Literal["picture"] = "picture"
     file: FileName = Field(

@@ -63,8 +63,7 @@ class Table:
     in the order of the Gaussians.
     """
     whole: bool = False
-    """Whether positions are relative to the object's bounding box, as for voxels without bounds.
-    """
+    """Whether positions are relative to the object's bounding box, as for voxels without bounds."""
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
@@ -124,8 +123,8 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Return the points' positions [K,3] from columns x, y, z or from one array; None if there are
-    none.
+    """Return the points' positions [K,3] from columns x, y, z or from one array; None if the file
+    has no positions.
     """
     if "points" in columns:
         points = columns["points"]

@@ -17,7 +17,7 @@ class HostCopies:
     """
 
     def __init__(self, device: Any) -> None:
-        """Start without memory; it is allocated for the first arrays."""
+        """Allocate no memory yet; memory is allocated when the first arrays are copied."""
         self._device = device
         self._memory: dict[str, wp.array] = {}
         self._started: dict[str, wp.array] = {}

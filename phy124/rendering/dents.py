@@ -101,7 +101,8 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
 
 
 def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
-    """Return matrices that map values of patches [m] to their slopes along two directions.
+    """Return matrices that map values of patches [m] to the slopes of these values along two
+    directions.
 
     The two directions and the outward normal of a patch are perpendicular to each other. A slope is
     a least-squares fit to the nearest patches, whose indices are `near` [m,k].

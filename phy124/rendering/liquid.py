@@ -1,9 +1,9 @@
-"""Shapes the Gaussians of a liquid into discs on the surface, and drops where the liquid tears.
+"""Shapes the Gaussians of a liquid: discs on the surface, and balls where the liquid tears.
 
 Each Gaussian represents a volume of liquid. The fraction phi of space that the liquid fills is
 computed from these volumes, smoothed over `BLUR` cells. The liquid's surface is where phi =
-`LEVEL`. Gaussians near the surface move onto it and become discs. Gaussians deeper inside are not
-drawn, and Gaussians in thin spray become balls. Near flat walls, phi is the filled fraction of the
+`LEVEL`. Gaussians near the surface move onto it and become discs. Gaussians deep inside are not
+drawn. Gaussians in thin spray become balls. Near flat walls, phi is the filled fraction of the
 space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto
 the wall. The opacity of a disc follows from the thickness of the liquid behind the disc
 (Beer-Lambert). Each face of a layer has half of the layer's optical depth, divided by the number of
@@ -79,8 +79,8 @@ class Field:
     """A grid on which values of points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with spacing `cell` m, or more if there are too many
-        cells.
+        """Place points [N,3] m on a grid with spacing `cell` m; use a larger spacing if there are
+        too many cells.
         """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
@@ -126,8 +126,8 @@ class Field:
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
         """Return the smoothed fraction phi of each cell that points of volumes [N] m^3 fill.
 
-        Each point is distributed among 8 cells. The fraction is at most 1, because points lie
-        closer together where a liquid is compressed.
+        Each point is distributed among 8 cells. The fraction is limited to 1, because the points of
+        a compressed liquid lie too close together.
         """
         return self.smooth(np.minimum(self.add(volumes), 1))
 
@@ -151,13 +151,15 @@ class Field:
         return np.asarray(self.smooth(phi * self.open) / np.maximum(phi, 1e-6), np.float32)
 
     def slopes(self, phi: NDArray) -> NDArray[np.float32]:
-        """Return the gradient of phi in each cell, per cell [cells,3]."""
+        """Return the gradient of phi in each cell [cells,3]; the unit of length is a cell."""
         slopes = np.empty((phi.size, 3), np.float32)
         self.launch(discs.differentiate, phi.size, [phi], [slopes])
         return slopes
 
     def lengths(self, filled: NDArray) -> NDArray[np.float32]:
-        """Return the lengths of liquid along the axes through each cell, in cells [cells,3]."""
+        """Return for each cell the length of liquid along each axis through the cell, in cells
+        [cells,3].
+        """
         lengths = np.empty((filled.size, 3), np.float32)
         for axis, count in enumerate(self.size):
             self.launch(discs.measure_lengths, filled.size // count, [axis, filled], [lengths])

@@ -2,10 +2,10 @@
 
 A tinted substance has the same colour everywhere, so only light and shadow show its shape. The
 light and shadow of the picture belong to the object at rest and would move with the material.
-Therefore, the light is computed in each frame. The grains fill a fraction phi of space, which is
-smoothed. The normal of the surface is the direction in which phi decreases most. The lamp lights
-surfaces that face it. Hollows receive less light, because the material around them hides the sky
-(ambient occlusion).
+Therefore, the light is computed in each frame. The fraction phi of space that the grains fill is
+computed and smoothed. The normal of the surface is the direction in which phi decreases most. The
+lamp lights surfaces that face it. Hollows receive less light, because the material around them
+hides the sky (ambient occlusion).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Matte:
         self.which, self._volumes, self._cell = which, volumes, cell
 
     def light(self, x: NDArray, lamp: NDArray) -> NDArray[np.float32]:
-        """Return the light at points x [n,3] m [n,3]: factors of red, green and blue.
+        """Return the light [n,3] at points x [n,3] m, as factors of red, green and blue.
 
         `lamp` [3] is the unit vector towards the lamp.
         """

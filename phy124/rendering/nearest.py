@@ -110,7 +110,9 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Mask of the moving Gaussians [S]. If no Gaussian moves, it contains all of them."""
+        """Mask of the moving Gaussians [S]. If no Gaussian moves, the mask contains all
+        Gaussians.
+        """
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 
@@ -136,7 +138,9 @@ class Sample:
         return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
 
     def follow(self) -> Sample:
-        """Return the sample relative to the object's path, as seen by a camera that follows it."""
+        """Return the sample relative to the object's path, as a camera that follows the object sees
+        it.
+        """
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:
@@ -166,7 +170,8 @@ _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return the lengths [N], m, by which discs on a liquid's surface extend beyond its Gaussians.
+    """Return the lengths [N], m, by which the discs on a liquid's surface extend beyond the
+    liquid's Gaussians.
 
     The value is 0 for Gaussians that are not part of a liquid.
     """
@@ -277,7 +282,9 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; its largest value if the cameras turn."""
+        """Extent of the motion along the view [m]; if the cameras turn, the largest extent in a
+        frame.
+        """
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())

@@ -162,7 +162,7 @@ class Renderer:
     ) -> Callable[[], NDArray[np.uint8]]:
         """Start to render one image as bytes; return a function that waits for the image.
 
-        The image is the same as that of `picture`.
+        The image equals the result of `picture`.
 
         A GPU draws while the caller prepares the next picture. The returned function must be called
         exactly once.
@@ -489,7 +489,9 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into ranges [first, last) of at most `limit` entries, or of a single tile."""
+    """Split tiles into ranges [first, last) of at most `limit` entries; a single tile may have
+    more.
+    """
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0

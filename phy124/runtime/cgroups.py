@@ -104,7 +104,7 @@ def _below(path: str, top: str) -> str:
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller of version 1 (for version 2, ""), with the path of this process's
+    """Yield each controller (of version 1, or "" for version 2) with the path of this process's
     group.
     """
     for line in _text(root / "proc/self/cgroup").splitlines():

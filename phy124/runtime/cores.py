@@ -52,7 +52,8 @@ def _within_quota(threads: int) -> int:
 
 
 def refuse_threads(threads: int | None) -> None:
-    """Check that a number of threads is possible; None: it is chosen automatically.
+    """Check that a number of threads is possible; None means that the number is chosen
+    automatically.
 
     Raises:
         InputError: The number is below 1 or above `MOST_THREADS`.

@@ -72,7 +72,9 @@ def lock_gpu(
 
 
 class Driver(NamedTuple):
-    """The CUDA versions that the driver supports and that Warp needs; None if unknown."""
+    """The CUDA version that the driver supports, and the version that Warp needs; None if
+    unknown.
+    """
 
     supported: Version | None
     needed: Version | None

@@ -163,7 +163,8 @@ def _refusal(problem: BaseException) -> InputError | None:
 
 
 def _package(problem: BaseException) -> str:
-    """Return the package that defines the exception or, if there is none, that raised it.
+    """Return the package that defines the exception; if no package does, the package that raised
+    it.
 
     Modules of the standard library are skipped, so that an error in `pathlib` is attributed to its
     caller.

@@ -16,11 +16,12 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Within this context, signals that end a process call `handler`; only in the main thread.
+    """Within this context, signals that end a process call `handler`; use it only in the main
+    thread.
 
     Signals that the parent process has set to be ignored (nohup) stay ignored, unless they are in
-    `always`. This exception exists because a shell without job control makes background processes
-    ignore SIGINT.
+    `always`. The option `always` exists because a shell without job control makes background
+    processes ignore SIGINT.
     """
     usual = {}
     if threading.current_thread() is threading.main_thread():

@@ -111,7 +111,7 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Fraction of the velocities that the grid cannot represent which particles keep."""
+        """Particles keep this fraction of the velocities that the grid cannot represent."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 

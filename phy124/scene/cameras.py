@@ -88,7 +88,7 @@ class _Circling(Section):
 
     @property
     def end(self) -> float:
-        """End time of the camera's path [s]; 0 because the path is as long as the clip."""
+        """End time of the camera's path [s]; 0 means that the path is as long as the clip."""
         return 0.0
 
 

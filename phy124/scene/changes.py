@@ -103,7 +103,9 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in nested dicts and lists; an index equal to a list's length appends it."""
+    """Set a value in nested dicts and lists; an index equal to a list's length appends the
+    value.
+    """
     *parents, last = path.split(".")
     section: Any = data
     for key in parents:

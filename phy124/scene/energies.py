@@ -1,4 +1,4 @@
-"""Estimates the energy that impacts, forces, walls and hands may convert to strain in a scene.
+"""Estimates the energy that impacts, forces, walls and grabs may convert to strain in a scene.
 
 An argument `scene` is a `Scene` of `phy124.scene`, which imports this module. The estimate does not
 depend on the shapes of the objects. Moving walls are therefore included even if they never touch an
@@ -23,7 +23,7 @@ def energy(scene: Any, thickness: float | None = None) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
     The result is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)). Here v is the initial speed (with
-    spin) plus the speed gained in impacts, and p is the speed of walls and hands. A force causes
+    spin) plus the speed gained in impacts, and p is the speed of walls and grabs. A force causes
     the acceleration a during the time t. The object has the lift h and the size L. Wind accelerates
     an object at most to the speed of the wind.
     """

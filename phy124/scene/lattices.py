@@ -84,7 +84,7 @@ def choose_solver(scene: Any, device: str) -> Any:
 
 
 def reason_for_others(scene: Any) -> str:
-    """Return the reason why a scene does not use lattices only, or an empty text."""
+    """Return the reason why a scene is not simulated on lattices alone, or an empty text."""
     return reason_for_mpm(scene) or ("some objects yield or flow" if scene.couples else "")
 
 

@@ -19,7 +19,9 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Follow references and return the schema, or the value's schema for an optional field."""
+        """Follow references and return the schema; for an optional field, return the schema of its
+        value.
+        """
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:

@@ -49,7 +49,9 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of an options section, whose class is found by the error's title."""
+    """Return the error of a section of options; the error's title identifies the section's
+    class.
+    """
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -59,7 +61,7 @@ def explain_options(error: ValidationError) -> InputError:
 
 
 def validate(kind: type[Options], data: Options | Mapping[str, Any]) -> Options:
-    """Return options that may be plain data as an object of their class.
+    """Return options as an object of their class; options may be passed as plain data.
 
     Raises:
         InputError: A value is invalid, or there is no such option.

@@ -58,8 +58,8 @@ class Appearance(NamedTuple):
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return each liquid's visibility [m] or None, the spans of its Gaussians, and the volume
-        per Gaussian of each span [m^3].
+        """Return for each liquid its visibility [m] or None, the spans of its Gaussians, and the
+        volume of a Gaussian in each span [m^3].
 
         Materials that differ only in their colours are one liquid: they mix, and no surface
         separates them.
@@ -75,8 +75,8 @@ class Appearance(NamedTuple):
         return list(liquids.values())
 
     def matte(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return the spans of the Gaussians of each material that is lit, and the volume per
-        Gaussian of each span [m^3]. Without grains, a material is hollow and is not lit.
+        """Return for each material that is lit the spans of its Gaussians, and the volume of a
+        Gaussian in each span [m^3]. Without grains, a material is hollow and is not lit.
         """
         filled = set(self.kinds[~self.rounds].tolist())
         lit = [
@@ -91,7 +91,7 @@ class Appearance(NamedTuple):
         return [span for span in spans if span]
 
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
-        """Return the spans of a material's Gaussians, and the volume of each in a span.
+        """Return the spans of a material's Gaussians, and the volume of a Gaussian in each span.
 
         A grain has the volume of a particle. The volume of the particles without a grain is divided
         among the Gaussians on the surface.
@@ -233,7 +233,7 @@ def make_appearance(
 
 
 def _max_stretch(section: AnyMaterial, scene: Scene) -> float:
-    """Return the largest stretch without tearing of a material.
+    """Return the largest stretch at which a material does not tear.
 
     Elastic material tears if its particles are too far apart to have common nodes. The deformation
     gradient F of plastic material has no bound.

@@ -166,7 +166,7 @@ def errors_prefixed_with(scene: Scene, index: int) -> Iterator[None]:
 
 
 def notes(scene: Scene) -> list[str]:
-    """Return a note for each object, except the first, with too few cells."""
+    """Return a note for each object, except the first object, that has too few cells."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
         f"follows from the size of {scene.object.name}; a larger accuracy.cells gives it more "

@@ -126,7 +126,7 @@ def _belong_to(
 ) -> NDArray[np.bool_]:
     """Return the mask of the particles whose Gaussian is in a span.
 
-    A particle without a Gaussian counts by the nearest one.
+    For a particle without a Gaussian, the nearest Gaussian is used.
     """
     owner = gaussian.copy()
     bound, filler = gaussian >= 0, gaussian < 0
@@ -178,7 +178,8 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law; the materials; and the order.
+    """Return particles with the materials of a file, sorted by law, with the materials and the
+    order.
 
     Args:
         particles: The moving particles, with indices into `materials`.
@@ -236,7 +237,7 @@ def _find_or_add(name: str, bases: list[AnyMaterial]) -> int:
 
 
 def _with_values(base: AnyMaterial, values: dict[str, float]) -> AnyMaterial:
-    """Return a material with some given values; ignore values without a field."""
+    """Return the material after setting some values; ignore values without a field."""
     fields = {name: value for name, value in values.items() if name in type(base).model_fields}
     same = all(getattr(base, name) == value for name, value in fields.items())
     return base if same else base.model_copy(update=fields)

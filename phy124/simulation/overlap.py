@@ -1,4 +1,4 @@
-"""Refuses bodies that overlap at the start, since contact does not push bodies apart."""
+"""Refuses bodies that overlap at the start, since contact cannot separate overlapping bodies."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Buried(NamedTuple):
 
     @property
     def what(self) -> str:
-        """The fraction and the depth as a clause for messages."""
+        """The fraction and the depth, as a clause of a message."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )

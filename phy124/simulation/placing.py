@@ -38,7 +38,9 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Shift some Gaussians by an offset [m]; a zero offset does not change a bit."""
+    """Shift some Gaussians by an offset [m]; an offset of zero leaves all Gaussians bitwise
+    unchanged.
+    """
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()

@@ -176,7 +176,8 @@ class Simulation:
         record: Callable[[Simulation], object] = lambda run: None,
         shapes: bool = True,
     ) -> Clip:
-        """Return all frames as a clip; after an early stop, the valid frames and the reason.
+        """Return all frames as a clip; after an early stop, the clip has the valid frames and the
+        reason.
 
         Args:
             each: Function called with every frame as soon as the frame is computed.

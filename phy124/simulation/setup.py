@@ -104,7 +104,7 @@ class Setup:
 
     @property
     def subject(self) -> Subject:
-        """The properties of the run that determine its observers."""
+        """The properties of the run that decide which observers it needs."""
         return Subject(self.solid_scene, self.materials, self.changes)
 
 
@@ -194,7 +194,9 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which particles are sorted: x, or the longest for several threads."""
+    """Return the axis along which particles are sorted: x for one thread, otherwise the longest
+    axis.
+    """
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 

@@ -248,7 +248,9 @@ def scheme_of(scene: Scene) -> Scheme:
 
 
 def number_bodies(body: NDArray | None) -> NDArray | None:
-    """Return body indices without gaps [P]; scenery has an index in the scene but no particles."""
+    """Return body indices without gaps [P]; there are gaps because scenery has an index but no
+    particles.
+    """
     return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
 
 

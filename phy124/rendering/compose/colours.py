@@ -82,8 +82,8 @@ def _fit_colours(
 ) -> Gaussians:
     """Fit colours by least squares, within the range of nearby colours of the photograph.
 
-    Let W map the colours of Gaussians to pixels, and r be the residual. Each step adds W^T r / W^T
-    1 to the colours (SIRT), with Nesterov's momentum.
+    Let W map the colours of Gaussians to pixels, and r be the residual. Each step adds `(W^T r) /
+    (W^T 1)` to the colours (SIRT), with Nesterov's momentum.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))
@@ -139,7 +139,9 @@ class Adjoint(Renderer):
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return W^T values [N,3] and W^T 1 [N], where W maps colours to pixel values [H,W,3]."""
+        """Return `W^T values` [N,3] and `W^T 1` [N]; the matrix W maps colours to `values` [H,W,3]
+        of pixels.
+        """
         view, counts = self.prepare(gaussians, camera)
         pixels = self._upload(np.ascontiguousarray(values.reshape(-1, 3), np.float32), wp.vec3)
         sums = wp.zeros(len(gaussians), dtype=wp.vec3, device=self.device)

@@ -154,9 +154,10 @@ def likeness(
 
 
 def _elevation(renderer: Renderer, gaussians: Gaussians, photograph: Photograph) -> float:
-    """Return the elevation [degrees] from which the object looks most like in the photograph.
+    """Return the elevation [degrees] at which the rendered object is most similar to the
+    photograph.
 
-    `relief` turns some objects upright that were photographed from above.
+    `relief` turns some objects upright although they were photographed from above.
     """
     small = photograph.reduce(SMALL)
     if not (small.alpha > 0.99).any():

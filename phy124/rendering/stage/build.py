@@ -131,7 +131,7 @@ def _finite(points: NDArray) -> NDArray[np.bool_]:
 def boundaries_of(clip: Clip) -> Sequence[Boundary]:
     """Return the boundaries of a clip's scene, except those from plug-ins that are not installed.
 
-    Plug-ins are installed if they are registered, or if this program defines their classes.
+    A plug-in counts as installed if its class is registered or is defined in this program.
     """
     defined = {kind.model_fields["kind"].default: kind for kind in _kinds(Boundary)}
     known: list[Any] = []

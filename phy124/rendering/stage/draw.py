@@ -39,7 +39,10 @@ class Uploaded:
 
 
 class Surroundings:
-    """The studio stage on a device. A renderer uses the same instance for all its pictures."""
+    """The stage that a renderer draws, on a device.
+
+    A renderer uses the same instance for all its pictures.
+    """
 
     among: int
     """Number of solids that are neither behind nor in front of all Gaussians."""

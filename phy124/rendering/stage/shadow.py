@@ -2,12 +2,12 @@
 
 The floor is lit by a soft lamp above and by the sky of a room. Gaussians are projected along the
 lamp's direction, like splats (Zwicker et al. 2001), and sorted into layers by height. A layer hides
-the layers above it from the floor. A layer at height h dims
+the layers above it from the floor. A layer at height h dims both lights:
 
-- the lamp: by its coverage, blurred by a Gaussian of standard deviation `SOFTNESS` h, because the
-  lamp is not a point;
-- the sky: by its coverage weighted with h^2 / (pi (h^2 + r^2)^2), the fraction of a uniform sky's
-  light that passes at a distance r (ambient occlusion).
+- The layer dims the lamp by the layer's coverage, blurred by a Gaussian of standard deviation
+  `SOFTNESS` h, because the lamp is not a point.
+- The layer dims the sky by the layer's coverage, weighted with h^2 / (pi (h^2 + r^2)^2), the
+  fraction of a uniform sky's light that passes at a distance r (ambient occlusion).
 
 The blur and the weighted coverage are convolutions. A map therefore takes one Fourier transform per
 layer, and one inverse transform.

@@ -1,7 +1,7 @@
 """Estimates the fitted values and their intervals.
 
 First, the best values are searched on the coarsest grid. If the measurements cannot determine some
-of the values, the fit is refused. If they can, the values are refined on each finer grid, and the
+of the values, the fit is refused. Otherwise, the values are refined on each finer grid, and the
 intervals are computed.
 """
 
@@ -57,9 +57,9 @@ class Estimate:
         """Return the best point on a grid [P], and the half-width of its intervals [P].
 
         The values are extrapolated to a grid with this number of cells; infinity means a grid
-        without error. The uncertainty of the extrapolated values is assumed to be the shift by the
-        extrapolation, and at least `model`. This systematic error is added to the error from the
-        measurements.
+        without error. The uncertainty of an extrapolated value is assumed to be as large as the
+        extrapolation's shift of this value, and at least `model`. This systematic error is added to
+        the error from the measurements.
 
         Args:
             cells: Number of cells across the object; may be infinite.
@@ -152,5 +152,7 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a distance whose scales are the misfits of a fit, but at least 1e-12."""
+    """Return a `Distance` that divides measurements by the misfits of a fit, but at least by
+    1e-12.
+    """
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

@@ -99,7 +99,9 @@ def figure(report: dict[str, Any], film: str) -> str:
 
 
 def distances(shown: dict[str, Any]) -> str:
-    """Return SVG curves of the outlines' distance over time, before and after the fit."""
+    """Return SVG curves of the distance between the outlines over time, before and after the
+    fit.
+    """
     times = shown["times"]
     lines = {name: shown[name] for name in ("before", "fitted") if shown[name]}
     highest = max((max(line) for line in lines.values()), default=0.0) or 1.0

@@ -152,7 +152,9 @@ class Runs:
 
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
-        """Within this context, simulate in `count` worker processes; if 0 or 1, in this process."""
+        """Within this context, simulate in `count` worker processes, or in this process if `count`
+        is 0 or 1.
+        """
         try:
             with processes(count) as self._pool:
                 yield
@@ -169,7 +171,9 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of all inputs of a prediction, including the code, except the scene."""
+    """Return a digest of all inputs of a prediction except the scene; the code counts as an
+    input.
+    """
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())

@@ -166,7 +166,9 @@ def refine(
 
 
 def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values) -> Values:
-    """Return the step within the ranges that minimises the sum of squares of the linear model."""
+    """Return the step that minimises the sum of squares of the linear model and stays in the
+    ranges.
+    """
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)

@@ -93,7 +93,9 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of the block to which each pixel belongs [T*h*w]; blocks span one frame."""
+    """Return the index of the block to which each pixel belongs [T*h*w]; a block lies in one
+    frame.
+    """
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
@@ -162,7 +164,7 @@ def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Value
     """Return the transformation [2,3] (scale and shift) that aligns a mask with another mask.
 
     The initial transformation is computed from the moments of the masks. Gauss-Newton steps then
-    refine it.
+    refine the transformation.
     """
     size, masks = wanted.shape[::-1], (mask, wanted)
     areas = [max(int(outline.sum()), 1) for outline in masks]

@@ -218,7 +218,7 @@ Texts = Annotated[
 
 
 class Sweep(Section):
-    """The options of a sweep, which combines or samples the values on several axes."""
+    """The options of a sweep; a sweep combines or samples the values on several axes."""
 
     pictures: Texts = Field(
         min_length=1,

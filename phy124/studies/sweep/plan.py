@@ -121,7 +121,9 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """Random shift that is added to all samples, modulo 1; it keeps their even distribution."""
+        """A random shift that is added to all samples, modulo 1; shifted samples remain evenly
+        distributed.
+        """
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:

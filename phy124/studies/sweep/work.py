@@ -119,7 +119,7 @@ class Order:
     def read(self) -> bool:
         """Whether the Gaussians depend on the scene.
 
-        They do if they are read from files, or if the scene has further objects.
+        The Gaussians depend on it if they are read from files, or if the scene has further objects.
         """
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))
@@ -146,7 +146,7 @@ class Made(NamedTuple):
 
 
 def make_gaussians(order: Order) -> Made:
-    """Make the Gaussians for an order; all clips with the same source share them."""
+    """Make the Gaussians for an order; all clips with the same source share the Gaussians."""
     start()
     begun = time.perf_counter()
     scene = Scene.from_data(order.scene)

@@ -266,7 +266,8 @@ def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -
 def mean_acceleration(
     solver: Solver | LatticeSolver, axis: Sequence[float], start: float, times: Array
 ) -> float:
-    """Return the acceleration of the centre of mass along an axis, from a parabola [m/s^2].
+    """Fit a parabola to the path of the centre of mass along an axis; return the acceleration
+    [m/s^2].
 
     Args:
         solver: The solver, which is advanced to the last time.

@@ -1,4 +1,4 @@
-"""Defines problems with known solutions, which the same solver solves that makes clips.
+"""Defines problems with known solutions; the solver that makes clips also solves these problems.
 
 Each function simulates a problem at one grid spacing, and returns the error of the result. Bars and
 columns are one particle thick. If nu = 0 or both sides are fixed, no quantity varies across a bar

@@ -67,7 +67,9 @@ class Row:
 
     @property
     def level(self) -> bool:
-        """Whether the setting is a level, not a variation of another option."""
+        """Whether the setting is a level; other settings vary other options than the grid
+        spacing.
+        """
         return self.name.startswith("D/")
 
 

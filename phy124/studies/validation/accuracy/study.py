@@ -214,7 +214,8 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast the time of simulation and shapes [s], without the split of the energy loss.
+        """Forecast the time to simulate and to deform Gaussians [s], without splitting the energy
+        loss.
 
         A user's run of the scene does not split its energy loss by cause.
         """

@@ -263,7 +263,9 @@ def _steps(loads: Sequence[float]) -> Keyframes:
 def _load(
     solver: Solver | LatticeSolver, loads: Sequence[float], sag: Callable[[], SupportsFloat]
 ) -> Values:
-    """Let the beam come to rest under each load, and return its deflections / length there."""
+    """Let the beam come to rest under each load; return the deflections divided by the beam's
+    length.
+    """
     drops = []
     for number in range(1, len(loads) + 1):
         _settle(solver, number * _duration_of_load())

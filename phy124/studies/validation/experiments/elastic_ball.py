@@ -1,5 +1,5 @@
-"""Finite elements for an elastic ball on a rigid smooth plate, for indentations too large for
-Hertz.
+"""Finite elements for an elastic ball on a rigid smooth plate, where Hertz's theory is not
+accurate.
 
 Hertz's theory treats the ball near its contact as a half-space with small strain. The finite
 elements cover the whole ball and use the same neo-Hookean law as the particles. The solution is

@@ -77,7 +77,7 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
 def _draw_values(
     axes: Any, outcome: Outcome, at: Callable[[list[float]], tuple[Any, Any]], **errors: list[float]
 ) -> None:
-    """Draw the values of each grid, their limit with errors along x or y, and the control.
+    """Draw the values of each grid, the extrapolated values with error bars, and the control.
 
     `at` returns the x and y coordinates of points from one value per quantity.
     """
@@ -94,7 +94,7 @@ def _draw_values(
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
     """Draw, in one row per quantity, the simulated values' deviations from the published value [%].
 
-    The deviations are relative, but absolute if the published value is zero.
+    The deviations are relative, or absolute if the published value is zero.
     """
     estimates = outcome.estimates
     rows = range(len(estimates))

@@ -72,7 +72,9 @@ def _crossing(times: NDArray, speeds: NDArray, level: float) -> float:
 
 
 def speed(depth: float) -> float:
-    """Return the initial speed [m/s] for which Hertz's law gives a maximum depth / radius."""
+    """Return the initial speed [m/s] for which Hertz's law gives this ratio of maximum depth to
+    radius.
+    """
     return math.sqrt(0.8 * depth**2.5 * E / (DENSITY * math.pi))
 
 
@@ -129,7 +131,7 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
 
 def observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
-    """Advance to the end of a bounce with a maximum depth / radius, and return the bounce."""
+    """Simulate and return a bounce with this ratio of maximum depth to radius."""
     times = np.linspace(0, FLIGHT * duration(depth), SAMPLES + 1)[1:]
     speeds = record(solver, times, partial(mean_along, solver, "v", UP))
     return Bounce(times, speeds / speed(depth))

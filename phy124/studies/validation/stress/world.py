@@ -58,8 +58,8 @@ def permute(setting: Setting) -> list[Check]:
     shuffled = relative(run(x[order], v[order]), usual[order])
     turned = relative(run(x @ turn.T, v @ turn.T) @ turn, usual)
     return [
-        at_most("order of particles changed: difference / size", shuffled, 1e-4),
-        at_most("turned by 90 degrees: difference / size", turned, 1e-4),
+        at_most("difference / size after a change of the particles' order", shuffled, 1e-4),
+        at_most("difference / size after a rotation by 90 degrees", turned, 1e-4),
     ]
 
 
@@ -136,7 +136,7 @@ def floor(setting: Setting) -> list[Check]:
     return [
         at_most("resting gap in cells", abs(gap) / DX, 0.2),
         at_most("deepest below the floor in cells", -min(lowest) / DX, 0.5),
-        at_most("slip: tangential velocity lost", abs(kept / mass - 1), 1e-5),
+        at_most("loss of tangential velocity on a slip wall", abs(kept / mass - 1), 1e-5),
     ]
 
 
@@ -185,8 +185,14 @@ def _pack(setting: Setting) -> list[Check]:
     s = _drop(setting, stiff, 0.1, [Container(inside=side, friction=0.0)])
     z: Array = host(s.state.x)[:, 2]
     return [
-        at_most("sand in a bin: mass centre off [cells]", abs(z.mean() - SIZE / 2) / DX, 0.3),
         at_most(
-            "sand in a bin: height off [cells]", abs(np.ptp(z) / SIZE - 7 / 8) * SIZE / DX, 0.3
+            "error of the centre of mass of sand in a bin [cells]",
+            abs(z.mean() - SIZE / 2) / DX,
+            0.3,
+        ),
+        at_most(
+            "error of the height of sand in a bin [cells]",
+            abs(np.ptp(z) / SIZE - 7 / 8) * SIZE / DX,
+            0.3,
         ),
     ]
