@@ -1,4 +1,4 @@
-"""Declares exceptions that are not bugs: bad input, cancellation, partial results."""
+"""Declares exceptions that no bug causes: bad input, cancellation, partial results."""
 
 from __future__ import annotations
 

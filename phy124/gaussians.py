@@ -1,8 +1,8 @@
 """Declares the data of the pipeline: Gaussians, particles and frames.
 
-Conventions: the world is right-handed, in metres, z up, and the object faces +x
-(docs/reference/conventions.md); quaternions are wxyz; values are post-activation (opacity 0..1,
-scales in metres). The field names are gsplat's.
+The world is right-handed and in metres; z is up, and the object faces +x
+(docs/reference/conventions.md). Quaternions are wxyz. Values are stored after activation: opacities
+in 0..1, and scales in metres. The field names are gsplat's.
 """
 
 from __future__ import annotations

@@ -19,9 +19,8 @@ The web page and other callers need three calls:
 call with the same Gaussians and material law takes a fraction of a second. If a run has a
 forecaster, its report contains the comparison of predicted and measured times under "forecast".
 
-A run with the goal of an error of at most two pixels is
-`pipeline.generate(..., goal=choose.Goal.error("2px"))`; other goals are "1%", "3mm", and
-`Goal.time(20)`.
+`pipeline.generate(..., goal=choose.Goal.error("2px"))` makes a run whose error is at most two
+pixels. Other goals are "1%", "3mm", and `Goal.time(20)`.
 """
 
 from phy124.accuracy.forecast import Forecast, Forecaster, Stop

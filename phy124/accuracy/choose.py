@@ -163,7 +163,7 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a level on which the material tore, with more particles if the limit allows."""
+        """Repeat a level on which the material tore; use more particles if the limit allows it."""
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):
@@ -224,7 +224,7 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Return the error on the finest level without tearing, and the order of convergence."""
+    """Return the order of convergence, and the error on the finest level where nothing tore."""
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -295,9 +295,7 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Estimate the order of convergence, and the errors of levels without tearing, in the goal's
-    unit.
-    """
+    """Estimate the order of convergence, and the error of each level where nothing tore."""
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
@@ -337,7 +335,7 @@ def in_time(
     """Return the scene on the finest grid whose predicted time is within a maximum, and the
     forecast.
 
-    Only short trial runs are made for the forecasts.
+    The forecasts need only short trial runs.
 
     Args:
         goal: The maximum time.
@@ -438,8 +436,9 @@ def _choose_next(
     """Return the next grid to forecast; 0 if there is none.
 
     The result is the finest grid whose preparation and run are expected to stay within the maximum
-    time. After the preparation, enough time must remain to run the best grid so far. If there is no
-    such grid, and no forecast so far was within the maximum time, the result is the coarsest grid.
+    time. After the preparation of this grid, enough time must remain to run the best grid found
+    before. If there is no such grid, and no forecast so far was within the maximum time, the result
+    is the coarsest grid.
 
     Args:
         cells: Cells across the object of the last grid.

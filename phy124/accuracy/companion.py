@@ -221,12 +221,12 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest allowed predicted cost of a companion run."""
+    """Return the largest predicted cost at which a companion run is made."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
 def forecast(run: Simulation, substeps: int, particles: int | None = None) -> float:
-    """Return the CPU time of the companion run, relative to the original run's dynamics.
+    """Return the ratio of the companion run's CPU time to the CPU time of the original dynamics.
 
     Args:
         run: The run.
@@ -256,7 +256,7 @@ def count_particles(setup: Setup) -> int:
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
-    """Return the factors for a scene and the number of cells in the companion run."""
+    """Return the factors for a scene whose companion run has this number of cells."""
     keys = [
         section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
     ]

@@ -1,14 +1,15 @@
 """Estimates the order of convergence, and the discretisation error of each grid level.
 
-The result at grid spacing h is modelled as exact + h^p e + scatter h^p. The field e is common to
-all grids, and the scatter is random. The results of two levels then differ by about C
+The result at grid spacing h is modelled as u + h^p e + h^p s. The exact result u and the field e
+are common to all grids, and the scatter s is random. The results of two levels then differ by about
+C
 
 h_i^p - h_j^p
 
-. The order p is fitted to the logarithms of the distances between all pairs of levels. The fields
-exact and e are fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra 2014). The
-error of a level is h^p e plus the scatter (Richardson 1911; Roache 1998). Only the distances
-between the levels are needed.
+. The order p is fitted to the logarithms of the distances between all pairs of levels. The fields u
+and e are fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra 2014). The error
+of a level is h^p e + h^p s (Richardson 1911; Roache 1998). Only the distances between the levels
+are needed.
 """
 
 from __future__ import annotations
@@ -123,10 +124,10 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors over the longest initial part of the clips for which the levels converge.
+    """Estimate the errors over the clips' longest initial part in which the levels converge.
 
     The motions on two grids may become different, for example if the object topples on only one of
-    the grids. Until this time, the results on finer grids still converge.
+    the grids. As long as the motions agree, the results on finer grids converge.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
@@ -165,7 +166,7 @@ def _observe_order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """Fit the model exact + h^p e to the levels, for a fixed order p."""
+    """Fit the model u + h^p e to the levels, for a fixed order p."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2

@@ -92,14 +92,14 @@ def kind_of(scene: Scene) -> str:
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the groups to which a scene belongs, whose coefficients the model adds up."""
+    """Return the groups to which a scene belongs; the model adds up the groups' coefficients."""
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return pairs of a feature and the solver; a prediction needs measurements of all pairs."""
+    """Return each feature paired with the solver; a prediction needs measurements of every pair."""
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 
@@ -251,6 +251,6 @@ def _describe_outside(
 
 @cache
 def table() -> dict[str, Any]:
-    """Return measured.json: the coefficients, the measured ranges, and their source."""
+    """Return the content of measured.json: coefficients, measured ranges, and their source."""
     file = resources.files("phy124") / "accuracy" / "measured.json"
     return json.loads(file.read_text("utf-8"))

@@ -52,9 +52,7 @@ REMEMBERED = 32
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predicted time of a run, by stage, and the counts and rates from which it was
-    predicted.
-    """
+    """The predicted time of each stage of a run, with the counts and rates of the prediction."""
 
     stages: dict[str, float]
     """Predicted time of each stage [s], by the names in the report."""
@@ -91,7 +89,7 @@ class Forecast:
         return sum(self.stages.values())
 
     def with_measured(self, name: str, seconds: float) -> Forecast:
-        """Return the forecast after a stage was finished in a measured time [s]."""
+        """Return the forecast, updated with the measured time [s] of a finished stage."""
         return replace(self, stages={name: seconds, **self.stages}, measured=(*self.measured, name))
 
     def with_predicted(self, name: str, seconds: float, caveat: str) -> Forecast:

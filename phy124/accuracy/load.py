@@ -45,7 +45,7 @@ class Load:
         """Measure the current load by the fraction of a core that busy-waiting threads get.
 
         The measurement includes the effects of priorities, of a container's limits, of the
-        scheduler, and of other work in this process. For a GPU, both factors are 1, because the
+        scheduler, and of other work in this process. On a GPU, the factors are 1, because the
         load hardly affects the run.
         """
         if device != "cpu":
@@ -60,7 +60,7 @@ class Load:
         return self.simulation if stage == "simulate" else self.thread
 
     def mean(self, other: Load) -> Load:
-        """Return the mean of two loads, for work between the two measurements."""
+        """Return the mean of two loads, for work that was done between their measurements."""
         thread = (self.thread + other.thread) / 2
         return Load(thread, (self.simulation + other.simulation) / 2)
 

@@ -1,7 +1,7 @@
 """States the error of a scene or of a run (the "promise"), and formats all messages about errors.
 
 Before a run, the error is predicted by a model that was fitted to many objects
-(phy124/accuracy/expectation.py). After a run, the error is the one that was estimated for the run
+(phy124/accuracy/expectation.py). After a run, the error was either estimated for this run
 (phy124/accuracy/companion.py) or measured for a goal. If no error is known, the error is stated as
 "not measured". A study of the scene (`phy124 accuracy`) can measure the error.
 
@@ -125,7 +125,7 @@ class Promise:
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error in a run's report, or the reason for its absence, or None."""
+    """Return the error that a run's report states, or the reason for its absence, or None."""
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)

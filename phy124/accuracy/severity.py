@@ -24,8 +24,8 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene: its energy relative to the stiffness, 2 e / c^2 + s^2.
 
     Here 2 e is twice the energy per mass (see `energy`). The speed of waves in a bar of the
-    object's softest material is c. The deformation by walls and hands, relative to the object's
-    size, is s.
+    object's softest material is c. The number s is the deformation by walls and hands, relative to
+    the object's size.
 
     Args:
         scene: The scene.
@@ -77,7 +77,7 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a value of a material that was never measured; return "" if there is none."""
+    """Describe a material parameter whose value was not measured; return "" if there is none."""
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual, value = field.get_default(call_default_factory=True), getattr(section, name)

@@ -30,7 +30,7 @@ Stages = Mapping[str, Stage]
 
 
 def average_stages(timings: Timings, substeps: int) -> dict[str, Stage]:
-    """Return the number and the duration of the calls of each stage in some substeps."""
+    """Return, for each stage, the mean number of calls per substep and the mean time of a call."""
     taken = max(substeps, 1)
     return {name: Stage(n / taken, seconds / n) for name, (seconds, n) in timings.items() if n}
 

@@ -116,7 +116,7 @@ class Boundary(Section):
         return np.full(3, -np.inf), np.full(3, np.inf)
 
     def bounds(self, model: Model) -> Corners:
-        """Return the corners of a box around every node that may respond to the shape at rest.
+        """Return the corners of a box around all nodes that may respond to the shape at rest.
 
         The corners are in metres.
         """
@@ -139,7 +139,7 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track, because it moves or stops acting."""
+        """Whether the boundary has a track, which it needs if it moves or stops acting."""
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
@@ -154,7 +154,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), moving, real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return the changed fields that halve the boundary's strength."""
+        """Return new values of the fields that halve the boundary's strength."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -170,7 +170,7 @@ class Boundary(Section):
         return self.shape
 
     def response(self) -> str:
-        """Return the name of the response of the nodes (`kernels.columns.RESPONSES`)."""
+        """Return the name of the nodes' response (`kernels.columns.RESPONSES`)."""
         return self.contact
 
     def track(self, model: Rest) -> Track | None:
@@ -251,7 +251,7 @@ class Boundary(Section):
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return a function that records the stage for crossing columns, up to two cells beyond the
+        """Return a recorder of the stage for crossing columns, which reaches two cells beyond the
         bounds.
         """
         low, high = self._swept_bounds(model)
@@ -269,8 +269,8 @@ class Boundary(Section):
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
-        """Return the function that records the kernel launch of the wall; its track has the given
-        slot.
+        """Return the function that records the wall's kernel launch; `slot` is the slot of the
+        track.
         """
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
@@ -397,9 +397,7 @@ def swept(corners: Corners, track: Track) -> Corners:
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Return the corners [m] of a half-space, if its normal is along an axis, otherwise of all
-    space.
-    """
+    """Return the corners [m] of a half-space's bounding box: all space if the normal is oblique."""
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:

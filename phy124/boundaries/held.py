@@ -32,7 +32,7 @@ class Clamp(Movable):
     )
 
     def track(self, model: Rest) -> Track | None:
-        """Return the displacement [m] until the release; None if the clamp never moves or ends."""
+        """Return the displacement [m] until the release; None if it neither moves nor ends."""
         track = super().track(model)
         if self.end is None:
             return track
@@ -117,6 +117,6 @@ class Foot(Clamp):
         return (0.0, 0.0, top), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners [m] of a box that contains all space below the plane."""
+        """Return the corners [m] of a bounding box of the space below the plane."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)

@@ -24,8 +24,8 @@ class Plane(Boundary):
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners [m] of the half-space if its normal is along an axis, otherwise of all
-        space.
+        """Return the corners [m] of the half-space's bounding box: all space if the normal is
+        oblique.
         """
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
@@ -111,11 +111,11 @@ class Press(Plane):
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Return the changed fields with which the plate descends in twice the time."""
+        """Return new values of the fields that double the time of the plate's descent."""
         return {"down": 2 * self.down}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return a point [m] and the unit normal of the plate's lower side, initially."""
+        """Return a point [m] and the unit normal of the plate's lower side before it moves."""
         height = model.top_of(self.object) if self.top is None else self.top
         return (0.0, 0.0, height), (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)
 

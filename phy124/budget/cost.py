@@ -103,7 +103,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Return, for each rate, the smaller value of two sets of rates."""
+        """Combine two sets of rates; each rate of the result is the smaller of its two values."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
@@ -230,7 +230,7 @@ def rest_substeps(scene: Scene) -> float:
 
 
 def longest_substeps(scene: Scene) -> NDArray[np.float64]:
-    """Return the longest stable substep at rest [s] for each frame after the first [T-1].
+    """Return, for each frame after the first, the longest stable substep at rest [T-1], s.
 
     Stiffness, viscosity, the initial spin and `time.substep` limit the substep.
     """
@@ -276,7 +276,7 @@ def _has_vectors(scene: Scene) -> bool:
 
 
 class Estimate(NamedTuple):
-    """The estimated number of substeps, time and memory of a simulation."""
+    """The estimated time and memory of a simulation, and its number of substeps."""
 
     substeps: float
     seconds: float

@@ -129,7 +129,7 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the changes for which `fits` is true, if a run needs `excess` times its budget."""
+    """Return changes for which `fits` is true; the run now needs `excess` times its budget."""
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:
@@ -142,7 +142,7 @@ def _find_remedies(
 
 
 def _propose_remedies(scene: Scene, excess: float) -> Iterator[Remedy]:
-    """Yield changes of the scene that may suffice, beginning with the limit of the substep."""
+    """Yield changes of the scene that may suffice, beginning with a longer substep."""
     timing = scene.time.model_copy(update={"substep": None})
     automatic = rest_substeps(scene.model_copy(update={"time": timing}))
     if scene.time.substep is not None and automatic < rest_substeps(scene):
@@ -183,7 +183,7 @@ def _round(value: float) -> float:
 
 
 def note_costs(scene: Scene) -> list[str]:
-    """Return notes about what makes the run take long."""
+    """Return notes about the causes of a long run time."""
     return [note for note in (_note_stiffest_part(scene), _note_speed(scene)) if note]
 
 

@@ -90,8 +90,8 @@ def _halve_push(scene: Scene) -> Remedy | None:
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
     """Return the remedy that shortens the prescribed motions that were active at `time`.
 
-    In a test with a ball that was moved into the ground, half of the time until the stop was short
-    enough.
+    In a test, a ball was moved into the ground; the run succeeded when the motion ended after half
+    of the time until the stop.
     """
     changes: dict[str, Any] = {}
     for index, force in enumerate(scene.forces):

@@ -53,7 +53,7 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return a class for each command, with the command's docstring only, to list the commands."""
+    """Return, for each command, a class that has only the docstring, for a list of commands."""
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()

@@ -209,7 +209,7 @@ class ShowAccuracy:
 
 
 def _status(report: Report) -> int:
-    """Return a study's exit status; if no grid was run, it is that of a stopped simulation."""
+    """Return a study's exit status; if no grid was run, the status of a stopped simulation."""
     return 0 if any(row.level for row in report.rows) else 3
 
 

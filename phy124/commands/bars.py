@@ -40,7 +40,7 @@ class Bars:
     intervals. Within the context, Ctrl-C ends the work at the next report of progress, because
     stopping inside a kernel could crash the process. A second Ctrl-C interrupts at once. If `keeps`
     is true, a message says that the results so far are saved; the caller must save them. `left`
-    predicts the remaining time [s]; without it, all steps are assumed to take the same time.
+    predicts the remaining time [s]; without `left`, all steps are assumed to take the same time.
     """
 
     def __init__(

@@ -124,7 +124,7 @@ class Sweep:
 
 
 def parts_of(shard: str) -> tuple[int, int]:
-    """Return the number of a shard and the number of all shards, from a text such as 3/8.
+    """Parse a text such as 3/8: return the number of the shard and the total number of shards.
 
     Raises:
         InputError: The text does not have the form of 3/8.

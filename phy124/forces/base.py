@@ -20,7 +20,7 @@ from phy124.schema.section import Section
 
 
 class Force(Section):
-    """Base class of all forces. A force acts on a region of the body, from `start` to `end`."""
+    """Base class of all forces. A force acts on a region of the body from time `start` to `end`."""
 
     sudden: ClassVar[bool] = False
     """Whether the force may change velocities abruptly even if its strength is small."""
@@ -73,7 +73,7 @@ class Force(Section):
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return the changed fields that halve the force's strength."""
+        """Return new values of the fields that halve the force's strength."""
         values = {name: getattr(self, name) for name in self.strengths}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
@@ -220,6 +220,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Select the particle indices within a range from a sorted list."""
+    """Return the particle indices in a sorted list that are within a range."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

@@ -23,7 +23,7 @@ class Gravity(Force):
     g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add the acceleration to the uniform acceleration, or only to chosen particles."""
+        """Accelerate all material uniformly, or only the chosen particles."""
         return accelerate(self, self.g, model, state, tracks)
 
 
@@ -36,7 +36,7 @@ class Acceleration(Force):
     a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Add the acceleration to the uniform acceleration, or only to chosen particles."""
+        """Accelerate all material uniformly, or only the chosen particles."""
         return accelerate(self, self.a, model, state, tracks)
 
 
@@ -54,7 +54,9 @@ class TotalForce(Force):
 
 
 class Impulse(Force):
-    """An impact that transfers a momentum to a region, independent of substeps and profile."""
+    """An impact that transfers a momentum to a region, whatever the substeps and the profile
+    are.
+    """
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)

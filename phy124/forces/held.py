@@ -1,4 +1,4 @@
-"""Forces on a part of an object: a ball of particles, chosen at rest, on which one force acts."""
+"""Forces on a part of an object: on the particles that are inside a ball at rest."""
 
 from __future__ import annotations
 

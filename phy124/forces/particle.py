@@ -149,7 +149,7 @@ class SetVelocity(Force):
     )
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that overwrites v and C of the chosen particles during the motion."""
+        """Return the stage that sets the velocity v and the matrix C of the chosen particles."""
         t = types(model.real)
         slot = tracks.add(self.track(UNIT, mean=False), over="drift")
         chosen = self.chosen(model)

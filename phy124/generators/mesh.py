@@ -156,7 +156,7 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function that reads a mesh in a separate process with a time limit.
+    """Call a function in a separate process with a time limit; the function reads a mesh.
 
     Raises:
         InputError: If the function takes too long, or raises ValueError("limit; remedy").

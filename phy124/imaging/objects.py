@@ -82,8 +82,8 @@ def search_around(
 ) -> Alpha | None:
     """Search around a point for an object that was missed; return its alpha, or None.
 
-    Windows of several sizes around the point are segmented. The result is the object that touches
-    the fewest edges of its window; its alpha [H,W] covers the whole image.
+    Windows of several sizes around the point are segmented. The object that touches the fewest
+    edges of its window is selected. The returned alpha [H,W] covers the whole image.
 
     Args:
         image: The image.

@@ -1,4 +1,4 @@
-"""Samples a grey image, painted over the image of an object, at points of the object."""
+"""Samples a grey image at points of an object; the user painted it over the object's image."""
 
 from __future__ import annotations
 

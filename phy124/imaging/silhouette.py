@@ -69,7 +69,7 @@ def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of surrounding pixels whose colour is more common inside the object."""
+    """Return the fraction of outside pixels whose colour is more common inside the object."""
     lab, inside = _reduce(rgb, solid)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
     around = ~inside & (away <= AROUND * max(inside.shape))

@@ -62,7 +62,7 @@ def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) ->
 def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] | None:
     """Split touching objects, and return masks [H,W] of two parts.
 
-    None if there is a single object.
+    Return None if there is a single object.
 
     Args:
         rgb: The image [H,W,3].
@@ -91,7 +91,7 @@ def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] 
 def _find_neck(solid: Solid) -> Neck | None:
     """Return the narrowest neck of a silhouette [h,w] between two large parts.
 
-    None if there is none.
+    Return None if there is no neck.
     """
     depth = cv2.distanceTransform(np.pad(solid, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     best = None

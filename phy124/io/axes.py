@@ -1,7 +1,7 @@
 """Converts the axes of a file to those of phy124, and rotates Gaussians.
 
 In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md). If `rotate`
-is set, the file is rotated first. The arguments `up` and `front`, or the file's dialect, are
+is set, the file is rotated first. The arguments `up` and `front`, or the file's dialect, state
 directions in the rotated file.
 """
 
@@ -174,6 +174,6 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the assumed front direction for the coordinate axis that is nearest to up."""
+    """Return the front direction that is assumed if this coordinate axis is nearest to up."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

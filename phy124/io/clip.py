@@ -435,7 +435,7 @@ def restate(path: Path, clip: Clip) -> bool:
 
 
 def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
-    """Write the metadata of a safetensors file in a fixed order; equal clips have equal files."""
+    """Write a safetensors file's metadata in a fixed order; equal clips thus have equal files."""
     with open(path, "r+b") as file:
         length = int.from_bytes(file.read(8), "little")
         header = json.loads(file.read(length))

@@ -76,7 +76,7 @@ class Content(NamedTuple):
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions, or unchanged if float32 is too coarse for it."""
+        """The content with absolute positions; unchanged if float32 is too coarse for them."""
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self

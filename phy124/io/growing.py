@@ -61,7 +61,7 @@ class Tensor(NamedTuple):
 
 
 class Unlike(ValueError):
-    """Raised if arrays of a frame or clip have another type or shape than in the file."""
+    """Raised if an array of a frame or clip differs in type or shape from the file's array."""
 
 
 class Growing:
@@ -176,7 +176,7 @@ class Growing:
     def complete(self, clip: Clip) -> bool:
         """Write the static arrays and the header.
 
-        Return False if the header is too large for its space.
+        Return False if the header is too large for the reserved space.
 
         Raises:
             OSError: If the file cannot be written.

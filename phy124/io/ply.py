@@ -8,8 +8,8 @@ are converted when a file is read or written. The conversion only permutes axes 
 so it is exact. Writing and then reading a file therefore changes values only by the rounding of log
 and logit.
 
-Columns of other training programs that change the Gaussians are applied. Unknown columns are listed
-in a note, because they might also change the Gaussians.
+Columns of other training programs are applied if they change the Gaussians. Unknown columns are
+listed in a note, because they might also change the Gaussians.
 
     program                           columns                     treatment
     Mip-Splatting, GOF, RaDe-GS       filter_3D                   filter applied: wider and fainter

@@ -30,8 +30,8 @@ def step_of(largest: float, *, signed: bool) -> float:
 def sixteen_bits(
     raster: Raster, covered: NDArray[np.bool_], step: float, *, signed: bool
 ) -> NDArray[np.uint16]:
-    """Quantise values to integers: raw = value / step, plus `MIDDLE` if signed; raw is 0 where not
-    covered.
+    """Quantise values to integers: raw = value / step, plus `MIDDLE` if signed; raw is 0 in
+    uncovered pixels.
 
     Args:
         raster: Values [H,W,C].

@@ -1,4 +1,4 @@
-"""Device code: kernels and device functions, one formula per function, and their compilation.
+"""Device code: kernels, device functions with one formula each, and their compilation.
 
 All kernels take their arguments in the same order. The model's arguments come first: numbers, the
 model's arrays, the lattice, the window, the clock and the tables of the tracks; kernels do not

@@ -2,8 +2,8 @@
 
 A particle that is outside the grid during the scatter counts as outside for the whole substep.
 Before the gather, such a particle is moved far outside the window ("hidden") so that the gather
-ignores it. If it were not hidden, a particle that crosses the window's edge during the gather would
-be moved twice.
+ignores it. Otherwise, a particle that crosses the window's edge during the gather would be moved
+twice.
 """
 
 from typing import Any

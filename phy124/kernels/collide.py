@@ -7,9 +7,9 @@ one distance function and one response, so unused shapes and responses cost no t
 (phy124/kernels/columns.py). At a flat wall each node belongs to a single column. At a curved wall
 columns cross, so the nodes keep their velocities until every column has computed its changes.
 `make_settle` then adds the mean change to each node, so that the result does not depend on the
-order of the nodes. The sum of the changes would be up to twice too large where columns request
-equal changes, and would squeeze bodies flat. `make_collider` lets each node respond alone; it is
-used for regions that are fixed only in some directions.
+order of the nodes. Where columns request equal changes, the sum of the changes would be up to twice
+too large and would squeeze bodies flat. `make_collider` lets each node respond alone; it is used
+for regions that are fixed only in some directions.
 """
 
 from typing import Any
@@ -108,16 +108,16 @@ def make_settle(real: Any):
 def make_contact(shape: str, response: str, moving: bool, real: Any, updating: bool = False):
     """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
-    Each thread handles a segment of a row with `each` nodes. The thread of a column's first node
+    Each thread handles `each` consecutive nodes of a row. The thread of a column's first node
     handles all three nodes of the column. A node with a signed distance below `reach` [m] responds
-    alone if it is further behind the wall, or if its column has no material in front of the wall.
-    Nodes also respond alone in columns that extend beyond `span`, the layers first <= i < last that
-    this launch may change. While the track of a moving shape is active, the shape is displaced by
-    the track's value, and the wall moves at the track's rate. `lightest` is the mass of a fully
-    covered node in the lightest of several materials [kg], or infinite. `full` is the fraction of
-    the expected mass above which material counts as touching the wall. In columns that the wall
-    does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall changes
-    `grid_out`, other walls change `changes_out` (see `make_settle`).
+    alone if it lies too far behind the wall for a column, or if its column has no material in front
+    of the wall. Nodes also respond alone in columns that extend beyond `span`, the layers first <=
+    i < last that this launch may change. While the track of a moving shape is active, the shape is
+    displaced by the track's value, and the wall moves at the track's rate. `lightest` is the mass
+    of a fully covered node in the lightest of several materials [kg], or infinite. `full` is the
+    fraction of the expected mass above which material counts as touching the wall. In columns that
+    the wall does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
+    changes `grid_out`, other walls change `changes_out` (see `make_settle`).
 
     If `updating` is set, one kernel performs both a flat wall and the grid update: it reads momenta
     from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle the

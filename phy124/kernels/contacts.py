@@ -23,7 +23,7 @@ from phy124.kernels.transfer import first_node, in_window, spline
 def make_contact_copy(real: Any):
     """Kernel: stores a copy of the nodes in a box before a wall acts.
 
-    Each thread handles a segment of a row with `each` nodes.
+    Each thread handles `each` consecutive nodes of a row.
     """
 
     @kernel(f"phy124_contact_copy_{real.__name__}", real, seconds=0.15)
@@ -135,8 +135,8 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over the segments of `make_wall_copy`: adds the wrench of the wall since the copy to
-    the wall's total.
+    """Kernel over the segments of `make_wall_copy`: adds the wrench that the wall has exerted since
+    the copy to the wall's total.
 
     The moment is taken about the origin of the world. The gather preserves the angular momentum of
     the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

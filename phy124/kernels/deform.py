@@ -195,7 +195,7 @@ def deform_shapes_simd(
     scales_out: wp.array(dtype=wp.vec3f),
 ):
     """Deform eight Gaussians per thread; `shape_of` handles Gaussians that the vectorised code
-    cannot.
+    cannot handle.
     """
     group = wp.tid()
     left = shapes_of_eight(

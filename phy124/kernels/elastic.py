@@ -39,13 +39,13 @@ def signed_volume(J: Any):
 
 @wp.func
 def polar_miss(s: wp.float32):
-    """Return the largest accepted |R|^2 - 3 in float32; R is then a rotation to within 1e-6."""
+    """Return the largest |R|^2 - 3 for which R counts as a rotation in float32 (error 1e-6)."""
     return wp.float32(2.0e-6)
 
 
 @wp.func
 def polar_miss(s: wp.float64):  # noqa: F811
-    """Return the largest error |R|^2 - 3 of a rotation R that is accepted in float64."""
+    """Return the largest |R|^2 - 3 for which R counts as a rotation in float64."""
     return wp.float64(1.0e-12)
 
 
@@ -206,8 +206,8 @@ def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
 def newtonian(F: Any, C: Any, eta: Any):
     """Return J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
-    For an inverted element the stress is zero, so that viscosity never adds energy. A J > 1 is
-    replaced by 1, because the limit of the substep assumes J <= 1.
+    For an inverted element the stress is zero, so that viscosity never adds energy. Values of J
+    above 1 are replaced by 1, because the limit of the substep assumes J <= 1.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))

@@ -69,8 +69,8 @@ def tait(F: Any, C: Any, h: Any, theta: Any):
     """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
     theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
-    allowed and acts as cohesion. Since j = min(J, 1), an expanded fluid keeps its viscosity per
-    unit mass, which limits the substep. zeta damps sound where the fluid is compressed.
+    allowed and acts as cohesion. Since j = min(J, 1), the viscosity per unit mass, which limits the
+    substep, does not change when the fluid expands. zeta damps sound where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
     J, more = squeeze(F)

@@ -35,7 +35,7 @@ class Repeated(wp.Launch):
         self._forward(ctypes.byref(self.bounds), ctypes.byref(self._arguments))
 
     def set_param_at_index(self, index: int, value: Any, adjoint: bool = False) -> None:
-        """Set an argument, by its index."""
+        """Set the argument with a given index."""
         super().set_param_at_index(index, value, adjoint)
         setattr(self._arguments, self._names[index], self.params[1 + index])
 
@@ -45,7 +45,7 @@ def record(
 ) -> wp.Launch | None:
     """Record a launch; return None if the launch would have no threads.
 
-    Unknown versions of Warp repeat their launches themselves, because `Repeated` uses internals.
+    With an unknown version of Warp, the result is Warp's launch, because `Repeated` uses internals.
 
     Args:
         kernel: The Warp kernel.

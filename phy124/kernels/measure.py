@@ -1,7 +1,7 @@
 """Measures the particles' bounding box and the maxima that limit a substep.
 
-`timestep.make_timestep` reads the maxima on the device, phy124/mpm/timestep.py reads them on the
-host. The lowest corner is stored as the maximum of -x.
+`timestep.make_timestep` reads the maxima on the device, and phy124/mpm/timestep.py reads them on
+the host. The lowest corner is stored as the maximum of -x.
 """
 
 from typing import Any

@@ -53,9 +53,7 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo the period of a track, or the time itself if negative or without a
-    period.
-    """
+    """Return a time modulo a track's period; unchanged if negative or if there is no period."""
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at

@@ -170,7 +170,7 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 @wp.func
 def linear_range(s: wp.float32):
-    """Return the |A|^2 below which exp A = I + A and atanh A = A to rounding in float32.
+    """Return the |A|^2 below which exp A is I + A, and atanh A is A, up to rounding in float32.
 
     Higher powers of so small a matrix A would be denormal numbers, which are slow.
     """
@@ -179,7 +179,7 @@ def linear_range(s: wp.float32):
 
 @wp.func
 def linear_range(s: wp.float64):  # noqa: F811
-    """Return the |A|^2 below which exp A = I + A and atanh A = A to rounding in float64."""
+    """Return the |A|^2 below which exp A is I + A, and atanh A is A, up to rounding in float64."""
     return wp.float64(1.0e-18)
 
 

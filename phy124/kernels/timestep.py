@@ -202,7 +202,7 @@ def make_timestep(real: Any):
 
     `look_out` is 1 if the particles have to be measured after the next substep, and `block_out` is
     1 if a whole block of substeps follows. `limiters_out` contains, first, the number of substeps
-    that each limit determined. Then it contains, for each limit, the sum of the ratios of the
+    that each limit determined. Next, it contains one sum per limit: the sum of the ratios of each
     substep's length to the limit.
     """
 

@@ -41,8 +41,8 @@ def node_at(n: int, size: wp.vec3i):
 
 @wp.func
 def in_box(node: wp.vec3i, extent: wp.vec3i):
-    """Return whether a node is inside a box; its indices are relative to the first node of the
-    box.
+    """Return whether a node is inside a box; the node's indices are relative to the box's first
+    node.
     """
     return (
         node[0] >= 0

@@ -116,7 +116,7 @@ def make_push_sums(real: Any):
 def make_wall_copy(real: Any):
     """Kernel: stores a copy of the nodes in a box before walls act.
 
-    Each thread handles a segment of a row with `each` nodes.
+    Each thread handles `each` consecutive nodes of a row.
     """
 
     @kernel(f"phy124_wall_copy_{real.__name__}", real, seconds=0.15)
@@ -134,9 +134,9 @@ def make_wall_sums(real: Any):
     """Kernel: adds the impulse and the work of walls on the nodes of a box to the `EXCHANGE` sums.
 
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
-    moves the material. The work of a wall is zero for walls at rest and negative for friction. With
-    the velocity before the impulse, stress that presses on a wall without moving it would count as
-    work. Each thread handles a segment of a row, as in `make_wall_copy`.
+    moves the material. The work of a wall is zero for walls at rest and negative for friction. If
+    the velocity before the impulse were used, stress that presses on a wall without moving the wall
+    would count as work. Each thread handles a segment of a row, as in `make_wall_copy`.
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)
@@ -167,8 +167,7 @@ def make_wall_sums(real: Any):
 
 @build_once
 def make_uniform_sums(real: Any):
-    """Single-thread kernel: adds impulse and work of the uniform acceleration in a substep to its
-    sums.
+    """Single-thread kernel: adds the uniform acceleration's impulse and work in a substep to sums.
 
     The acceleration acts after forces on particles and before walls, so `walls_out` stores the
     walls' sums up to the previous substep. `mean_pushes` and `mean_walls` contain the work on

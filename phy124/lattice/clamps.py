@@ -169,7 +169,7 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return pairs of the last clamped and the first free node in columns, with motion ratios.
+    """Return pairs of a column's last clamped and first free node, with the ratio of their motions.
 
     Args:
         lattice: The lattice at rest.
@@ -209,7 +209,7 @@ def slots_at(
 
 
 def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a simple wall acts on each of K bodies [K]."""
+    """Return, for each of K bodies, whether a simple wall acts on the body [K]."""
     if part.object is None:
         return np.ones(len(body), bool)
     if part.object not in model.names:

@@ -1,9 +1,10 @@
 """Arranges copies of nodes in memory so that each cell still uses rows of three nodes along z.
 
 A node has copies if separate pieces of a body lie in the support of the node
-(phy124/particles/pieces.py). In a row of three nodes, a copy may follow a node that belongs to
-several rows. Each of these rows is stored separately and repeats the common node. A repeated node
-is tied, with weight 1, to the node that it repeats, so it is treated like other tied nodes.
+(phy124/particles/pieces.py). A node may belong to several rows of three nodes, in which different
+copies follow the node. Each of these rows is stored separately and repeats the common node. A
+repeated node is tied, with weight 1, to the node that it repeats, so it is treated like other tied
+nodes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Layout(NamedTuple):
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
-        """Whether each position in memory only repeats a node with another main position [N]."""
+        """Whether each position in memory repeats a node whose main position is elsewhere [N]."""
         mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
         return mask
 

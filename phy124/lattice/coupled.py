@@ -1,8 +1,8 @@
 """CoupledSolver: advances bodies on lattices together with bodies of particles.
 
 Lattices and particles take the same substeps. In a substep, the particles' grids are updated and
-forces change the velocities of the lattices' nodes. Then all contact acts, and walls act on the
-grids. Finally, particles and lattices move.
+forces change the velocities of the lattices' nodes. Then all contact impulses act, and walls act on
+the grids. Finally, particles and lattices move.
 """
 
 from __future__ import annotations

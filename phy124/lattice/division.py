@@ -19,7 +19,7 @@ class Division:
     def __init__(
         self, model: Model, workers: Sequence[Any], complete: Callable[[int], None]
     ) -> None:
-        """Store who launches the kernels.
+        """Store the workers that launch the kernels.
 
         Args:
             model: The constants of the run.
@@ -31,7 +31,7 @@ class Division:
     def record(
         self, kernel: Any, most: int, inputs: list[Any], outputs: list[Any]
     ) -> Callable[[int], None]:
-        """Return a function that runs a kernel with some number of threads.
+        """Return a function that runs a kernel with a chosen number of threads.
 
         Args:
             kernel: The kernel; its first argument is the index of its first thread.

@@ -84,7 +84,7 @@ class Energies:
         self._solver.record()
 
     def attach(self) -> None:
-        """Let contact sum its work, after the launches of contact have been recorded again."""
+        """Add the sums of contact work; call after the launches of contact were recorded again."""
         solver = self._solver
         self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
         self._walls = solver.walls

@@ -1,8 +1,8 @@
-"""Limits: measures what limits a substep of a lattice, and decides when to measure it again.
+"""Limits: measures the limits of a lattice's substep, and decides when to measure them again.
 
 The largest speed and strain rate, the largest frequency, and the distances of points from walls are
-measured only every few substeps. Upper bounds of the strain and displacements in between decide
-when they are measured again.
+measured only every few substeps. The next measurement is due when upper bounds of the strain or of
+the displacements since the last one become too large.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class Limits:
         solver.walls.list_near(self._travel + 2 * WAY * solver.model.dx, self._step())
 
     def _step(self) -> float:
-        """Return by how much a point may approach a wall in a substep [m]."""
+        """Return the largest distance [m] by which a point may approach a wall in a substep."""
         solver, clock = self._solver, self._solver.clock
         dt = clock.stable().dt
         speed = clock.extremes.speed + max(solver.rejection.wall, solver.free.fastest())

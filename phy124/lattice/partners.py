@@ -114,7 +114,7 @@ class Partners:
         return {"a": points[a], "b": points[b], "normal": normals[a], "back": back}
 
     def _learn(self, points: NDArray[np.int64]) -> None:
-        """Copy slopes and flatness of points to the device, where this has not been done yet."""
+        """Copy slopes and flatness of points to the device, except for points copied earlier."""
         new = points[~self._known[points]]
         if len(new):
             put(self._arrays["slopes"], self._surface.slopes[new], new)

@@ -2,7 +2,7 @@
 
 Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells i -
 1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore use the same 27 nodes, and
-each weight is a single polynomial in the cell. If the points were between nodes instead, some
+each weight is a single polynomial within the cell. If the points were between nodes instead, some
 motions of partly filled cells would have no stiffness.
 
 If a body only partly fills its cells, some nodes have almost no mass and stiffness. Such nodes are
@@ -222,8 +222,8 @@ class RestLattice:
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
         """Return the nodes at a given step from each node [K]; -1 if there is no such node.
 
-        If there are copies, the result is the copy in the piece of the first node: some cell
-        contains both nodes.
+        If the node at the step has copies, the result is the copy in the same piece as the first
+        node: some cell contains both.
 
         Args:
             nodes: Indices of nodes [K].

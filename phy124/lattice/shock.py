@@ -1,4 +1,4 @@
-"""Handles fast compression by an artificial viscosity with shorter substeps.
+"""Handles fast compression by an artificial viscosity, which needs shorter substeps.
 
 An impact near the speed of sound would squeeze the first layer of points flat before the stress of
 the next layer stops it. The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads such

@@ -134,7 +134,7 @@ class Lazy:
         self._known = np.zeros(len(values), bool)
 
     def __getitem__(self, points: NDArray[np.int64]) -> NDArray[Any]:
-        """Return the values at the points with some indices."""
+        """Return the values at the points with these indices."""
         new = points[~self._known[points]]
         if len(new):
             self._values[new], self._known[new] = self._compute(new), True

@@ -1,8 +1,8 @@
 """Ties nodes with almost no mass to heavier nodes, and gives other light nodes more mass.
 
-The motion of a tied node is extrapolated linearly from heavier nodes; the transpose of this
-extrapolation distributes the force and the mass of the tied node over these nodes, which conserves
-momentum and angular momentum.
+The motion of a tied node is extrapolated linearly from heavier nodes. The transpose of this
+extrapolation distributes the tied node's force and mass over these nodes, so that momentum and
+angular momentum are conserved.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def _nearest_in_cells(
     *,
     chained: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the heavy nodes in a common cell with each of some nodes, sorted by distance.
+    """Return, for each of some nodes, the heavy nodes that share a cell with it, by distance.
 
     Args:
         index: Indices of the nodes [N,3].

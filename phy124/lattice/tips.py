@@ -2,7 +2,7 @@
 
 Weights of other surface points leave out tied nodes, so a tip that is smaller than a cell could
 enter a wall while its surface points stay outside. The weights of the points in tips are therefore
-exact: they include tied nodes, by the nodes from which the motion of tied nodes is extrapolated.
+exact: each tied node is replaced by the nodes from which its motion is extrapolated.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def exact_weights(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the nodes with mass that move integration points, and their weights [K,27].
 
-    The nodes form nine groups of three nodes that are consecutive in memory, as those of other
-    surface points. If nine groups do not contain all nodes, the weights are corrected to reproduce
-    every linear function.
+    The nodes form nine groups of three nodes that are consecutive in memory, like the nodes of
+    other surface points. If nine groups do not contain all nodes, the weights are corrected to
+    reproduce every linear function.
 
     Args:
         inner: Indices of the integration points [K].

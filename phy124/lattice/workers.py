@@ -197,7 +197,7 @@ class Crew:
         return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
 
     def press(self, pushes: wp.array, turns: wp.array) -> None:
-        """Replace the lasting forces on the nodes by the forces of accelerations of the points.
+        """Replace the lasting forces on the nodes by the forces that accelerate the points.
 
         Args:
             pushes: Acceleration of each point [P,3], m/s^2.

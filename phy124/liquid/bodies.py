@@ -1,6 +1,6 @@
 """Couples a liquid to bodies of other materials, which another solver moves.
 
-For the liquid, a body is a wall; its shape is computed from the particles of the body. The bodies
+For the liquid, a body is a wall, whose shape is computed from the particles of the body. The bodies
 move in substeps between the steps of the liquid. During these substeps, the liquid's pressure acts
 on the particles at the bodies' surfaces. Momentum is conserved exactly.
 """
@@ -271,8 +271,8 @@ class Bodies:
     ) -> tuple[NDArray, NDArray]:
         """Return the impulse [N s] of all forces except the liquid's, and its moment.
 
-        Forces other than the weight are included only as far as they acted in both of the last two
-        steps, so that an impact is not assumed to continue.
+        A force other than the weight is included only as far as it acted in both of the last two
+        steps. An impact is therefore not assumed to continue.
         """
         weight = np.stack([motion.mass * pull, np.zeros(3)])
         if not self._before or self._kick == 0:

@@ -131,7 +131,8 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on; keep pressures of common cells."""
+        """Set the window to `size` [3] cells from `low` [3] on; keep the pressures of common cells.
+        """
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)
@@ -228,7 +229,7 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array]:
-        """Open fractions of faces, and nearest walls of cells, due to only the fixed walls."""
+        """Open fractions of faces, and nearest walls of cells, for the fixed walls alone."""
         return self._kept[3], self._kept[1]
 
     def keep_walls(self) -> None:

@@ -82,7 +82,7 @@ class LiquidClock(Clock):
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] between the time of the velocities and of the
+        """Return the change of kinetic energy [J] from the time of the velocities to that of the
         positions.
 
         Args:

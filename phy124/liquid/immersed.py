@@ -1,7 +1,8 @@
 """ImmersedSolver: advances a projected liquid in steps, and bodies on lattices in substeps.
 
 Each step begins with a prediction: the bodies take their substeps under the pressure of the last
-step, and return to where they were. The liquid sees the mean motion of this prediction.
+step, and are then restored to their previous state. The step of the liquid uses the mean motion of
+the prediction.
 """
 
 from __future__ import annotations
@@ -292,7 +293,7 @@ class ImmersedSolver:
 
 
 class _OfAll:
-    """Sums over all particles, updated in the substeps of only some of them."""
+    """Sums over all particles, updated in substeps that move only some of the particles."""
 
     def __init__(self, item: Accumulator, model: Model, state: State) -> None:
         self._item, self._model, self._state = item, model, state

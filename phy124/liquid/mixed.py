@@ -40,7 +40,7 @@ class MixedClock(Clock):
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] between the time of the velocities and of the
+        """Return the change of kinetic energy [J] from the time of the velocities to that of the
         positions.
         """
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)

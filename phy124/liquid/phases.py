@@ -264,8 +264,8 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return the launches of forces of a worker; if one cannot be divided, the first worker
-        gets all.
+        """Return a worker's launches of forces; the first worker gets all if a launch cannot be
+        divided.
         """
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):

@@ -434,7 +434,7 @@ class LiquidSolver:
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners of the particles' bounding box [m], without a few distant ones."""
+        """Return the corners of the particles' bounding box [m]; ignore a few distant particles."""
         if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
             return lower, upper
         x = self.state.x.numpy().astype(np.float64)

@@ -225,7 +225,7 @@ class Live:
         self._target, self._changed = place, True
 
     def move_to(self, target: Sequence[float]) -> None:
-        """Set the target position of the grab [m]; the hand reaches it by the next frame.
+        """Set the target position [m] of the grab; the hand reaches the target by the next frame.
 
         Raises:
             InputError: No object is held, or the position is not three finite numbers.

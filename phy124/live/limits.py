@@ -2,7 +2,7 @@
 
 By default a hand pulls with three times the object's weight, which lifts and throws the object. On
 soft material, a hand pulls with less force, because material that is pulled faster than sound would
-be squeezed flat. At the strain `STRAIN`, the held material gains about a quarter of the speed of
+be squeezed flat. At the strain `STRAIN`, the held material reaches about a quarter of the speed of
 sound before the neighbouring material reacts. The object's weight stretches the hand's spring by a
 few hundredths of the object's size.
 """

@@ -70,7 +70,7 @@ class Rendering:
     Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the gradients [N,2] of the loss for the centres, in units of half the image."""
+        """Return the gradients [N,2] of the loss; the unit of the centres is half the image."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:
@@ -180,7 +180,7 @@ def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Return half the side [N] of each Gaussian's square outside which alpha is below ALPHA_MIN."""
+    """Return half the side [N] of each Gaussian's square; outside, alpha is below ALPHA_MIN."""
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 

@@ -51,9 +51,9 @@ def relief(
 
     The object faces +x and stands upright. A camera at the distance `VIEW_DISTANCE` in front of the
     shell, raised by the elevation from which the picture was taken, sees the silhouette of the
-    image. In the vertical plane x = 0, as a camera that is not raised sees it, the longest side of
-    the silhouette is 1 m. If the object is longer in the side image, its longest side there is 1 m
-    instead. Calls with the same seed return the same Gaussians.
+    image. If a camera that is not raised looks at the shell, the silhouette in the vertical plane x
+    = 0 has a longest side of 1 m. If the object is longer in the side image, its longest side there
+    is 1 m instead. Calls with the same seed return the same Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].
@@ -132,7 +132,7 @@ def relief(
 
 
 def _refuse_double(**options: object | None) -> None:
-    """Raise InputError if an option is set that the picture from the side excludes."""
+    """Raise InputError if an option is set that conflicts with the picture from the side."""
     limit = "The picture from the side determines the object's depth already."
     for field, option in options.items():
         if option is not None:

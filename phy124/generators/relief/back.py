@@ -1,11 +1,11 @@
 """Guesses the look of an object's unseen back from the image of its front.
 
 If the silhouette is not symmetric, even after thin parts are removed, the image is assumed to show
-the object from its side. If the image shows the side, the object's other side looks alike, so the
-back is the mirrored front. If the silhouette is symmetric, the image is assumed to show the object
-from its front. The back then has the materials of the front but not its features: colours are
-interpolated between the colours near the rim. Fine texture is copied from parts of the front that
-have similar colours and no strong edges.
+the object from its side. In this case, the back is the mirrored front, because both sides of most
+objects look alike. If the silhouette is symmetric, the image is assumed to show the object from its
+front. The back then has the materials of the front but not its features: colours are interpolated
+between the colours near the rim. Fine texture is copied from parts of the front that have similar
+colours and no strong edges.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 
 
 def body_without_handles(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a silhouette [H,W] without thin parts such as handles, cropped to its columns.
+    """Return a silhouette [H,W] without thin parts such as handles; crop it to its columns.
 
     If the thin parts are large, they are not removed.
     """
@@ -264,7 +264,7 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] along runs of inside pixels in rows; return also the lengths.
+    """Interpolate colours [H,W,3] along the runs of inside pixels in rows; also return lengths.
 
     The weight of the colours of thin features, such as a beak, falls with distance.
     """

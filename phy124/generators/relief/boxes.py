@@ -1,4 +1,4 @@
-"""Fits a box to an outline with six corners, such as that of a cuboid seen towards one edge.
+"""Fits a box to an outline with six corners, such as a cuboid with an edge in front.
 
 The corners have twelve coordinates, which determine the box's rotation, its three side lengths and
 its position.
@@ -85,7 +85,7 @@ class Cuboid:
     def upright(self) -> Field:
         """Return the rotation from upright coordinates to those of the camera [3,3].
 
-        The axis of the box that is most vertical in the image is vertical, unless the box stands
+        The box axis that looks most vertical in the image becomes vertical, unless the box stands
         askew or is seen from below.
         """
         axes = self.turn.T * np.where(self.turn[1] > 0, -1, 1)[:, None]

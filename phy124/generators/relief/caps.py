@@ -44,7 +44,7 @@ class Plane:
     """1 for the bottom of the object, -1 for its top."""
 
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
-        """Return the row [N] of the plane or the bevel, and whether it is the bevel.
+        """Return the row [N] of the plane or of the bevel, and which of the two it is.
 
         Args:
             columns: Columns of the points before projection [N].
@@ -66,7 +66,7 @@ class Plane:
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def includes(self, points: Field, by: float) -> NDArray[np.bool_]:
-        """Return whether points [N,3] are inside the plane by at least `by` pixels."""
+        """Return whether points [N,3] lie on the plane's inner side by at least `by` pixels."""
         x, y, z = points.T
         return (self.rows(x, z)[0] - y) * self.sign * self.view.k(z) >= by
 
@@ -88,7 +88,7 @@ class Cap:
 def make_cap(
     surface: Surface, view: View, end: End, object_mask: NDArray[np.bool_], pitch: float
 ) -> Cap:
-    """Make the flat face of an end; its height follows from the rows of the end in the image.
+    """Make the flat face of an end; the face's height follows from the end's rows in the image.
 
     Args:
         surface: The inflated solid.

@@ -1,7 +1,7 @@
-"""Turns objects upright that a raised camera sees, so that they stand on the floor.
+"""Turns an object upright if its camera is raised, so that the object stands on the floor.
 
-Upright coordinates are pixels: x right, y down, z horizontally towards the camera. Points keep
-their places in the image of the raised camera.
+Upright coordinates are pixels: x right, y down, z horizontally towards the camera. In the image of
+the raised camera, the points do not move.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Raised:
         return seen[:, :2] / (1 - seen[:, 2:] / self.distance)
 
     def stand(self, shell: Shell) -> Shell:
-        """Turn a shell upright that was made for a camera in front.
+        """Turn a shell upright; the shell was made for a camera in front of the object.
 
         Each point moves along its view ray, so that the plane through the object's centre becomes
         vertical. The shell's points and normals are in the coordinates of the camera.

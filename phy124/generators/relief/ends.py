@@ -165,7 +165,7 @@ def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
 
 
 def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
-    """Count, in each row of the lower end, the parts that are separated by deep gaps."""
+    """Count the parts in each row of the lower end; only deep gaps separate parts."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     first = last - rows + 1
     depth = round(RAGGED * _widest(solid[first]))

@@ -1,8 +1,8 @@
-"""Makes objects flat whose fronts show no shading, such as keys, leaves, coins and signs.
+"""Flattens objects whose fronts show no shading, such as keys, leaves, coins and signs.
 
 Light from any direction changes the brightness of a round surface from one side to the other, or
-from the middle to the rim. If a photograph shows nothing of this kind, the front of the object is
-flat. The edge of a flat front is rounded, and its depth is limited. The limit depends on the
+from the middle to the rim. If a photograph shows no such change, the front of the object is assumed
+to be flat. The edge of a flat front is rounded, and its depth is limited. The limit depends on the
 outline: narrow objects, such as tools, are flatter than compact ones, such as cars seen from their
 side; discs are flatter still.
 """

@@ -1,4 +1,4 @@
-"""Builds vessels and drums that a raised camera sees, with a horizontal lid.
+"""Builds vessels and drums, with a horizontal lid, from the image of a raised camera.
 
 A solid of revolution consists of circles, which a raised camera sees as ellipses. The circle at a
 height is the largest one whose image lies inside the silhouette. Flat ellipses fill any outline.
@@ -93,7 +93,7 @@ class Lathe:
 
     @cached_property
     def path(self) -> Field:
-        """Radius and height along the outline from the base's centre to that of the lid [M+2,2]."""
+        """Radius and height along the outline from the base's to the lid's centre [M+2,2]."""
         wall = np.stack([self.radii, self.heights], axis=1)
         return np.concatenate([[[0, self.heights[0]]], wall, [[0, self.heights[-1]]]])
 
@@ -124,8 +124,8 @@ class Lathe:
     def shell(self, count: int, front: Field, middle: Field, offset: float) -> Shell:
         """Return the shell with the colours of the image.
 
-        Hidden parts of the wall have the colours of the mirrored front, the base those of the wall
-        above it.
+        Hidden parts of the wall get the colours of the mirrored front. The base gets the colours of
+        the wall above it.
 
         Args:
             count: Approximate number of points.
@@ -216,13 +216,13 @@ def _images(heights: Field, radii: Field, camera: Raised) -> tuple[Field, Field]
 
 
 def _upright(rings: Field, angles: Field) -> Field:
-    """Return vectors [N,3] with a radial and an upward component [N,2] and an angle [N]."""
+    """Convert radial and upward components [N,2] at the angles [N] to vectors [N,3]."""
     radius, height = rings.T
     return np.stack([radius * np.sin(angles), -height, radius * np.cos(angles)], axis=1)
 
 
 def _empty(lathe: Lathe, profile: Profile, middle: float) -> float:
-    """Return the fraction of an outline that the images of the circles do not fill."""
+    """Return the fraction of an outline's area that the images of the circles do not cover."""
     wide = int(profile.half.max()) + 2
     drawn = np.zeros((len(profile.half), wide), np.uint8)
     column, row = _images(lathe.heights, lathe.radii, lathe.camera)

@@ -59,7 +59,7 @@ def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> F
 
 @dataclass(frozen=True)
 class Shading:
-    """The light that explains the brightness of an image best, and how much it explains."""
+    """The light that best explains the brightness of an image, and the quality of the fit."""
 
     light: Field
     """The light vector s [3]."""

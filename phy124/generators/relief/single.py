@@ -69,7 +69,7 @@ def from_front(
     shape: Shape,
     elevation: float | None,
 ) -> Shell:
-    """Build the upright shell of the object, which is a vessel, a box, or inflated.
+    """Build the upright shell of the object: a vessel, a box, or the inflated silhouette.
 
     Args:
         picture: Image of the front.
@@ -181,7 +181,7 @@ def _inflated_shell(
 def _box_shell(box: Cuboid, front: Field, count: int, elevation: float | None) -> Shell:
     """Return the upright shell of a box with the colours of the image [H,W,3].
 
-    If the elevation of the camera is None, the box shows it.
+    If the elevation of the camera is None, it is determined from the box.
     """
     points, normals, pitch = box.spread(count)
     middle = float(box.view.middle[0]), float(box.view.middle[1])

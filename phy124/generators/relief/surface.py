@@ -159,7 +159,7 @@ class Surface(Implicit):
 
     @classmethod
     def seen(cls, w: Field, middle: Field, distance: float) -> Surface:
-        """Return the surface that the camera of `View` images as w.
+        """Return the surface whose image, seen by the camera of `View`, is w.
 
         A camera sees less than half of a ball.
 
@@ -252,8 +252,8 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
     """Return random points near the surface, on average one per area of pitch^2 on the front.
 
     Each cube that the surface intersects gets one candidate point. A plane with normal n intersects
-    |nx| + |ny| + |nz| cubes per square. Candidates are therefore removed at random, so that their
-    number falls by this factor.
+    |nx| + |ny| + |nz| cubes per unit square. Candidates are therefore removed at random, so that
+    their number falls by this factor.
     """
     halves = []
     for corner, low, high in _columns(surface, pitch):

@@ -1,9 +1,9 @@
 """Recognises vessels and drums, which stand upright, although they may be wider than high.
 
 Most convex objects that are wider than high lie on their side. Two outlines show a solid of
-revolution that stands upright instead: a drum has vertical sides and a lower edge that is the near
-half of a circle seen from above, which is half of an ellipse; a vessel is widest at its rim, and
-becomes narrower from there to its foot. Handles are left out of the comparison.
+revolution that stands upright instead. A drum has vertical sides, and its lower edge is half of an
+ellipse, because a circle is seen from above. A vessel is widest at its rim, and becomes narrower
+from there to its foot. Handles are left out of the comparison.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class Profile:
 
     @property
     def rim(self) -> int:
-        """The first row that is almost as wide as the widest."""
+        """The first row that is almost as wide as the widest row."""
         return int((self.half >= FULL * self.half.max()).argmax())
 
     def is_drum(self) -> bool:

@@ -1,4 +1,4 @@
-"""Builds the shell of a vessel or a drum that was photographed from above, with its handles."""
+"""Builds the shell, including handles, of a vessel or a drum that was photographed from above."""
 
 from __future__ import annotations
 

@@ -410,7 +410,7 @@ def recognise(path: Path) -> Format:
 
 
 def _match_signature(known: Iterable[Format], head: bytes, ending: str) -> Format | None:
-    """Return the format that matches a file's first bytes or, if several do, the extension."""
+    """Return the format that matches a file's first bytes; if several do, the extension decides."""
     signed = [f for f in known if f.signs and head.startswith(f.signs)]
     return next((f for f in signed if f.suffix == ending), signed[0] if signed else None)
 

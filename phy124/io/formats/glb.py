@@ -362,7 +362,7 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to sRGB; above degree 0, use the derivative at degree 0."""
+    """Convert linear colours [N,K,3] to sRGB; scale higher degrees by the slope at degree 0."""
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -372,7 +372,7 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform positions, scales and rotations by a node's matrix; add the resolution `step`."""
+    """Transform a node's Gaussians by its matrix; add the positions' resolution as `step`."""
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}

@@ -228,7 +228,7 @@ def measure_size(points: NDArray[np.float64]) -> float:
 
 
 def measure(clip: Clip) -> dict[str, Any]:
-    """Measure the ranges of values over all frames that the player needs when it starts.
+    """Measure, over all frames, the ranges of values that the player needs when it starts.
 
     The ranges are the bounding box, the log ratios of scales (clipped to +-`TALLEST`), the largest
     speed, and the ends of the colour ramp for the stretch. The colour ramp is symmetric about 1.
@@ -300,7 +300,7 @@ def _covariances(clip: Clip, index: int, mask: NDArray[np.bool_], turn: NDArray)
 
 
 def _centres(still: bytes) -> NDArray[np.float64]:
-    """Return the centres [N,3] m after quantisation in a SOG file."""
+    """Return the quantised centres [N,3], m, that a SOG file stores."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "still.sog"
         path.write_bytes(still)

@@ -114,7 +114,7 @@ def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> 
 
 
 def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield the positions [V,3] in each frame of points that move with the Gaussians.
+    """Yield, for each frame, the positions [V,3] of points that move with the Gaussians.
 
     Args:
         clip: The clip whose Gaussians the points follow.
@@ -139,7 +139,7 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
 
 
 def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotations R [V,3,3] with b = R a that best fit the sums of w a b^T [V,3,3]."""
+    """Return rotations R [V,3,3] for which b = R a fits best, from sums of w a b^T [V,3,3]."""
     u, _, vt = np.linalg.svd(correlation)
     sign = np.linalg.det(u) * np.linalg.det(vt)
     u[:, :, 2] *= sign[:, None]

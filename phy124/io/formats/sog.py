@@ -163,7 +163,7 @@ def _zip(meta: dict[str, Any], pictures: dict[str, NDArray[np.uint8]]) -> bytes:
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Read a file of the archive that has at most `most` bytes."""
+    """Read a file of the archive; refuse a file with more than `most` bytes."""
     known = {info.filename.rpartition("/")[2]: info for info in archive.infolist()}
     if name == META and name not in known:
         limit = "it is a zip archive, but not a SOG file: it has no meta.json."
@@ -178,7 +178,7 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
 
 
 def _picture(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> NDArray[np.uint8]:
-    """Read a WebP image [H,W,4] that has at most `most` pixels."""
+    """Read a WebP image [H,W,4]; refuse an image with more than `most` pixels."""
     data = _member(path, archive, str(name), 4 * most + 4096)
     width, height = _size(data)
     if width * height > most:

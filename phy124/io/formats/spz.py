@@ -111,7 +111,7 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis that points in the first of two opposite directions (such as `UD`)."""
+    """Return the signed axis that points in the first of two opposite directions (U of `UD`)."""
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -270,7 +270,7 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _unpack(path: Path, stream: bytes, wanted: int) -> bytes:
-    """Decompress a Zstandard stream; refuse it if its size differs from that in the table."""
+    """Decompress a Zstandard stream; refuse a stream whose size is not as stated in the table."""
     try:
         announced = zstandard.frame_content_size(stream)
         if announced in (-1, wanted):

@@ -1,4 +1,4 @@
-"""Layout of the arrays with the state and the solution of a free body; derived quantities."""
+"""Reads and writes the state and the solution of a free body; computes derived quantities."""
 
 from typing import Any
 

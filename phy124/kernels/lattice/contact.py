@@ -14,8 +14,7 @@ E^-1 - 1, the impulses of the last substep equal the impulses of implicitly inte
 dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is stable without
 walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is an integral
 gain. A gain above omega^2 dt would excite the body's slowest vibration (angular frequency omega).
-The gain does not grow if substeps become shorter, because hard squeezing would then throw the body
-out.
+A gain that grew as substeps become shorter would throw a body out when it is squeezed hard.
 
 The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """
@@ -231,10 +230,10 @@ def make_meet(real: Any, rows: Rows):
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the
     vector from the opposite position to the point. The opposite position follows the point along
-    the surface, so that the pair's impulses have no moment. When the opposite position moves along
-    the surface, its weights change by `slopes` times its displacement in the body at rest, which is
-    `back` times the displacement along the surface. If a position moves farther than `far`, the
-    pair is ignored, as are pairs farther apart than `reach`.
+    the surface, so that the pair's impulses have no moment. If the opposite position moves along
+    the surface, the same displacement in the body at rest is `back` times the displacement along
+    the surface. The weights of the position change by `slopes` times the displacement at rest. If a
+    position moves farther than `far`, the pair is ignored, as are pairs farther apart than `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

@@ -102,7 +102,7 @@ def next_near(
     places: wp.array2d(dtype=wp.float32), i: int, first: int, far: float, nearer: float, loose: bool
 ) -> int:
     """Return the next sample, from `first` on, that is closer than `far` to sample i; unless
-    `loose`, it must also be closer than `nearer` times their distance at rest.
+    `loose` is set, the sample must also be closer than `nearer` times the distance at rest.
     """
     ...
 

@@ -103,7 +103,7 @@ def react(
     r: wp.vec3d,
     impulse: wp.vec3d,
 ):
-    """Apply the opposite of an impulse to a solid, at r from its centre."""
+    """Apply the opposite of an impulse to a solid, at the position r relative to its centre."""
     put3(trial, GUESS, at3(trial, GUESS) - impulse / mass)
     put3(trial, GUESS + 3, at3(trial, GUESS + 3) - turning @ wp.cross(r, impulse))
 
@@ -149,7 +149,7 @@ def make_solid_near(shape: str, real: Any, rows: Rows):
 
 @wp.func
 def way_out(p: Any, half: Any, m: Any):
-    """Return the distance along m from a point in a box centred at the origin to the surface."""
+    """Return the distance along m from a point to the surface of a box around the origin."""
     way = type(half[0])(wp.inf)
     for c in range(3):
         if wp.abs(m[c]) > type(half[0])(1.0e-6):

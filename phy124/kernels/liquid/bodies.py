@@ -2,8 +2,8 @@
 
 A body responds to the pressure in two ways. The body moves rigidly (`solids`). In addition, the
 layer of mass at its surface moves with the change of the pressure since the last step (a Robin
-condition: Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest; without it,
-the deformation of a light or soft body would become unstable.
+condition: Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest. Without the
+    response, the deformation of a light or soft body would become unstable.
 """
 
 from typing import Any
@@ -68,7 +68,7 @@ def make_moments(real: Any):
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
     """Return the cell with more mass: cell `n`, or the next cell behind the more open face of `n`.
 
-    `row` is positive if the low face is more open than the opposite face.
+    `row` is positive if the low face of cell `n` is more open than its high face.
     """
     m = n - stride(axis, size)
     if row > wp.float64(0.0):

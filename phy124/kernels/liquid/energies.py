@@ -80,7 +80,7 @@ def mass_with_outside(
 
 @wp.func
 def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
-    """Return the velocity change at a face due to forces on particles, from its two cells."""
+    """Return the velocity change at a face due to forces on particles in the face's two cells."""
     total = gains[n] + gains[n - step]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k] + gains[k - step]
@@ -94,9 +94,9 @@ def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int
 def make_face_work(real: Any):
     """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
 
-    The arrays of velocities are: `before` the pressure acts, `velocity` after the pressure has
-    acted, and `after` at the end of the step. The velocities at the start of the step do not
-    include the step's `gains`.
+    `before` contains the velocities before the pressure acts, `velocity` the velocities afterwards,
+    and `after` the velocities at the end of the step. The velocities at the start of the step do
+    not include the step's `gains`.
     """
     t = types(real)
     vec8 = sums(real)

@@ -1,4 +1,4 @@
-"""Contact areas between particle bodies and fixed walls, and the pressure of liquid films there.
+"""Computes contact areas of particle bodies with fixed walls, and the pressure of films there.
 
 The grid does not resolve the thin layer of liquid between a body and the wall on which the body
 lies. The pressure in this layer is therefore taken from the liquid around the contact.
@@ -173,7 +173,8 @@ def share_of(rim: wp.vec3d, opposite: wp.vec3d):
 
     A film exists only if there is liquid along at least half of the contact's perimeter; the
     contact is assumed to be square. If a body fills the space between two walls, films on both
-    sides would squeeze it. Therefore, only the difference of the areas of opposite films acts.
+    sides would squeeze it. Therefore, a film acts only on the difference between opposite contact
+    areas.
     """
     unit = wp.float64(1.0)
     wet = wp.min(rim[1] / (wp.float64(2.0) * wp.sqrt(rim[2])), unit)

@@ -34,8 +34,8 @@ def way_to_wall(
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
     The wall lies where the signed distance, interpolated linearly between the centre and the face,
-    is zero. At edges of solids, nine parallel lines differ; the line that ends deepest in the solid
-    is used.
+    is zero. At edges of solids, nine parallel lines give different results; the line that ends
+    deepest in the solid is used.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]
@@ -69,7 +69,7 @@ def take_row(sums: Sums, wall: int):
 
 @wp.func
 def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
-    """Return the mean velocity change of the particles around a cell; there are `count` cells."""
+    """Return the mean velocity change of the particles around one of `count` cells."""
     total = gains[n]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k]

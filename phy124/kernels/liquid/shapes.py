@@ -96,7 +96,7 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
 
 @wp.func
 def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx: Any):
-    """Return the distance of a cell's centre from a body [cells], from the fill outside walls."""
+    """Compute the distance of a cell's centre from a body [cells] from the fill outside walls."""
     level = type(dx)(EMPTY)
     if full[n] > type(dx)(0.0):
         level = -depth(filled_share(full[n], shares[n][1], dx))

@@ -241,8 +241,8 @@ def counted(x: Any):
 
 @wp.func
 def lowest(here: wp.vec3i, size: wp.vec3i):
-    """Return the index of the first of the 4 x 4 x 4 cells around the cell `here`; all its
-    indices are the lowest.
+    """Return the index of the cell with the lowest indices among the 4 x 4 x 4 cells around the
+    cell `here`.
     """
     return number(here - wp.vec3i(1, 1, 1), size)
 

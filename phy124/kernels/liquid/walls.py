@@ -238,8 +238,8 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance from a wall at a point of a face; a and b [m] are measured from its
-        middle.
+        """Return the distance from a wall at a point of a face; a and b [m] are measured from the
+        face's middle.
         """
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
@@ -439,9 +439,7 @@ def make_push_out(shape: str, real: Any):
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return the velocity of a particle after contact, with friction, with a wall of velocity
-        u.
-        """
+        """Return a particle's velocity after frictional contact with a wall of velocity u."""
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v

@@ -67,7 +67,7 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
 def native_kernel(
     module: str, body: str, *, name: str = "", seconds: float = 0.0
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that adds a kernel, which only calls C++, to a Warp module.
+    """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
     The decorated function declares the parameters. The function either has no code or is the plain
     version of the kernel (`plain.func`).

@@ -80,8 +80,8 @@ def outline(view: View, solid: Solid) -> Outline:
     """Return the outline of a solid on the screen.
 
     An outline consists of the box's edges between a face that faces the camera and a face that does
-    not. The edges are moved outwards by half a pixel. A box around the camera, or partly behind it,
-    has no outline.
+    not. The edges are moved outwards by half a pixel. A box that contains the camera, or is partly
+    behind the camera, has no outline.
     """
     seen = Outline()
     seen.nearest = float(1.0e30)

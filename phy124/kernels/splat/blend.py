@@ -1,5 +1,4 @@
-"""Blends splats front to back, with one thread per pixel (CUDA), per tile, or per tile in C++
-(CPUs).
+"""Blends splats front to back: one thread per pixel (CUDA), or per tile in Python or C++ (CPUs).
 
 Both versions with one thread per tile use the same algorithm; tests/test_render.py compares their
 results. `gather_pixels` is the adjoint: for each splat, it sums the pixels' values weighted by the

@@ -393,8 +393,8 @@ def chance(n: int) -> float:
 def row_distance(means: wp.array(dtype=wp.vec3), rows: wp.array3d(dtype=int), n: int) -> float:
     """Return the largest distance from a Gaussian to its neighbours in `rows`, m.
 
-    Neighbours count only while the Gaussian is still between them, so that the liquid has been
-    stretched evenly there.
+    Neighbours count only while the Gaussian is between them, because only then has the liquid been
+    stretched evenly.
     """
     apart = float(0.0)
     for axis in range(3):

@@ -141,8 +141,8 @@ def project(
     order_out: wp.array(dtype=int),
     corners_out: wp.array2d(dtype=int),
 ):
-    """Project one Gaussian per thread; write +1 and -1 to `corners_out` at the corners of its
-    tiles.
+    """Project one Gaussian per thread; write +1 and -1 to `corners_out` at the corners of the
+    Gaussian's tiles.
     """
     i = wp.tid()
     p = view.rotation * means[i] + view.translation

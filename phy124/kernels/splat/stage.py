@@ -68,7 +68,7 @@ def ray_through(view: View, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
-    """Return the distance at which a ray meets the floor from above; 1e30 if it does not."""
+    """Return the distance at which a ray meets the floor from above; 1e30 if the ray does not."""
     if setting.floor == 1 and eye[2] > setting.height and ray[2] < 0.0:
         return (setting.height - eye[2]) / ray[2]
     return 1.0e30

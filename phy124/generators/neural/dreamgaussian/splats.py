@@ -128,7 +128,7 @@ class Splats:
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Replace parameters in Adam; `changes[name]` is the value, and a function of moments."""
+        """Replace parameters in Adam; `changes[name]` is a value and a function of the moments."""
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue
@@ -180,7 +180,7 @@ Draw = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Density:
-    """Schedule and thresholds of densification; steps count from 1."""
+    """Schedule and thresholds of densification; steps are counted from 1."""
 
     start: int = 100
     end: int = 3000
@@ -220,7 +220,7 @@ class Pull:
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Return a function that draws normal samples on the CPU, equal for all devices."""
+    """Return a function that draws normal samples on the CPU, the same for all devices."""
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 

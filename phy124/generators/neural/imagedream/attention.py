@@ -16,8 +16,8 @@ class CrossAttention(nn.Module):
     """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
 
     If `picture_tokens` > 0, the last `picture_tokens` tokens of the context come from the image and
-    have separate keys and values. The attention to text and the attention to the image, multiplied
-    by `picture_weight`, are added.
+    have separate keys and values. The attention to the image is multiplied by `picture_weight` and
+    added to the attention to the text.
     """
 
     def __init__(

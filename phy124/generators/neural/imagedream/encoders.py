@@ -141,7 +141,7 @@ def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name:
     """Build a network and, if `path` is set, load its weights in the file's precision.
 
     Missing or unknown tensors raise an error. The names in the files begin with `prefix`. In
-    memory, the names have this prefix only before transformers 5.
+    memory, the names have this prefix only with transformers before version 5.
 
     Args:
         build: Function that creates the network.

@@ -170,7 +170,7 @@ class ImageDream:
     """Turns an image into four views of its object; `parts` replaces the networks in tests.
 
     `dtype` is the precision of the networks and of the latents. `unet_dtype` is the precision of
-    the U-Net, if it differs.
+    the U-Net, if it differs from `dtype`.
     """
 
     def __init__(
