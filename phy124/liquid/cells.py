@@ -131,8 +131,7 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on; keep the pressures of common cells.
-        """
+        """Set the window to `size` [3] cells from `low` [3] on; keep pressures of common cells."""
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)
