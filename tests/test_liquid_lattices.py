@@ -20,8 +20,13 @@ from support.shapes import ball
 SMOOTH = Container(inside=TANK.inside, contact="separate", friction=0.0)
 
 
-def immersed(low, cells, *, density=DENSITY / 2, E=1e5, v=(0, 0, 0), gravity=G, clamps=(), held=()):
-    """Return a block on its lattice in a tank of water; the block's lowest corner is in cells."""
+def immersed(
+    low, cells, *, density=DENSITY / 2, E=1e5, v=(0, 0, 0), gravity=G, clamps=(), held=(), below=0.0
+):
+    """Return a block on its lattice in a tank of water; the block's lowest corner is in cells.
+
+    A grid line is `below` cells below the floor.
+    """
     lower, upper = np.array(low) * DX, (np.array(low) + cells) * DX
     x = block((0, 0, 0), (1, 1, LEVEL), CELLS)
     x = x[((x < lower) | (x > upper)).any(axis=1)]
@@ -32,7 +37,7 @@ def immersed(low, cells, *, density=DENSITY / 2, E=1e5, v=(0, 0, 0), gravity=G, 
     number = np.repeat([0, 1], [len(x), len(points)])
     materials = [Fluid(density=DENSITY), NeoHookean(density=density, E=E, nu=0.3)]
     volume = np.concatenate([np.full(len(x), DX**3 / 8), points.volume])
-    named = {"names": ["water", "body"], "wet": [0], "held": held}
+    named = {"names": ["water", "body"], "wet": [0], "held": held, "origin": (0, 0, -below * DX)}
     every = np.concatenate([x, points.x.astype(float)])
     model = Model.of(every, volume, materials, dx=DX, material=number, body=number, **named)
     walls = [SMOOTH] if gravity else []
@@ -122,6 +127,16 @@ def test_held_block_is_lifted_by_the_water_it_displaces():
     level = (level - 36 * DX**2 * 3 * DX) / (1 - 36 * DX**2)
     lift = solver.pairs.wrenches(6 / 24)[0, 1].force[2]
     assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 3 * DX), rel=0.05)
+
+
+@pytest.mark.parametrize(("low", "below"), [(5.5, 0.0), (5.5, 0.75), (5.0, 0.4)])
+def test_film_below_a_body_has_the_pressure_at_the_floor(low, below):
+    """Neither the body's sides nor the floor have to be on grid lines."""
+    held = {"density": DENSITY, "held": [1], "below": below}
+    solver = run(immersed((low, low, 0), (5, 5, 3), **held), 6)
+    solver.pairs.begin()
+    lift = run(solver, 2).pairs.wrenches(2 / 24)[0, 1].force[2]
+    assert lift == pytest.approx(DENSITY * G * 75 * DX**3, rel=0.04)
 
 
 def test_clamped_reed_sways_with_the_water():

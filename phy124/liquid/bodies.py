@@ -194,7 +194,7 @@ class Bodies:
             self._launch(shapes.make_body_distance(real), points, inputs, outputs)
             inputs, outputs = [cells.window, box, self._level], [cells.open, cells.eighths]
             self._launch(shapes.make_body_openings(real), size, inputs, outputs)
-            inputs = [cells.window, box, self._level, cells.still[0], cells.open]
+            inputs = [cells.window, box, self._level, cells.still[2], cells.open]
             self._launch(films.make_contact(real), size, inputs, [self._contact])
             for _, launch in [walls.share(cells, region, 0, 1)]:
                 if launch is not None:
@@ -373,7 +373,8 @@ class Bodies:
         inputs = [solid, *layers, *grid, *surface, self._contact]
         self._launch(films.make_head(real), count, inputs, [self._rims])
         inputs = [solid, self._rims, self._solids.scale, *layers, *grid, *surface]
-        inputs += [cells.distances, cells.still[1], self._contact]
+        fixed, owners, _ = cells.still
+        inputs += [cells.distances, fixed if self._expect else fixed[:0], owners, self._contact]
         outputs = [self.pressed, sums, self._exchanged]
         self._launch(films.make_film(real), count, inputs, outputs)
 

@@ -227,9 +227,10 @@ class Cells:
         self.shares.zero_()
 
     @property
-    def still(self) -> tuple[wp.array, wp.array]:
-        """Open fractions of faces, and nearest walls of cells, for the fixed walls alone."""
-        return self._kept[3], self._kept[1]
+    def still(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Distances, nearest walls of cells, and open fractions of faces, for the fixed walls."""
+        distances, owners, _, fractions, _ = self._kept
+        return distances, owners, fractions
 
     def keep_walls(self) -> None:
         """Store a copy of the fixed walls in the cells."""
