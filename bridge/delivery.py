@@ -1,6 +1,6 @@
 """Send frames no faster than subscribers acknowledge them; wait until the last frames have arrived.
 
-Writers keep the last few frames. A subscriber loses an unacknowledged frame if a newer frame
+A writer keeps only the last few frames. A subscriber loses an unacknowledged frame if a newer frame
 replaces it or the publisher ends.
 """
 

@@ -94,7 +94,7 @@ def temporary_entities(node: Any) -> Iterator[None]:
 
 
 class RosHandler(logging.Handler):
-    """Passes log records to the logger of a node, which publishes them on /rosout."""
+    """Passes log records to a node's logger, so that ROS publishes them on /rosout."""
 
     def __init__(self, logger: Any) -> None:
         super().__init__()

@@ -1,7 +1,7 @@
 """Services of a ROS 2 node: triggers, and the standard services of players and simulators.
 
 The thread that spins the node serves the requests. The steps of an action are computed between
-other callbacks, so that it can be cancelled.
+other callbacks, so that the action can be cancelled.
 """
 
 # rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.

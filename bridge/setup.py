@@ -1,4 +1,4 @@
-"""Set-up of the ROS 2 package phy124_bridge, which is this folder, for `colcon build`.
+"""Set-up for `colcon build`, which builds this folder as the ROS 2 package phy124_bridge.
 
 The package phy124 itself is installed with pip (docs/guide/ros2-package.md).
 """

@@ -198,8 +198,7 @@ def _check_counts(data: dict[str, Any], settings: Settings) -> None:
 
 
 def _refuse_makers(scene: Scene) -> None:
-    """Refuse objects that come from a generator or from a file, which this process would have to
-    read.
+    """Refuse objects that are made by a generator or read from a file.
 
     Raises:
         InputError: The scene has such an object.

@@ -231,7 +231,7 @@ def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
 
 
 def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float) -> Estimate:
-    """Predict the time of a run by a short trial run with the object, which takes half a second.
+    """Predict the time of a run by a trial run with the object; the trial takes half a second.
 
     Args:
         gaussians: The object.

@@ -69,8 +69,8 @@ def extras() -> gr.HTML:
     """Create the panel of optional inputs; its value contains the inputs by option name.
 
     Events: "choose" names a picture uploaded for an option, "view" reports the end of its cut-out,
-    "change" a new value. Handlers set an answer, or the orientations of a file of Gaussians, as the
-    value, which the panel then replaces.
+    "change" a new value. Handlers set the value to an answer, or to the orientations of a file of
+    Gaussians; the panel then replaces this value.
     """
     return _panel("known", KNOWN, events="'choose' 'view' 'change'")
 
@@ -79,7 +79,7 @@ def others() -> gr.HTML:
     """Create the panel for pictures of further objects; it is empty if no object needs a picture.
 
     Events: "choose" names a picture uploaded for an object, "view" reports the end of its cut-out.
-    Handlers set an answer as the value; the pictures are stored in the scene.
+    Handlers set the value to an answer; the pictures are stored in the scene.
     """
     return _panel("others", OTHERS, events="'choose' 'view'")
 
@@ -105,7 +105,8 @@ def touch() -> gr.HTML:
 def forecast() -> gr.HTML:
     """Create the forecast panel; the event "measure" requests a measurement of the scene's error.
 
-    The value contains the forecast as HTML, and the number of the scene change that it belongs to.
+    The value contains the forecast as HTML, and the number of the scene change that the forecast
+    belongs to.
     """
     return _panel("forecast", HEAD, events="'measure'")
 

@@ -42,7 +42,7 @@ class Sent(ImageData):
 
 
 def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
-    """Create a `gr.Image` whose value is the path of the uploaded file, which is not decoded.
+    """Create a `gr.Image` whose value is the path of the uploaded file; the file is not decoded.
 
     Args:
         studio: Stores the pictures that requests contain.
@@ -81,7 +81,9 @@ class SentVideo(FileData):
 
 
 def film(**options: Any) -> gr.File:
-    """Create a `gr.File` whose value is the path of the uploaded video, which is not decoded."""
+    """Create a `gr.File` whose value is the path of the uploaded video; the video is not
+    decoded.
+    """
     file = gr.File(**options)
     file.data_model = SentVideo
 

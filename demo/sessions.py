@@ -1,8 +1,8 @@
 """Limit the number and size of Gradio's sessions.
 
 Gradio keeps up to 10,000 sessions until the server ends. Any request with a new name starts a
-session. In each session Gradio describes the page, which takes 0.3 MB and 0.1 s. Only deep links
-use this description.
+session. In each session Gradio describes the page; the description takes 0.3 MB and 0.1 s. Only
+deep links use this description.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """The named endpoints as tools of an MCP server (Model Context Protocol), for agents.
 
 The tools call the functions of the endpoints, so the same checks and limits apply. Gradio's MCP
-server is not used, because it stores pictures before their size is checked. In addition, all of its
-agents share one session, and /render cannot use a run of /generate. Source of the protocol:
-modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without sessions.
+server is not used, because it stores pictures before their size is checked. In addition, all agents
+of Gradio's server share one session, and /render cannot use a run of /generate. Source of the
+protocol: modelcontextprotocol.io, revision 2025-06-18, transport "Streamable HTTP" without
+sessions.
 """
 
 from __future__ import annotations
@@ -171,7 +172,7 @@ def _describe(tool: str, name: str, files: set[str]) -> str:
 class ToolServer:
     """Answers agents.
 
-    Each call of generate, or of measure without a run, creates a new visitor.
+    Each call of `generate` creates a new visitor, and so does a call of `measure` without a run.
     """
 
     def __init__(self, page: gr.Blocks, studio: Studio) -> None:

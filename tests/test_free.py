@@ -368,7 +368,7 @@ def scene(**changes) -> Scene:
         ({"objects": [{**FREE, "shape": "sphere"}]}, "Make all 3 sides equal"),
         (
             {"objects": [FREE, {**FREE, "name": "more", "place": [3, 0], "on": "floor"}]},
-            "box and more are both solids that move freely, between which contact is not computed",
+            "between box and more, two freely moving solids, is not computed",
         ),
         (
             {"object.held": True},

@@ -226,7 +226,7 @@ def _static(options: Options) -> Any:
 
 
 class Remarks:
-    """Messages about refused inputs, which are counted, logged at intervals and shown in the
+    """Counts the messages about refused inputs; they are logged at intervals and shown in the
     diagnostics.
     """
 

@@ -45,8 +45,8 @@ def make_live(
 ) -> tuple[Live, str]:
     """Create a live run; return the run and a sentence about its accuracy.
 
-    If the options set no accuracy, the grid is chosen for the speed of this machine. The speed
-    includes drawing cameras and encoding messages.
+    If the options set no accuracy, the grid is chosen for the speed of this machine. The time for
+    drawing the pictures of cameras and for encoding messages is taken into account.
 
     Args:
         source: A picture, a file of Gaussians or a clip.

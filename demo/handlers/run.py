@@ -79,7 +79,7 @@ def forecast_of(
 
 
 def show_refusal(error: InputError) -> str:
-    """Format the reason why a run is refused, which is shown instead of a forecast."""
+    """Format the reason why a run is refused; the page shows the reason instead of a forecast."""
     return f'<p class="refused">{escape(api_message(error))}</p>'
 
 

@@ -143,7 +143,7 @@ class Player:
         self._pause(False)
 
     def _save(self, _: Any) -> None:
-        """Send the session as a scene, which is shortened to the limits."""
+        """Send the session as a scene, after shortening it to the limits."""
         self._paused = True
         scene = self.live.session()
         kept = shorten_session(scene, self._what.most)

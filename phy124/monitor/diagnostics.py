@@ -72,8 +72,8 @@ class Diagnostics:
     def energy(self) -> float:
         """Sum of kinetic and elastic energy at the same time [J].
 
-        The value is the sum of m/2 v(t - dt/2) . v(t + dt/2) and psi(t). Leapfrog integration
-        conserves this sum exactly in a vibration.
+        The value is the sum of `m/2 v(t - dt/2) . v(t + dt/2)` and `psi(t)` over all particles.
+        Leapfrog integration conserves this sum exactly in a vibration.
         """
         return self.kinetic + self.elastic + self.lag
 

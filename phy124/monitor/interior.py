@@ -1,4 +1,4 @@
-"""Interior: adds Gaussians inside elastic material, which become visible if the material tears.
+"""Interior: adds Gaussians inside elastic material; they become visible if the material tears.
 
 Generators place Gaussians only on the surface of an object, so a torn object would show a hole. If
 material tears, inner particles that have lost a neighbour get round Gaussians in the colours of the

@@ -206,7 +206,7 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the effects report's row for contact forces, which cost less than the contact
+        """Return the effects report's row for contact forces; they cost less time than the contact
         itself.
         """
         return super().effect(subject)._replace(cost=Cost())
@@ -286,9 +286,7 @@ class LatticeShock(Observer):
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the clock of the lattices, which counts the substeps with artificial
-        viscosity.
-        """
+        """Bind to the lattices' clock, because it counts the substeps with artificial viscosity."""
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:

@@ -204,7 +204,7 @@ class Observer:
         """Continue under the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
-        """Return the time [s] of a frame if it needs no substeps, otherwise None."""
+        """Return the time [s] of the frame if the frame needs no substeps, otherwise None."""
         del index
 
     def before_frame(self, time: float) -> None:

@@ -107,7 +107,7 @@ class Track:
 
 
 class Recorded:
-    """Frames of a motion, which are computed when they are read."""
+    """Frames of a motion; each frame is computed when it is read."""
 
     def __init__(
         self,

@@ -2,12 +2,13 @@
 
 A grid does not resolve waves of one or two cells. Elastic material pushes such waves back, but
 plastic material keeps them: the rim of pressed plasticine would be wavy. Therefore, the
-displacement u and the gradient F of each particle are averaged over its neighbours at rest,
+displacement u and the gradient F of each particle are averaged over its neighbours at rest. The
+smooth weights w sum to 1:
 
-    u' = sum w_j u_j + (F' - 1) (X - sum w_j X_j),   F' = sum w_j F_j,
+    u' = sum w_j u_j + (F' - 1) (X - sum w_j X_j),   F' = sum w_j F_j.
 
-with smooth weights w that sum to 1. Smoothing does not change affine motions, even at the surface,
-where all neighbours are on one side.
+Smoothing does not change affine motions, even at the surface, where all neighbours are on one
+side.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Free bodies: freely moving rigid solids without particles, which exchange momentum with material.
+"""Free bodies: rigid solids without particles that move freely and exchange momentum with material.
 
 The position, orientation and motion of free bodies are stored on the device; phy124/kernels/free
 explains the mechanics. In each substep, the contact of free bodies with particle bodies is computed

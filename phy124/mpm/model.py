@@ -229,7 +229,9 @@ class Model:
 
     @property
     def dry_groups(self) -> tuple[Group, ...]:
-        """Groups of particles, except the groups of a liquid, which another solver moves."""
+        """Groups of particles without the groups of a liquid, because another solver moves the
+        liquid.
+        """
         return tuple(group for group in self.groups if group.body not in self.wet)
 
     @property

@@ -14,7 +14,9 @@ Task = Callable[[int, int], None]
 
 
 class Runner:
-    """Runs all workers, one after another or on separate threads, which wait between phases."""
+    """Runs all workers one after another, or on separate threads that wait for each other between
+    phases.
+    """
 
     def __init__(self, count: int, work: Task, timings: Timings) -> None:
         """Prepare the threads.

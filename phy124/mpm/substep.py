@@ -324,8 +324,8 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the launch with which a worker updates a part of a body's grid; default: the run's
-        clock.
+        """Return the launch that updates a worker's part of a body's grid, by default with the
+        run's clock.
         """
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta

@@ -142,7 +142,7 @@ def points_of(cells: Particles, points: Particles) -> Particles:
 
 
 def repeat_for_points(values: NDArray | None) -> NDArray | None:
-    """Repeat each cell's value [C] for the cell's eight points [8C]; return None for None."""
+    """Repeat each cell's value [C] for the cell's eight points [8C]; None remains None."""
     return None if values is None else np.repeat(values, PER_CELL, axis=0)
 
 

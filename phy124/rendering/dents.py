@@ -87,9 +87,10 @@ class Dents:
 
 
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
-    """Return the outward normals of a surface at points x [n,3] on it, m.
+    """Return the outward normals of a surface at its points x [n,3], m.
 
-    The normals are the directions in which the object, with its interior, becomes sparser.
+    The normals point in the direction in which the density of the object, with its interior,
+    decreases.
     """
     _, at, size = locate(x, cell)
     flat: Any = np.ravel_multi_index(tuple(at), size)

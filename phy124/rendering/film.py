@@ -225,7 +225,7 @@ class Loop:
 
 
 class Feed(Iterator[Picture]):
-    """A queue of the pictures of one video, which a thread encodes."""
+    """A queue of the pictures of one video; a thread encodes the pictures."""
 
     task: Future[Path]
     """The thread of the encoder."""

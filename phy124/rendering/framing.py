@@ -74,7 +74,7 @@ def _place(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 def still_camera(clip: Clip, view: View, side: str) -> Camera:
-    """Return the camera of a player, which does not move."""
+    """Return the camera of a player; this camera does not move."""
     return cameras(clip, view.model_copy(update={"follow": False}), side)[0]
 
 

@@ -107,7 +107,7 @@ class Shine:
         return (bool(self._parts) and self._cell > 0) or bool(self._matte or self._dents)
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
-        """Return the frame after adding the reflections that a camera sees to its colours."""
+        """Return the frame; its colours include the reflections that a camera sees."""
         start = time.perf_counter()
         with self._locks[frame.index % LOCKS]:  # a surface is computed once for all sides
             gaussians, normals = self._surface(frame)

@@ -255,7 +255,7 @@ def keep_headers() -> None:
 
 
 def headers_folder() -> Path:
-    """Return the folder of the headers, which is next to the kernels of the same version of Warp.
+    """Return the folder of the headers; it is next to the kernels of the same version of Warp.
 
     Each installation of Warp has a separate folder, because the compiler checks paths and times of
     headers.

@@ -40,8 +40,8 @@ def release(array: object) -> None:
 def trim() -> None:
     """Return freed memory to the system.
 
-    When the arrays of a frame are freed, they leave gaps between small objects, which the C library
-    keeps. In a long run, the gaps add up to the size of all frames.
+    When the arrays of a frame are freed, they leave gaps between small objects, and the C library
+    keeps these gaps. In a long run, the gaps add up to the size of all frames.
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this function
         ctypes.CDLL(None).malloc_trim(0)

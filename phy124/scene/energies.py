@@ -22,7 +22,7 @@ USUAL_THICKNESS = 0.2
 def energy(scene: Any, thickness: float | None = None) -> float:
     """Return twice the energy per mass that a scene may convert to strain [m^2/s^2].
 
-    The result is v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2)). Here v is the initial speed (with
+    The result is `v^2 + p^2 + 2 a h + sum(min(a L, a^2 t^2))`. Here v is the initial speed (with
     spin) plus the speed gained in impacts, and p is the speed of walls and grabs. A force causes
     the acceleration a during the time t. The object has the lift h and the size L. Wind accelerates
     an object at most to the speed of the wind.

@@ -151,7 +151,8 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the boundary, moving along this object's path, with which other objects collide.
+        """Return the boundary that represents this object in collisions; it moves along the
+        object's path.
 
         Args:
             pairs: The scene's pairs, which define friction and contact.
@@ -232,8 +233,8 @@ def check_free(objects: Sequence[Object], boundaries: Sequence[Any]) -> None:
         return
     if len(free) > 1:
         raise ValueError(
-            f"{free[0]} and {free[1]} are both solids that move freely, between which contact is "
-            f"not computed; remove the `motion` of one of them to simulate it with particles"
+            f"contact between {free[0]} and {free[1]}, two freely moving solids, is not computed; "
+            "remove the `motion` of one of them to simulate it with particles"
         )
     for item in objects:
         led = isinstance(item, SceneObject) and item.path is not None

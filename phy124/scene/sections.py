@@ -26,7 +26,9 @@ Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
 def _is(default: Any) -> Callable[[Any], bool]:
-    """Return a function that tests for a default value, which is not written into scene files."""
+    """Return a function that tests for a default value; default values are not written to scene
+    files.
+    """
     return lambda value: value == default
 
 

@@ -1,4 +1,4 @@
-"""Creates the visible Gaussians of each material, which do not affect the motion."""
+"""Creates the visible Gaussians of each material; these Gaussians do not affect the motion."""
 
 from __future__ import annotations
 

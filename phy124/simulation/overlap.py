@@ -104,7 +104,8 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 
 def refuse_sunken(solids: Sequence[FreeBody], planes: Sequence[Plane], model: Model) -> None:
-    """Check that no rigid solid starts behind a flat wall, which would push the solid out abruptly.
+    """Check that no rigid solid starts behind a flat wall; the wall would push the solid out
+    abruptly.
 
     Args:
         solids: The rigid solids.

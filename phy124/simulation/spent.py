@@ -1,4 +1,4 @@
-"""Measures the CPU time of a simulation, which `time.budget` limits.
+"""Measures the CPU time of a simulation; `time.budget` limits this time.
 
 The time of other programs is not counted, so other programs cannot stop a run.
 """

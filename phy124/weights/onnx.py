@@ -68,7 +68,7 @@ class OnnxNetwork:
             raise InputError("weights", self.path, limit, remedy)
 
     def __call__(self, *arrays: NDArray[Any]) -> list[NDArray[np.float32]]:
-        """Run the network on arrays, which are in the order of its inputs; return its outputs.
+        """Run the network on arrays in the order of the network's inputs; return the outputs.
 
         Raises:
             InputError: If the shapes of the arrays do not fit the network.

@@ -1,4 +1,4 @@
-"""Turns a 3DGS capture of a real place into an object that stands on its floor.
+"""Turns a 3DGS capture of a real place into an object that stands on the floor of this place.
 
 The floor is detected in the capture. The floor is visible but never moves. Contact is computed
 between the object and the scene's ground, which is at the same height as the floor. The object is

@@ -40,7 +40,7 @@ def compose(
     context: RunContext | None = None,
     **fields: Unpack[ContextOptions],
 ) -> tuple[Path, dict[str, Any]]:
-    """Write composed.mp4, which shows the moving object of a clip in its photograph.
+    """Write composed.mp4, which shows the moving object of a clip in the photograph.
 
     Args:
         clip: The clip of the object made from the photograph.

@@ -85,7 +85,7 @@ class Photograph:
         return Photograph(np.asarray(small), np.asarray(opaque))
 
     def erase_object(self) -> NDArray[np.uint8]:
-        """Return the photograph without its object, whose area is inpainted (Telea 2004)."""
+        """Return the photograph after replacing its object by inpainting (Telea 2004)."""
         import cv2
 
         height, width = self.alpha.shape

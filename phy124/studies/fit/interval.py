@@ -108,8 +108,8 @@ def find_unexplained(
 ) -> Values:
     """Return the error of the finest grid for each kind of measurement, relative to the misfit.
 
-    The model of a misfit m is m^2 = a^2 + (c h)^2. The error of the measurements, a, is the same on
-    all grids. The error of the grid, c h, is proportional to the spacing h. The misfits on two
+    The model of a misfit m is `m^2 = a^2 + (c h)^2`. The error of the measurements, a, is the same
+    on all grids. The error of the grid, c h, is proportional to the spacing h. The misfits on two
     grids determine c.
 
     Args:
@@ -129,7 +129,7 @@ def shift_values(
     The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
     (two to four singular values in synthetic tests). In the worst case, which is assumed here, the
     errors have the same effect on the measurements as a change of a value. In a least-squares fit,
-    errors of norm e then shift value i by e sqrt(((J^T J)^-1)_ii).
+    errors of norm e then shift value i by `e sqrt(((J^T J)^-1)_ii)`.
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.

@@ -67,7 +67,7 @@ class Player:
     def clip(self, scene: dict[str, Any]) -> Clip:
         """Simulate a scene, which is passed as plain data, and return its clip.
 
-        The simulation uses one thread, which makes it deterministic.
+        The simulation uses a single thread, so that the result is deterministic.
         """
         run = Simulation(
             prepare(self.gaussians, Scene.from_data(scene), RunContext(threads=1), crop=self.crop)

@@ -113,7 +113,7 @@ FEWEST = 3
 
 
 class Remaining:
-    """Estimates the remaining time of a run from the work of its clips and the speed so far."""
+    """Estimates the remaining time of a sweep from the work of its clips and the speed so far."""
 
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time

@@ -28,7 +28,7 @@ class Counted(Section, ABC):
 
     @abstractmethod
     def value(self, index: int) -> Any:
-        """Return the value at an index, which starts at 0."""
+        """Return the value at an index; indices start at 0."""
 
     def draw(self, u: float) -> Any:
         """Return the value for a number u in 0..1.
@@ -49,7 +49,7 @@ class Listed(Counted):
         return len(self.values)
 
     def value(self, index: int) -> Any:
-        """Return the value at an index, which starts at 0."""
+        """Return the value at an index; indices start at 0."""
         return self.values[index]
 
 
@@ -75,7 +75,7 @@ class Range(Counted):
         return self.count_
 
     def value(self, index: int) -> float:
-        """Return the value at an index, which starts at 0."""
+        """Return the value at an index; indices start at 0."""
         part = index / (self.count - 1) if self.count > 1 else 0.0
         return interpolate(self.first, self.last, part, log=self.spacing == "log")
 

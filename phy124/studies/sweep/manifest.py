@@ -138,7 +138,7 @@ def _names(storage: Storage) -> Iterator[str]:
 
 
 def _key(name: str) -> str:
-    """Return the key of a clip, which is part of the name of its row file."""
+    """Return the key of a clip from the name of the clip's row file."""
     return PurePosixPath(name).name.partition(".")[0]
 
 

@@ -94,7 +94,7 @@ def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array
 
 
 def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Return flat Gaussians on a sphere, whose colours depend on the direction from the centre.
+    """Return flat Gaussians on a sphere; their colours depend on the direction from the centre.
 
     Args:
         count: Number of Gaussians.

@@ -52,7 +52,7 @@ def angular_momentum(solver: Solver | LatticeSolver) -> Array:
 
 
 def fall(position: Array, velocity: Array, time: float) -> Array:
-    """Return the exact positions in free fall: x + v t, with g t^2 / 2 subtracted along z."""
+    """Return the exact positions in free fall: `x + v t`, with `g t^2 / 2` subtracted along z."""
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
@@ -112,7 +112,9 @@ def _kinetic(solver: Solver) -> float:
 
 
 def bar_frequency(E: float, density: float, length: float) -> float:
-    """Return the exact frequency of a free bar's first mode, pi c / L [rad/s], c^2 = E / rho."""
+    """Return the exact frequency of a free bar's first mode: `pi c / L` [rad/s] with `c^2 = E /
+    rho`.
+    """
     return math.pi / length * math.sqrt(E / density)
 
 
@@ -197,7 +199,7 @@ class Vortex:
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return a stage for the substeps, which applies the body force of the exact motion."""
+        """Return a stage that applies the body force of the exact motion in each substep."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)

@@ -65,8 +65,8 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 def free_fall(fine: bool) -> Iterator[Verdict]:
     """Check that a thrown body follows the exact parabola up to rounding.
 
-    The exact parabola requires that the first substep updates the velocities only by half a substep
-    (leapfrog).
+    The parabola is exact only if the first substep advances velocities by half a substep, as in
+    leapfrog integration.
     """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):

@@ -93,7 +93,7 @@ def elastica_drop(load: float) -> float:
 def heavy_elastica_drop(load: float) -> float:
     """Return the tip deflection divided by the beam's length, for a beam under its own weight.
 
-    The deflection is computed from theta'' = -load (1 - s) cos theta by the shooting method.
+    The equation `theta'' = -load (1 - s) cos theta` is solved by the shooting method.
 
     Args:
         load: rho g A L^3 / E I.
@@ -111,7 +111,7 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return a load P at the beam's tip; the profile contains values of P L^2 / (E I).
+    """Return a load P at the beam's tip; the factors of the profile are `P L^2 / (E I)`.
 
     Args:
         width: Width of the beam [m].
@@ -123,7 +123,7 @@ def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return gravity on the whole beam; the profile contains values of rho g A L^3 / (E I).
+    """Return gravity on the whole beam; the factors of the profile are `rho g A L^3 / (E I)`.
 
     Args:
         width: Not used.
@@ -159,7 +159,7 @@ def make_band(
 
 
 def first_frequency() -> float:
-    """Return the lowest frequency of a slender beam, 1.875^2 sqrt(E I / rho A L^4) [rad/s]."""
+    """Return the lowest frequency of a slender beam: `1.875^2 sqrt(E I / (rho A L^4))` [rad/s]."""
     return 1.8751**2 * math.sqrt(STIFFNESS / (DENSITY * THICKNESS)) / LENGTH**2
 
 

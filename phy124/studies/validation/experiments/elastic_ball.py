@@ -37,7 +37,7 @@ DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
 class Law:
     """Contact force of a ball on a plate as a function of the indentation depth.
 
-    The force is Hertz's force times 1 + a s + b s^2 + ..., where s^2 is the depth divided by the
+    The force is Hertz's force times `1 + a s + b s^2 + ...`, where s^2 is the depth divided by the
     radius.
     """
 
@@ -47,7 +47,7 @@ class Law:
     """Coefficients a, b, ...; empty for Hertz's law, which treats both bodies as half-spaces."""
 
     def force(self, depth: float) -> float:
-        """Return the force divided by E R^2; `depth` is relative to the radius."""
+        """Return the force, divided by `E R^2`; `depth` is relative to the radius."""
         powers = (term * depth ** (k / 2) for k, term in enumerate((1.0, *self.terms)))
         return 4 / 3 / (1 - self.nu**2) * depth**1.5 * sum(powers)
 
@@ -173,7 +173,7 @@ class Elements:
 
 
 def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int = 16) -> Array:
-    """Return the force on the plate divided by E R^2, for each depth.
+    """Return for each depth the force on the plate, divided by `E R^2`.
 
     Args:
         depths: Ascending displacements of the plate towards the middle of the ball, relative to the

@@ -19,14 +19,13 @@ RADIUS, E, NU = 0.5, 1e5, 0.3
 DEPTHS = (0.03, 0.05)
 """Indentation depths of each plate in the ball [m]."""
 PLACES = (0.0, 0.5)
-"""Final positions of the plate relative to a node [cells]; the forces are averaged.
-"""
+"""Final positions of the plate relative to a node [cells]; the forces are averaged."""
 MOVE, HOLD = 0.4, 0.4
 """Duration for which the plate moves, and duration for which it then rests [s]."""
 
 
 def hertz(depth: float) -> float:
-    """Return Hertz's force, 4/3 E / (1 - nu^2) sqrt(R) d^(3/2) [N], at a depth [m]."""
+    """Return Hertz's force at a depth d [m]: `4/3 E / (1 - nu^2) sqrt(R) d^(3/2)` [N]."""
     return 4 / 3 * E / (1 - NU**2) * math.sqrt(RADIUS) * depth**1.5
 
 

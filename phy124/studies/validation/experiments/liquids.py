@@ -23,8 +23,7 @@ DEPTH, WAVE, PERIODS = 0.5, 0.05, 5
 SAMPLES = 60
 """Number of samples per period of the wave."""
 GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
-"""Distance of the plates [m], kinematic viscosity [m^2/s], gravity [m/s^2], duration [s].
-"""
+"""Distance of the plates [m], kinematic viscosity [m^2/s], gravity [m/s^2], duration [s]."""
 RADIUS, THICK, LONGER = 6.0, 0.45, 4.0
 """Radius of the heap [m], its kinematic viscosity [m^2/s], and ratio of the last time to the first.
 
@@ -66,7 +65,9 @@ def solver_of(
 
 
 def frequency() -> float:
-    """Return the frequency of the first mode, omega^2 = g k tanh(k h) with k = pi / L [Hz]."""
+    """Return the frequency [Hz] of the first mode, from `omega^2 = g k tanh(k h)` with `k = pi /
+    L`.
+    """
     return float(np.sqrt(GRAVITY * np.pi * np.tanh(np.pi * DEPTH)) / (2 * np.pi))
 
 

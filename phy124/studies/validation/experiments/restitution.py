@@ -84,7 +84,7 @@ def duration(depth: float) -> float:
 
 
 def solve_theory(loss: float, depth: float, law: Law) -> Bounce:
-    """Integrate the motion of a ball under the contact force max(0, F + loss dF/dt).
+    """Integrate the motion of a ball under the contact force `max(0, F + loss dF/dt)`.
 
     Args:
         loss: damping / mu, in units of Hertz's contact time.

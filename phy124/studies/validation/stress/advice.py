@@ -115,7 +115,7 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
-    """Return a scene on the particle solver, whose substeps are proportional to `cfl`."""
+    """Return a scene on the particle solver, because its substeps are proportional to `cfl`."""
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
     wrong = scene.resolution.model_copy(update=update)

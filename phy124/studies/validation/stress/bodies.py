@@ -95,7 +95,8 @@ def stable_dt(solver: Solver) -> float:
 def steps(solver: Solver, count: int, dt: float) -> None:
     """Take substeps of fixed length.
 
-    The first substep of a run updates velocities by half a substep only (leapfrog).
+    The first substep of a run advances velocities by half a substep, as leapfrog integration
+    requires.
 
     Args:
         solver: The solver to advance.

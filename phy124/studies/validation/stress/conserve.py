@@ -70,8 +70,8 @@ def units(setting: Setting) -> list[Check]:
 def free_fall(setting: Setting) -> list[Check]:
     """Check that a falling body follows the exact parabola, up to rounding.
 
-    The exact parabola requires that the first substep updates velocities by only half a substep
-    (leapfrog).
+    The parabola is exact only if the first substep advances velocities by half a substep, as in
+    leapfrog integration.
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])
@@ -164,7 +164,7 @@ def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver
 
 
 def covariances(setting: Setting) -> list[Check]:
-    """Check that covariances of flat Gaussians equal F Sigma0 F^T after a long motion.
+    """Check that the covariances of flat Gaussians equal `F Sigma0 F^T` after a long motion.
 
     The expected covariances are computed in double precision.
     """

@@ -104,7 +104,7 @@ def disturb(
 
 
 def _stiffness(material: NeoHookean) -> float:
-    """Return sqrt(A) = sqrt(2 mu + 3 lambda) at rest, computed independently of the solver."""
+    """Return `sqrt(A) = sqrt(2 mu + 3 lambda)` at rest, computed independently of the solver."""
     mu = material.E / (2 * (1 + material.nu))
     lam = material.E * material.nu / ((1 + material.nu) * (1 - 2 * material.nu))
     return math.sqrt(2 * mu + 3 * lam)

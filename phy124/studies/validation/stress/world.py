@@ -90,7 +90,9 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Check that repeated runs give equal results, which depend little on the number of threads."""
+    """Check that repeated runs give equal results, and that the number of threads hardly affects
+    them.
+    """
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
