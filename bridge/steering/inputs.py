@@ -39,7 +39,9 @@ log = logging.getLogger(__name__)
 
 
 def centre_frame(options: Options) -> str:
-    """Return the name of the frame at the object's centre of mass, with the axes of the world."""
+    """Return the name of the coordinate frame at the object's centre of mass; its axes are the
+    world's.
+    """
     return f"{options.frame_id}_com"
 
 

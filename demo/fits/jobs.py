@@ -1,4 +1,4 @@
-"""Jobs that fit a result to a video: one at a time for each visitor, limited in total."""
+"""Jobs that fit a result to a video; the number of jobs per visitor and in total is limited."""
 
 from __future__ import annotations
 

@@ -273,7 +273,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum at the time when the open sums were cleared, and the impulses of walls
+        """Store the momentum at the last time when the sums were cleared, and the walls' impulses
         since then.
         """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
@@ -286,7 +286,9 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return stages before and after the `stages` of forces on particles."""
+        """Return two stages: one that runs before the forces in `stages`, and one that runs after
+        them.
+        """
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy, sums = push_kernels(model.real, keeps_C)

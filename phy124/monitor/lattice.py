@@ -104,8 +104,8 @@ class LatticeWork(MeanWork):
     """Computes the external impulse and work from the solver's sums for walls and forces on points.
 
     If there are other forces, the work of a constant acceleration is also summed in every substep.
-    The product of acceleration and displacement would refer to the time of the positions. In a wind
-    against gravity, in a frame of two substeps, the difference was 32 % of the energy.
+    The product of acceleration and displacement would refer to the time of the positions. For a
+    wind against gravity and a frame of two substeps, the difference was 32 % of the energy.
     """
 
     @classmethod

@@ -392,7 +392,7 @@ class Watchdog(Observer):
         return stiffest * volume * strain**2
 
     def _momentum_scale(self, now: Diagnostics) -> float:
-        """Return an upper bound of the sum of the norms of all momenta [kg m/s]."""
+        """Add up the norms of all momenta, and return an upper bound of this sum [kg m/s]."""
         return math.sqrt(2 * self.model.total_mass * now.kinetic)
 
     def _who(self, index: int) -> str:

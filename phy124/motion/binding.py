@@ -115,10 +115,10 @@ def find_carriers(
     """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
     The weight at the distance d is proportional to (1 - (d / R)^2)^2, where R is the distance of
-    the nearest particle that is not chosen. R is limited to twice the distance of the farthest
-    chosen particle, and to the larger of `farthest` and twice the distance of the nearest particle
-    [m]. The weights vary smoothly in space, since a particle enters and leaves the chosen set with
-    weight 0. If there are fewer than K particles, the last weights are 0.
+    the nearest particle that is not chosen. R has two upper limits: twice the distance of the
+    farthest chosen particle, and the maximum of `farthest` and twice the distance of the nearest
+    particle [m]. The weights vary smoothly in space, since a particle enters and leaves the chosen
+    set with weight 0. If there are fewer than K particles, the last weights are 0.
     """
     low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
     extent = np.maximum(high - low, 1e-9)

@@ -77,8 +77,8 @@ class Clock:
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] between the time of the velocities and of the
-        positions.
+        """Return the kinetic energy at the time of the positions, minus that at the time of the
+        velocities [J].
 
         Args:
             power: Power of the stress [W].

@@ -1,4 +1,5 @@
-"""Computes the depth of points inside a solid on the host, like `phy124.kernels.distance`.
+"""Computes on the host how deep points lie in a solid, like `phy124.kernels.distance` on the
+device.
 
 A shape is defined by three vectors, as in `phy124.kernels.distance`, and the depth is minus the
 signed distance. `tests/test_depth.py` compares the two modules.

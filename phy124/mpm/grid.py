@@ -152,7 +152,9 @@ class Grid:
         return slice(*(particles * end // self.workers for end in ends))
 
     def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the first node (in the window) and extent of the nodes in a box [m]."""
+        """Return the first of the window's nodes in a box [m], and the number of these nodes along
+        each axis.
+        """
         low, size = self.low, self.size
         start = np.floor(np.clip((lower - self.origin) / self.dx - low, 0, size)).astype(int)
         stop = np.ceil(np.clip((upper - self.origin) / self.dx - low + 1, 0, size)).astype(int)

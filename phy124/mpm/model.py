@@ -212,8 +212,8 @@ class Model:
         return model.rest[model.named(name)]
 
     def top_of(self, name: str | None) -> float:
-        """Return the height of the top of a body [m], or of all bodies and free solids if the name
-        is None.
+        """Return the height [m] of the highest point of a body; None means all bodies and free
+        solids.
         """
         model = self if self.whole is None else self.whole
         heights = [height for key, height in model.tops.items() if name in (None, key)]

@@ -332,7 +332,9 @@ def run_launches(timings: Timings, named: Sequence[Named]) -> None:
 
 
 def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
-    """Return the index of each point's layer of cells of size dx [m] along an axis [P]."""
+    """Cells of size dx [m] form layers along an axis; return the index of each point's layer
+    [P].
+    """
     layer = np.floor((x[:, axis] - x[:, axis].min()) / dx)
     return np.minimum(layer, np.iinfo(np.int16).max).astype(np.int16)
 

@@ -290,7 +290,7 @@ def _find_clumps(
     index: NDArray, place: NDArray, clear: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return each voxel's clump [V], distinct pairs of clumps that touch [M,2], and the number of
-    contacts of voxels in each pair [M].
+    contacts between their voxels [M].
 
     Args:
         index: Indices of the voxels [V,3].

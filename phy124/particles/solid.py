@@ -331,7 +331,7 @@ def _dilate(mask: Mask, radius: int) -> Mask:
 def _trim_surface(
     fraction: NDArray[np.float32], region: Mask, outside: Mask, grid: _Voxels
 ) -> None:
-    """Set the filled fractions of the surface voxels that contain samples, in place."""
+    """Set, in place, the filled fractions of the surface voxels that contain samples."""
     surface = region & _dilate(outside, 1)
     at = grid.points.astype(np.int32)
     here = surface[tuple(at.T)]

@@ -1,4 +1,5 @@
-"""Computes outward normal, centre and second moments of the filled part of each voxel of a body.
+"""Computes for each voxel of a body its normal, and the centre and second moments of the filled
+part.
 
 A partly filled voxel is cut by a plane with the voxel's normal. In a sheet that is thinner than a
 voxel, the voxel is cut by two parallel planes, and at the rim of the sheet by a third plane across

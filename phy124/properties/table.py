@@ -196,7 +196,7 @@ def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
 
 
 def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:
-    """Return the names of the laws, which the file contains as names or as numbers."""
+    """Return the names of the laws; in the file, laws are stored as names or as numbers."""
     if values.dtype.kind in "US":
         return values.astype(str)
     numbers = np.unique(values)

@@ -1,8 +1,8 @@
 """Assigns materials to particles, by parts of the scene, a properties file, or a stiffness field.
 
-A part is selected by a box in space, by a segmentation mask of the picture, by Gaussians, or by a
-combination. Later parts override earlier parts. Particles outside all parts have the scene's
-material. Static parts have no particles.
+A part is selected by a box in space, by a mask of the picture, by Gaussians, or by several of
+these. Later parts override earlier parts. Particles outside all parts have the scene's material.
+Static parts have no particles.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
 def find_tops(
     names: Sequence[str], surface: NDArray | None, free: Sequence[FreeBody]
 ) -> dict[str, float]:
-    """Return the height of the surface of each body on a lattice and of each free solid [m].
+    """Return the height [m] of the top of each free solid and of each body on a lattice.
 
     Args:
         names: Names of the bodies.

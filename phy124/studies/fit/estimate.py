@@ -57,9 +57,9 @@ class Estimate:
         """Return the best point on a grid [P], and the half-width of its intervals [P].
 
         The values are extrapolated to a grid with this number of cells; infinity means a grid
-        without error. The uncertainty of an extrapolated value is assumed to be as large as the
-        extrapolation's shift of this value, and at least `model`. This systematic error is added to
-        the error from the measurements.
+        without error. The uncertainty of an extrapolated value is assumed to equal the shift by the
+        extrapolation, but to be at least `model`. This systematic error is added to the error from
+        the measurements.
 
         Args:
             cells: Number of cells across the object; may be infinite.
