@@ -59,8 +59,8 @@ class Limits:
         self.tell(event)
         if self.spent > SIMULATING:
             raise Stopped(
-                f"the {self.order.seconds:.0f} s that a run may take were nearly over, so only "
-                f"the frames computed until then were kept. {easier(self.order.scene)}"
+                f"the time limit of {self.order.seconds:.0f} s was nearly reached, so only the "
+                f"frames computed until then were kept. {easier(self.order.scene)}"
             )
 
     @property

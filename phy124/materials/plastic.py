@@ -105,7 +105,7 @@ class Plasticine(Elastic):
         if self.softening >= 3 * mu:
             raise ValueError(
                 f"softening {self.softening:g} Pa must be below 3 mu = {3 * mu:g} Pa, or yielding "
-                "has no unique result; lower it or raise E"
+                "has no unique result; lower the softening or raise E"
             )
         return self
 

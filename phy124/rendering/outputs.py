@@ -396,7 +396,7 @@ def _description(
         "camera": "OpenCV: x right, y down, z forward; the centre of pixel (i, j) is "
         "(i + 0.5, j + 0.5)",
         "walls": "force [N] of the object on each wall, and torque about the object's "
-        "centre of mass [N m], in the world's axes; the sum of the forces is minus the sum of "
+        "centre of mass [N m], in the world's axes; the sum of the forces equals minus the sum of "
         "the output `force`",
         "uncovered": "0 in all channels; for forces, all pixels are covered",
         "outputs": outputs,

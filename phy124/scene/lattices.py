@@ -61,7 +61,9 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
             return PARTICLES_ONLY if floats else "lattices are for elastic materials"
     needed = _needs_lattice(scene)
     if accuracy.precision == "float64" and not needed:
-        return f"accuracy.precision is {accuracy.precision}, in which lattices are slower"
+        return (
+            f"accuracy.precision is {accuracy.precision}, and lattices are slower in this precision"
+        )
     if scene.properties is not None and not needed:
         return "its materials are in a file"
     reason = reason_for_particles(scene)

@@ -154,5 +154,5 @@ def _cfl_note(run: Run) -> list[str]:
     gain = beside_elastic(CFL) / max(beside_elastic(cfl), 1e-9)
     return [
         "Viscosity limits the substeps, in particular if accuracy.cfl is close to 1. With "
-        f"accuracy.cfl = {CFL:g} instead of {cfl:g} they would be {gain:.2g} times as long."
+        f"accuracy.cfl = {CFL:g} instead of {cfl:g} the substeps would be {gain:.2g} times as long."
     ]

@@ -93,7 +93,7 @@ def below_zero(setting: Setting) -> list[Check]:
     limit = 1e-12 if setting.double else 1e-5
     return [
         at_most(
-            f"difference to the same object placed {n} cells away", relative(run(n), usual), limit
+            f"difference from the same object placed {n} cells away", relative(run(n), usual), limit
         )
         for n in (0, -1, -64)
     ]
@@ -149,7 +149,10 @@ def odd_gaussians(setting: Setting) -> list[Check]:
             at_least(f"{name}: least volume", float(made.volume.min()), 1e-12),
             at_most(f"{name}: mass error", abs(made.mass.sum() / wanted - 1), 1e-6),
         ]
-    return [*checks, equal("zero volume and mass are refused", _refuses_nothing(setting))]
+    return [
+        *checks,
+        equal("particles of zero volume or mass are refused", _refuses_nothing(setting)),
+    ]
 
 
 def _refuses_nothing(setting: Setting) -> bool:

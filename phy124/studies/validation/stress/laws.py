@@ -133,7 +133,7 @@ def heap(setting: Setting) -> list[Check]:
     s.advance(1.0)
     return [
         *checks,
-        at_most("slope after a heap of 45 degrees collapses [degrees]", slope(s), 25.0),
+        at_most("slope of a heap of 45 degrees after its collapse [degrees]", slope(s), 25.0),
     ]
 
 
