@@ -1,7 +1,7 @@
 """A pinhole camera with pixel centres at half-integers, and the four views of the paper.
 Only this module defines the camera's axes. The axes are OpenCV's: x right, y down, z forward. Pixel
 (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j + 0.5). The optical axis meets the
-image at (width/2, height/2) unless it is shifted.
+image at (width/2, height/2) unless the axis is shifted.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FOV_Y = 49.1
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera at `eye` that looks at `target`; world z points up in its image."""
+    """A pinhole camera at `eye` that looks at `target`; world z points up in the image."""
 
     eye: tuple[float, float, float]
     """Position, m."""

@@ -1,4 +1,4 @@
-"""Declares exceptions that no bug causes: bad input, cancellation, partial results."""
+"""Declares exceptions that do not indicate a bug: bad input, cancellation, partial results."""
 
 from __future__ import annotations
 

@@ -332,8 +332,7 @@ def in_time(
     crop: Crop = WHOLE,
     forecaster: Forecaster | None = None,
 ) -> tuple[Scene, Forecast]:
-    """Return the scene on the finest grid whose predicted time is within a maximum, and the
-    forecast.
+    """Return the scene on the finest grid whose predicted time is short enough, and the forecast.
 
     The forecasts need only short trial runs.
 

@@ -146,7 +146,7 @@ class Lost(Exception):
 def with_own_error(
     run: Simulation, clip: Clip, *, omit: str = "", goal: Mapping[str, Any] | None = None
 ) -> Clip:
-    """Return the clip of a run, whose report contains the estimated error of the run.
+    """Return the clip of a run, with the estimated error of the run in the clip's report.
 
     Args:
         run: The run.
@@ -186,7 +186,7 @@ def _measured_for(goal: Mapping[str, Any]) -> OwnError:
 
 
 def measure_error(run: Simulation, clip: Clip) -> OwnError:
-    """Return the error of a finished run, if the companion run takes little time.
+    """Estimate the error of a finished run, unless the companion run would take too long.
 
     Args:
         run: The run.
@@ -323,7 +323,7 @@ def _sample(setup: Setup) -> NDArray[np.int64]:
 
 
 def _distances(setup: Setup, clip: Clip, indices: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Make the companion run; return its RMS distance [m] from a clip in each frame [T]."""
+    """Make the companion run; return the RMS distances [T], m, between its frames and a clip's."""
     look = setup.appearance
     chosen = (np.cumsum(look.moves) - 1)[indices]
     limits: dict[str, Any] = {name: values[chosen] for name, values in look.limits().items()}

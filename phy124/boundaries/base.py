@@ -348,7 +348,8 @@ def lightest(model: Model) -> float:
     """Return the mass of a node inside the lightest material [kg]; infinite for elastic materials.
 
     In a material that yields, cells may contain up to 1.6 times as many particles as at rest
-    without being compressed. A heavier cell of elastic material is always compressed.
+    without being compressed. A cell of elastic material that is heavier than at rest is always
+    compressed.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
@@ -362,7 +363,7 @@ def contact_mass_fraction(model: Model) -> float:
     The fraction is 0.9 for solids, so contact begins 0.07 cells before the surfaces meet. With a
     smaller fraction, solids are too stiff at first contact. With a larger fraction, columns with
     few particles sink into the wall. The fraction is 0.8 for materials that yield, because their
-    particles are spaced less regularly; contact begins 0.15 cells early.
+    particles are spaced less regularly. Contact then begins 0.15 cells early.
     """
     return 0.8 if yields(model) else 0.9
 
@@ -397,7 +398,7 @@ def swept(corners: Corners, track: Track) -> Corners:
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Return the corners [m] of a half-space's bounding box: all space if the normal is oblique."""
+    """Return the corners [m] of a half-space's bounding box (all space for an oblique normal)."""
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:

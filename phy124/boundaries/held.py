@@ -32,7 +32,7 @@ class Clamp(Movable):
     )
 
     def track(self, model: Rest) -> Track | None:
-        """Return the displacement [m] until the release; None if it neither moves nor ends."""
+        """Return the displacement [m] until the release; None for a permanent clamp at rest."""
         track = super().track(model)
         if self.end is None:
             return track

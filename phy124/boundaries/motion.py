@@ -25,7 +25,7 @@ class Motion(Section):
     )
 
     def track(self) -> Track:
-        """Return the displacement over time [m]; its rate is the velocity of the wall [m/s]."""
+        """Return the displacement [m] over time; its derivative is the wall's velocity [m/s]."""
         raise NotImplementedError
 
 
@@ -75,7 +75,7 @@ class Swing(Motion):
     )
 
     def track(self) -> Track:
-        """Return the track of one period, to be repeated; it starts at zero displacement."""
+        """Return the track of one period, which is repeated and starts at zero displacement."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(

@@ -188,7 +188,7 @@ def note_costs(scene: Scene) -> list[str]:
 
 
 def _note_speed(scene: Scene) -> str | None:
-    """Return a note if the objects may become so fast that the run takes long, or None."""
+    """If the objects may become so fast that the run takes long, return a note, else None."""
     substeps, seconds = count_substeps(scene), USUAL["cpu"].seconds(Work.of(scene))["simulate"]
     ratio = substeps / max(rest_substeps(scene), scene.time.frames)
     if ratio < MANY or seconds < LONG:
@@ -202,7 +202,7 @@ def _note_speed(scene: Scene) -> str | None:
 
 
 def _note_stiffest_part(scene: Scene) -> str | None:
-    """Return a note if one material needs many more substeps than the others, or None.
+    """If one material needs many more substeps than the others, return a note, else None.
 
     Projected liquids are ignored, since their steps do not depend on a stiffness.
     """

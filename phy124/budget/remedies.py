@@ -104,7 +104,7 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
 
 
 def _damp(scene: Scene) -> Remedy | None:
-    """Return the remedy that damps a body on a lattice until it recovers from compression."""
+    """Return the remedy that damps a body on a lattice until the body recovers from compression."""
     material = scene.material
     damping = getattr(material, "damping", None)
     if not scene.on_lattice or damping is None or scene.properties is not None:

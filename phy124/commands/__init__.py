@@ -1,5 +1,5 @@
 """Declares one class per command of the command line. The fields of a class are the command's
-options, and its method `run` does the work. A command's module is imported only when the command is
+options, and the method `run` does the work. A command's module is imported only when the command is
 run.
 """
 

@@ -63,7 +63,7 @@ USES = {
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
-    """Refuse a file if only another command takes files of its kind.
+    """Refuse a file of a kind that only another command takes.
 
     Raises:
         InputError: The file is meant for another command.

@@ -227,7 +227,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points on a mesh and check its resolution; this runs in a separate process.
+    """Sample points on a mesh and check the mesh's resolution, in a separate process.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -254,7 +254,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return a mesh's pieces that have triangles, in the scene's axes, and all shapes of the file.
+    """Return the pieces with triangles in the scene's axes, and the shapes of all nodes.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -378,7 +378,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return the colours [N,3 or 4] in 0..255 of points on a piece; None if it has no colours."""
+    """Return the colours [N,3 or 4] in 0..255 of points on a piece, or None without colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

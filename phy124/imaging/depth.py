@@ -80,7 +80,7 @@ def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def whole_patches(length: float) -> int:
-    """Round a length to the nearest multiple of `PATCH`, which is at least `PATCH` [pixels]."""
+    """Round a length [pixels] to the nearest multiple of `PATCH`, but not to zero."""
     return max(PATCH, round(length / PATCH) * PATCH)
 
 

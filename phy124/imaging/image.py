@@ -224,7 +224,7 @@ def _read(path: Path) -> bytes:
 
 
 def _refusal(limit: str, remedy: str) -> Unusable:
-    """Return an `Unusable` error; its limit starts with a lower-case letter."""
+    """Return an `Unusable` error whose text `limit` starts with a lower-case letter."""
     return Unusable(limit[0].upper() + limit[1:], remedy)
 
 

@@ -41,7 +41,7 @@ class Objects(NamedTuple):
 
     @classmethod
     def of(cls, alpha: Alpha) -> Objects:
-        """Separate the objects of an alpha [H,W] that is opaque somewhere."""
+        """Separate the objects of an alpha [H,W], which must be opaque somewhere."""
         solid = alpha > 127
         reach = 2 * max(1, round(GAP * max(alpha.shape) / 2)) + 1
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))

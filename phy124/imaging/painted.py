@@ -1,4 +1,4 @@
-"""Samples a grey image at points of an object; the user painted it over the object's image."""
+"""Samples a grey image, which a user painted over an object's image, at points of the object."""
 
 from __future__ import annotations
 

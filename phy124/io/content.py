@@ -295,7 +295,7 @@ def content_of(
 def assign_objects(
     ids: NDArray | None, means: NDArray[np.float32]
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
-    """Return the object index of each Gaussian, or None if there are no objects, and notes.
+    """Return the object index of each Gaussian (None if there are no objects), and notes.
 
     A Gaussian without an object is assigned to the object of the nearest Gaussian that has one.
 

@@ -2,11 +2,11 @@
 
 H.264 in MP4 is for players, and PNG files are for video editors.
 
-VP9 in WebM and ProRes 4444 in MOV may be transparent, for editing. GIF and animated WebP are for
-chats. Frames are streamed into the encoder while they are rendered. MP4 files have the pixel format
-yuv420p. Frames are converted to ITU-R BT.709 with limited range, as stated in the tags of the file.
-Without tags, players assume BT.709 only for HD videos. The index is at the front of the file, so
-that playback can start before the whole file is downloaded.
+VP9 in WebM and ProRes 4444 in MOV are for editing, and may be transparent. GIF and animated WebP
+are for chats. Frames are streamed into the encoder while they are rendered. MP4 files have the
+pixel format yuv420p. Frames are converted to ITU-R BT.709 with limited range, as stated in the tags
+of the file. Without tags, players assume BT.709 only for HD videos. The index is at the front of
+the file, so that playback can start before the whole file is downloaded.
 """
 
 from __future__ import annotations

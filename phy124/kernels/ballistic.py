@@ -1,4 +1,4 @@
-"""Moves particles outside the grid, on which only the uniform acceleration acts.
+"""Moves particles outside the grid; only the uniform acceleration acts on such particles.
 
 A particle that is outside the grid during the scatter counts as outside for the whole substep.
 Before the gather, such a particle is moved far outside the window ("hidden") so that the gather

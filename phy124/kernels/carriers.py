@@ -70,7 +70,7 @@ def find_carriers(
 
     R is the distance to the nearest particle that was not chosen, within limits (see
     `phy124.motion.binding.find_carriers`). If there are fewer particles than requested, the missing
-    ones have weight 0.
+    particles have weight 0.
     """
     n = wp.tid()
     point = points[n]

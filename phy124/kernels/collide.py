@@ -117,7 +117,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     of a fully covered node in the lightest of several materials [kg], or infinite. `full` is the
     fraction of the expected mass above which material counts as touching the wall. In columns that
     the wall does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
-    changes `grid_out`, other walls change `changes_out` (see `make_settle`).
+    changes `grid_out`; other walls change `changes_out` (see `make_settle`).
 
     If `updating` is set, one kernel performs both a flat wall and the grid update: it reads momenta
     from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle the
@@ -397,8 +397,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
 
 @build_once
 def make_collider(shape: str, response: str, moving: bool, real: Any):
-    """Kernel over the nodes of a sub-box that applies a wall's response to the nodes inside the
-    wall's shape.
+    """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside the wall's
+    shape.
 
     A node counts as inside if its signed distance is below `reach` [m]. A moving shape is displaced
     by the value of its track, and its wall moves at the track's rate, while the track is active.

@@ -1,4 +1,4 @@
-"""Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, RPIC increases it.
+"""Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, and RPIC increases it.
 
 The grid cannot represent the whole motion of the particles. The rest of the motion is called the
 fluctuation. APIC discards the fluctuation in every substep, and thus damps the motion. The

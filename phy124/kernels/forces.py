@@ -89,7 +89,7 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick * g d / r to v; g is linear inside `radius`, 1 / d^2 outside."""
+    """Kernel: adds kick * g d / r to v; g is linear up to `radius`, and falls as 1 / d^2 beyond."""
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)

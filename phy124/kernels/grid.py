@@ -63,8 +63,8 @@ for vec4 in (wp.vec4, wp.vec4d):
         first: int,
         end: int,
     ) -> int:
-        """Return the first k >= `first` at which the velocities of two rows differ, or `end` if
-        they are equal.
+        """Return the first k >= `first` at which the velocities of two rows differ, or `end` if the
+        rows are equal.
         """
         ...
 
@@ -99,9 +99,9 @@ def make_merge(real: Any):
     """Kernel over rows of nodes: adds up the private nodes to which several workers scattered.
 
     Each worker has a box of private nodes within the window. `boxes` contains the lowest node and
-    the extent of each box, and `starts` the index in `pool` of each box's first node. The nodes of
-    a box are stored in the same order as the nodes of a window. The boxes are always added in the
-    same order.
+    the extent of each box. `starts` contains the index in `pool` of each box's first node. The
+    nodes of a box are stored in the same order as the nodes of a window. The boxes are always added
+    in the same order.
     """
     t = types(real)
 

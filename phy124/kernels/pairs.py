@@ -11,8 +11,8 @@ node. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute
 regression over the particles.) The fraction is the ratio of the body's mass at the node to its mass
 in the interior; this accounts for the body's edges, density and compression. Three nodes in a row,
 along the axis closest to the normal, are either all in contact or all not in contact. The node with
-the largest overlap of both bodies decides. At the rim of a contact, where the gap is curved, the
-mean of the gap around a node is larger than the gap at the node.
+the largest overlap of both bodies decides for all three. At the rim of a contact, where the gap is
+curved, the mean of the gap around a node is larger than the gap at the node.
 """
 
 from typing import Any
@@ -237,9 +237,9 @@ def make_pair(real: Any):
 
     `low` is the first of the common nodes, and `fill` the volume fraction per mass of each body.
     `yields` is 1 for a body that can move and 0 for a body that never moves. A sticky pair has one
-    velocity at each node at which both have mass. `sums_out` sums the impulses of the first body on
-    the second, and their moments about the origin of the world. A thread reads only the masses of
-    neighbouring nodes, which no thread changes.
+    velocity at each node at which both bodies have mass. `sums_out` sums the impulses of the first
+    body on the second, and their moments about the origin of the world. A thread reads only the
+    masses of neighbouring nodes, which no thread changes.
     """
     t = types(real)
 

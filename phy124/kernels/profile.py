@@ -120,7 +120,7 @@ def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: An
 
 @wp.func
 def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
-    """Return whether the interval between two times [s] contains a whole segment."""
+    """Return whether the interval between two times [s] contains a whole segment of a track."""
     passed = keys_within(times, first, last, at, to)
     if period > type(at)(0.0) and to > period:
         passed += keys_within(times, first, last, type(at)(0.0), to - period)

@@ -2,10 +2,10 @@
 
 See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
 (momentum, mass) after the scatter, (velocity, mass) after the grid update. The array covers only a
-window of cells around the particles. `window[0]` is the window's lowest node, `window[1]` the
-window's extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time). The kick has the
-mean length of two successive substeps, and the drift has the length of the current substep. Free
-fall is then exact.
+window of cells around the particles. `window[0]` is the window's lowest node, and `window[1]` is
+the window's extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time). The kick has
+the mean length of two successive substeps, and the drift has the length of the current substep.
+Free fall is then exact.
 
 There is one kernel per constitutive law and precision. Each variant has a separate module, because
 Warp's hash does not contain the role of each function in a kernel.
@@ -347,7 +347,7 @@ def make_p2g(law: Law, real: Any, form: str):
 def make_g2p(law: Law, real: Any, form: str):
     """Kernel: gathers velocities from the grid, then updates x and F.
 
-    If a particle is outside the window, it is not changed, and `missed_out` is set. Either the
+    A particle outside the window is not changed, and `missed_out` is set. Either the
     particle is ballistic (kernels/ballistic.py), or the run is unstable. Plastic laws also update
     F_total, which the Gaussians follow. Thread i also clears the nodes i + k `stride`, k < `each`,
     of `momenta_out` for the next scatter.

@@ -247,7 +247,7 @@ class Meeting:
         return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of some points; points that have a partner already keep their contact
+        """Determine the pairs of some points; points that already have a partner keep their contact
         force.
         """
         surface = self._surface

@@ -140,12 +140,12 @@ class Partners:
 
     @cached_property
     def _match_parts(self) -> Callable[[int], None]:
-        """Function that finds the partners of the first chosen points on the same body."""
+        """Function that finds partners, on the same body, of the first chosen points."""
         return self._match(REACH, between=False)
 
     @cached_property
     def _match_bodies(self) -> Callable[[int], None]:
-        """Function that finds the partners of the first chosen points on another body."""
+        """Function that finds partners, on another body, of the first chosen points."""
         return self._match(NEAR, between=True)
 
     def _match(self, reach: float, *, between: bool) -> Callable[[int], None]:

@@ -1,6 +1,7 @@
 """Checks whether the lattice solver supports a scene; errors name the unsupported field.
 
-An argument `scene` is a `phy124.scene.Scene`; the module of this class imports this module.
+An argument `scene` is a `phy124.scene.Scene`. This module cannot import that class, because
+phy124.scene imports this module.
 """
 
 from __future__ import annotations
@@ -120,9 +121,7 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
 
 
 def not_immersed(scene: Any) -> bool:
-    """Return whether a projected liquid of a scene cannot contain the elastic objects as
-    lattices.
-    """
+    """Return whether a scene's projected liquid prevents elastic objects from being lattices."""
     sections = scene.materials
     other = any(not is_elastic(section) and section.law != "fluid" for section in sections)
     return other or next(_refusals_of_couples(scene), None) is not None

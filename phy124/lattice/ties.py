@@ -152,7 +152,7 @@ def _nearest_in_cells(
     *,
     chained: bool = False,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return, for each of some nodes, the heavy nodes that share a cell with it, by distance.
+    """Return, for each node in a list, the heavy nodes in a common cell, sorted by distance.
 
     Args:
         index: Indices of the nodes [N,3].

@@ -1,8 +1,8 @@
 """Finds integration points in tips, hairs and edges, where they are surface points as well.
 
-Weights of other surface points leave out tied nodes, so a tip that is smaller than a cell could
-enter a wall while its surface points stay outside. The weights of the points in tips are therefore
-exact: each tied node is replaced by the nodes from which its motion is extrapolated.
+The weights of other surface points leave out tied nodes. A tip that is smaller than a cell could
+therefore enter a wall while its surface points stay outside. The weights of the points in tips are
+therefore exact: each tied node is replaced by the nodes from which its motion is extrapolated.
 """
 
 from __future__ import annotations

@@ -254,7 +254,7 @@ class Bodies:
         self._kick, self._pull = kick, pull
 
     def _rigid(self, v: wp.array, C: wp.array) -> list[Motion]:
-        """Return the rigid motion of each body for velocities of the particles."""
+        """Return the rigid motion of each body for these velocities of the particles."""
         self._rows.zero_()
         for index, body in enumerate(self.numbers):
             run = self._model.particles(body)
@@ -269,7 +269,7 @@ class Bodies:
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse [N s] of all forces except the liquid's, and its moment.
+        """Return the impulse [N s] of all forces except those of the liquid, and its moment.
 
         A force other than the weight is included only as far as it acted in both of the last two
         steps. An impact is therefore not assumed to continue.
@@ -473,7 +473,7 @@ class Bodies:
             self.turns.assign(turns)
 
     def _pressure(self) -> list[Any]:
-        """Return the last accelerations, under which the next motion is predicted."""
+        """Return the last accelerations, with which the next motion is predicted."""
         return [self.limit, wp.clone(self.pushes), wp.clone(self.turns)]
 
 

@@ -54,7 +54,7 @@ class Region:
 
 
 class OverActive:
-    """A launch on the CPU with one thread per active cell of a worker at the time of the launch.
+    """A launch on the CPU with one thread for each cell of a worker that is active at that time.
 
     More threads would waste time, because an idle thread takes as long as the work of a cheap
     kernel on one cell.

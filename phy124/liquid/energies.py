@@ -58,7 +58,7 @@ class Energies:
         """Whether work is summed."""
 
     def start(self) -> None:
-        """Sum the work, as soon as the launches are recorded again."""
+        """Start to sum the work when the launches are recorded again."""
         self.on = True
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses, gains: wp.array) -> None:

@@ -73,7 +73,7 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return the launches of a worker before the divergence of the velocities is computed.
+        """Return a worker's launches that run before the divergence of the velocities is computed.
 
         Args:
             cells: The cells.

@@ -45,7 +45,7 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough on this machine, or on the coarsest grid."""
+    """A scene on the finest grid that is fast enough on this machine (or the coarsest grid)."""
 
     scene: Scene
     factor: float
@@ -103,7 +103,7 @@ def held_rate(
 
 
 def _on(scene: Scene, cells: int) -> Scene:
-    """Return the scene with a number of cells, and with Gaussians bound to a lattice."""
+    """Return the scene with this number of cells, and with Gaussians bound to a lattice."""
     accuracy = scene.resolution.model_copy(update={"cells": cells, "precision": "float32"})
     return scene.model_copy(update={"accuracy": accuracy, "binding": "lattice"})
 

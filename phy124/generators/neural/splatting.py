@@ -70,7 +70,7 @@ class Rendering:
     Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the gradients [N,2] of the loss; the unit of the centres is half the image."""
+        """Return the loss's gradients [N,2] for centres that are measured in half images."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:

@@ -264,7 +264,7 @@ def _thickness(depth: Field) -> Field:
 
 
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
-    """Interpolate colours [H,W,3] along the runs of inside pixels in rows; also return lengths.
+    """Interpolate colours [H,W,3] along runs of inside pixels in rows; also return run lengths.
 
     The weight of the colours of thin features, such as a beak, falls with distance.
     """

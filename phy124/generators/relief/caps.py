@@ -136,7 +136,7 @@ def _thick(surface: Surface, row: float) -> float:
 
 
 def colour_cap(cap: Cap, unlit: Field, light: Field) -> Field:
-    """Return the colours [M,3] of a cap, taken from the image along the end.
+    """Return the colours [M,3] of a cap, which are those of the image along the end.
 
     Args:
         cap: The face to colour.

@@ -134,7 +134,7 @@ CELL = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """An image that shows the object from one side, with the camera of the image."""
+    """An image of the object from one side, and the camera of the image."""
 
     rgb: Field
     """Colours [H,W,3], extrapolated beyond the silhouette."""

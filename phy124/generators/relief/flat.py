@@ -2,9 +2,9 @@
 
 Light from any direction changes the brightness of a round surface from one side to the other, or
 from the middle to the rim. If a photograph shows no such change, the front of the object is assumed
-to be flat. The edge of a flat front is rounded, and its depth is limited. The limit depends on the
-outline: narrow objects, such as tools, are flatter than compact ones, such as cars seen from their
-side; discs are flatter still.
+to be flat. The edge of a flat front is rounded, and the depth of the object is limited. The limit
+depends on the outline. Narrow objects, such as tools, are flatter than compact objects, such as
+cars seen from their side. Discs are flatter still.
 """
 
 from __future__ import annotations

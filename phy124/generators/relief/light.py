@@ -4,7 +4,7 @@ The brightness of a pixel is modelled as albedo * exp(s . n). Here n is the unit
 guessed solid, and s is a constant vector. The model is a first-order approximation of a Lambertian
 surface under distant lights (Ramamoorthi, Hanrahan 2001). Pixels of similar hue are assumed to have
 the same albedo. The vector s follows from a robust linear fit to the logarithm of the brightness.
-Since n and the albedo may be correlated, the fit favours small s, and its length is limited.
+Since n and the albedo may be correlated, the fit favours small s, and the length of s is limited.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Removes the perspective from the front and side images, as if their cameras were at infinity.
 
-In the front image, a row of the object appears larger if it is nearer to the camera. In the side
-image, each row shows its distance from the front camera. In the front image, each row shows its
-distance from the side camera. The distance is measured where the row is thickest or, at a flat end,
-at the edge nearer to the camera.
+In the front image, a row of the object appears larger if it is nearer to the camera. The side image
+shows how far each row is from the front camera. The front image shows how far each row is from the
+side camera. The distance is measured where the row is thickest or, at a flat end, at the edge
+nearer to the camera.
 """
 
 from __future__ import annotations

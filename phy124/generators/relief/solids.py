@@ -75,8 +75,8 @@ def inflate(
 def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
     """Return the midsurface [H,W] after removing its ridge at flat ends.
 
-    Within the arc of an end, the silhouette becomes narrower although the object does not. For a
-    ball that becomes narrower, the midsurface would be nearer to the camera.
+    Within the arc of an end, the silhouette becomes narrower although the object does not. The
+    midsurface of a ball would be nearer to the camera where the ball is narrower.
     """
     rows, widths = np.arange(len(surface.m)), np.count_nonzero(surface.w > 0, axis=1)
     m = surface.m
@@ -109,7 +109,7 @@ def _with_feet(w: Field, picture: Continued) -> Field:
 
 
 def round_thickness(silhouette: Silhouette, size: int) -> Field:
-    """Return the squared half thicknesses [H,W] of an object as deep as its parts are wide.
+    """Return squared half thicknesses [H,W] for which each part is as deep as it is wide.
 
     Args:
         silhouette: The silhouette.
@@ -255,11 +255,11 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     """Return whether the brightness changes in the same way as on a shaded round object.
 
     A linear function of the round solid's normals is fitted to the brightness. Only the component
-    of the normals towards the camera is used; on a round object, it is largest in the middle. On a
-    flat object, printed gradients and gradients caused by light run from one side to the other. The
-    median of each row is subtracted, because labels and features such as the roof of a house are
-    horizontal bands. Frames are excluded from the fit. A wide object may be lying on its side, so
-    the fit is repeated with columns in place of rows.
+    of the normals towards the camera is used; on a round object, this component is largest in the
+    middle. On a flat object, printed gradients and gradients caused by light run from one side to
+    the other. The median of each row is subtracted, because labels and features such as the roof of
+    a house are horizontal bands. Frames are excluded from the fit. A wide object may be lying on
+    its side, so the fit is repeated with columns in place of rows.
     """
     depth, _ = nearest_of(~picture.object_mask)
     seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))

@@ -201,7 +201,7 @@ class Surface(Implicit):
 
 
 def pitch_factor(normals: Field) -> Field:
-    """Return the relative spacing for normals [N,3]: 1 on the front, larger on the back."""
+    """Return the relative spacing of points with normals [N,3]: 1 in front, larger behind."""
     return np.interp(-normals[:, 2], [0.0, 0.5], [1.0, BACK_PITCH])
 
 

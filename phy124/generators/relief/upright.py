@@ -172,7 +172,7 @@ def _arc(half: Field) -> int:
 
 
 def _without_handles(solid: Mask) -> Mask | None:
-    """Return a mask [H,W] without thin parts that protrude sideways, or None if it has none."""
+    """Return a mask [H,W] without thin parts that protrude sideways; None if no part protrudes."""
     depth = _inner_distance(np.pad(solid, 1))[1:-1, 1:-1]
     radius = THIN * float(depth.max())
     body = _inner_distance(depth < radius) <= radius

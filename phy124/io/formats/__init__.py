@@ -347,7 +347,7 @@ def write_gaussians(
 def find_written_format(
     path: Path, name: str | None = None, *, others: Sequence[str] = ()
 ) -> Format:
-    """Return the format with a name, or the format for the extension of a path.
+    """Return the format that has this name, or the format for the extension of a path.
 
     Args:
         path: The file that will be written.

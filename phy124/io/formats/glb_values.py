@@ -176,7 +176,7 @@ def kind_of_scales(
 
 
 def _too_small(scales: NDArray[np.float32], means: NDArray[np.float32]) -> bool:
-    """Return whether scales that are not logarithms would be too small to cover the object."""
+    """Return whether the scales, taken as lengths, would be too small to cover the object."""
     sound = np.isfinite(means).all(axis=1) & np.isfinite(scales).all(axis=1)
     longest, places = scales[sound].max(axis=1, initial=0), means[sound].astype(np.float64)
     if len(places) <= NEIGHBOURS:

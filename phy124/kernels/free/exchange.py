@@ -190,7 +190,7 @@ def make_apply(real: Any):
 def make_finish(real: Any):
     """Single-thread kernel: changes a body's momentum by the impulses of walls and nodes.
 
-    `total_out` accumulates the impulses on the nodes of one grid since the start; its moment is
+    `total_out` accumulates the impulses on the nodes of one grid since the start; the moment is
     about the origin of the world.
     """
 

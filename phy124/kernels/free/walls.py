@@ -82,9 +82,7 @@ def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """Return the impulse `push` along n plus J's tangential part, limited by Coulomb friction [N
-    s].
-    """
+    """Return the impulse [N s]: `push` along n, plus J's tangential part, which friction limits."""
     grip = J - wp.dot(J, n) * n
     most = friction * push
     if wp.length(grip) > most:

@@ -212,7 +212,7 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps fix most nodes of a point; its nodes begin at column `first`."""
+    """Return whether clamps fix most nodes of a point; the nodes begin at column `first`."""
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):
@@ -232,8 +232,9 @@ def make_meet(real: Any, rows: Rows):
     vector from the opposite position to the point. The opposite position follows the point along
     the surface, so that the pair's impulses have no moment. If the opposite position moves along
     the surface, the same displacement in the body at rest is `back` times the displacement along
-    the surface. The weights of the position change by `slopes` times the displacement at rest. If a
-    position moves farther than `far`, the pair is ignored, as are pairs farther apart than `reach`.
+    the surface. The weights of the position change by `slopes` times the displacement at rest. A
+    pair is ignored if a position moves farther than `far`, or if the points are farther apart than
+    `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

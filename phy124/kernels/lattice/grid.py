@@ -1,10 +1,10 @@
 """Contact of surface points with material on a grid, by impulses on the nodes of both.
 
-The surface of the material is assumed at a volume fraction of one half, which is computed from the
-masses of the grid's nodes (phy124/lattice/coupled.py). The velocity of the material at a point is
-the mass-weighted mean velocity of the nodes around the point. The impulse is distributed over these
-nodes with the same weights: each velocity changes by the fraction w_i / sum w_i m_i of the impulse,
-so momentum is conserved exactly.
+The surface of the material is assumed to be where the volume fraction is one half. The fraction is
+computed from the masses of the grid's nodes (phy124/lattice/coupled.py). The velocity of the
+material at a point is the mass-weighted mean velocity of the nodes around the point. The impulse is
+distributed over these nodes with the same weights: each velocity changes by the fraction w_i / sum
+w_i m_i of the impulse, so momentum is conserved exactly.
 """
 
 from typing import Any

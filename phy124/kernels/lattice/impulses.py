@@ -61,8 +61,9 @@ def make_pass_on(real: Any):
     Contact does not move a node in a clamp: the clamp absorbs the impulse immediately. The sums of
     the wall or body that exerts an impulse contain the whole impulse. The opposite of the impulse
     on each clamped node is therefore added to the clamp's sums. Impulses on clamped nodes do no
-    work, so their work is subtracted from the sums of a wall. If another body exerts the impulse,
-    the clamp does the work that moves this body, so this work is added to the clamp's sums.
+    work, so the work that was summed for them is subtracted from the sums of a wall. If another
+    body exerts the impulse, the clamp does the work that moves this body, so this work is added to
+    the clamp's sums.
 
     For clamped nodes, `inverse` is zero, but `whole` is not. `holder` is the row of a node's clamp
     in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node.

@@ -1,8 +1,8 @@
 """Kernels that accelerate, clamp and move the nodes of a lattice.
 
 A node with almost no mass is tied: it follows heavier nodes, its donors. Two sparse matrices store
-these constraints: for each node, `donor_*` lists the tied nodes that depend on it; for each tied
-node, `tied_*` lists its donors.
+these constraints. For each node, `donor_*` lists the tied nodes that depend on the node. For each
+tied node, `tied_*` lists its donors.
 
 `pool` contains the forces from all workers. The forces of worker w begin at `begin[w]` and belong
 to the nodes `low[w]` to `high[w]`.
@@ -94,7 +94,7 @@ def make_kick(real: Any):
 @build_once
 def make_try(real: Any):
     """Kernel over the nodes from `start` on: updates a trial displacement by the accelerations, and
-    displaces the nodes by it.
+    moves the nodes by the result.
 
     The new trial displacement is `gain` times the old one plus `share` times the accelerations. The
     nodes move by `size` times the trial displacement; tied nodes follow their donors.
@@ -157,8 +157,8 @@ def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)
 
 @build_once
 def make_hold(real: Any):
-    """Kernel over the nodes in a clamp: sets their velocities to the clamp's velocity while its
-    track is active.
+    """Kernel over the nodes in a clamp: sets their velocities to the clamp's velocity while the
+    clamp's track is active.
 
     `movable_out` receives the inverse mass of nodes that contact may move, and 0 for nodes in the
     clamp. `holder_out` receives the row of a node's clamp. The kernel skips nodes that belong to an

@@ -198,10 +198,11 @@ def make_push(real: Any):
 def make_press(real: Any):
     """Kernel over points: adds the forces of an acceleration with a gradient to the nodes' forces.
 
-    `turns` are 4 / dx^2 times the moments of the acceleration around the points. Only their
-    antisymmetric part T acts, which contains the angular momentum; the other part would excite
-    vibrations. The force on node i is m w_i (a + T F^-T (X_i - X)) with the positions X at rest. It
-    has the angular momentum of T exactly if the body is deformed uniformly near the point.
+    `turns` are 4 / dx^2 times the moments of the acceleration around the points. Only the
+    antisymmetric part T of the moments acts, which contains the angular momentum. The symmetric
+    part would excite vibrations. The force on node i is m w_i (a + T F^-T (X_i - X)) with the
+    positions X at rest. The forces have the angular momentum of T exactly if the body is deformed
+    uniformly near the point.
     """
     t = types(real)
 

@@ -210,7 +210,7 @@ def make_body_change(real: Any):
 def make_body_gather(real: Any):
     """Kernel: computes the rates of change of v and C of a body's particles due to the pressure.
 
-    As in APIC, momentum and angular momentum of the particles change as much as in the cells.
+    As in APIC, momentum and angular momentum of the particles change as much as those of the cells.
     `most_out` is the largest acceleration [m/s^2].
     """
     t = types(real)

@@ -24,7 +24,7 @@ def sums(real: Any):
 
 @wp.func
 def cell_at(s: Any):
-    """Return the cell that contains a point; the unit is a cell, the origin the window's corner."""
+    """Return the cell that contains a point [cells from the window's corner]."""
     return wp.vec3i(int(wp.floor(s[0])), int(wp.floor(s[1])), int(wp.floor(s[2])))
 
 

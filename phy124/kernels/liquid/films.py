@@ -91,10 +91,10 @@ def make_layers(real: Any):
 
 @wp.func
 def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=Any)):
-    """Return the hydrostatic value of q at a point, apart from a constant.
+    """Return the hydrostatic value of q at a point, up to a constant.
 
-    `heads` contains the weight of the liquid below each layer, relative to the mean density; it is
-    empty if all liquids have the same density.
+    `heads` contains the weight of the liquid below each layer, relative to the mean density.
+    `heads` is empty if all liquids have the same density.
     """
     if heads.shape[0] == 0:
         return dt / dx * wp.dot(a, x)

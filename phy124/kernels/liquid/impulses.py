@@ -216,7 +216,7 @@ def settle(
     """Add the workers' sums of a step to the totals of each wall and to the totals over all walls.
 
     A single thread then clears the step's sums [workers,walls,7]. The totals contain the impulse
-    and moment of each wall. `all_out` has one row, in the order of `phy124.kernels.work`.
+    and moment of each wall. `all_out` is one row of sums in the order of `phy124.kernels.work`.
     """
     for wall in range(walls):
         row = take_row(sums_out, wall)

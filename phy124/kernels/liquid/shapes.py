@@ -24,7 +24,7 @@ of the cell's B-spline.
 
 @wp.func
 def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
-    """Return the B-spline of the cell `cell` + (a, b, c) - 1 at a point."""
+    """Return the value, at a point, of the B-spline of the cell `cell` + (a, b, c) - 1."""
     weight = type(s[0])(1.0)
     at = wp.vec3i(a, b, c)
     for axis in range(3):

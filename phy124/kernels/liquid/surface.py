@@ -21,7 +21,7 @@ LONE = wp.constant(0.3)
 
 @wp.func
 def depth(fill: Any):
-    """Return the depth [cells] of a quadratic B-spline below a flat surface from its filled
+    """Compute the depth [cells] of a quadratic B-spline below a flat surface from its filled
     fraction.
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and

@@ -58,8 +58,8 @@ def triangle(a: Any, b: Any, c: Any):
 
 @wp.func
 def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
-    """Return the fraction of a square in which a function is positive, interpolated between its
-    values at the corners and the centre.
+    """Return the fraction of a square in which a function is positive. The function is interpolated
+    between values at the corners and the centre.
     """
     return type(a)(0.25) * (
         triangle(a, b, middle)

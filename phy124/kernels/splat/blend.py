@@ -148,7 +148,9 @@ def gather_pixels(
     sums_out: wp.array(dtype=wp.vec3),
     weights_out: wp.array(dtype=float),
 ):
-    """Add each pixel's weighted value, and the weight, to its splats, with one thread per pixel."""
+    """Add each pixel's weighted value, and the weight, to the pixel's splats, with one thread per
+    pixel.
+    """
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE

@@ -107,7 +107,7 @@ def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
-    """Return the distances at which a ray enters and leaves a ball; if it misses, the first is
+    """Return the distances at which a ray enters and leaves a ball; if the ray misses, the first is
     larger.
     """
     o = origin - centre

@@ -138,7 +138,7 @@ def tint_splats(
     means: wp.array(dtype=wp.vec3),
     splats_out: wp.array(dtype=Splat),
 ):
-    """Tint the Gaussians that are behind glass among the Gaussians, with one thread per Gaussian.
+    """Tint Gaussians behind glass solids that are among Gaussians, with one thread per Gaussian.
 
     The solids `first` <= k < `last` are the glass among the Gaussians.
     """

@@ -193,7 +193,7 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Return the loss against the known image; its weight grows during the optimisation."""
+    """Return the weighted loss against the known image; the weight grows with each step."""
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero

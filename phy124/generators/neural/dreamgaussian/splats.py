@@ -220,7 +220,7 @@ class Pull:
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Return a function that draws normal samples on the CPU, the same for all devices."""
+    """Return a function that draws normal samples on the CPU; all devices get the same samples."""
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 

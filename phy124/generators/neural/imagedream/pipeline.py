@@ -61,7 +61,7 @@ AZIMUTHS = (0, 90, 180, 270)
 
 
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
-    """Return the camera-to-world transforms [5,16] of the four views; the image's row is zero.
+    """Return camera-to-world transforms [5,16]: those of four views, and zeros for the image.
 
     Transforms are flattened row by row. A camera with a positive elevation [degrees] is below the
     object.

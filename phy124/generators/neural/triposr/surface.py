@@ -59,7 +59,7 @@ def cover_field(
 
 
 def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[np.float32]:
-    """Return log(density / threshold) on the fine grid [N,N,N]; it is positive inside.
+    """Return log(density / threshold) on the fine grid [N,N,N], which is positive inside.
 
     Away from the surface, the values are interpolated from the coarse grid.
     """
