@@ -345,7 +345,7 @@ class Movable(Boundary):
 
 
 def lightest(model: Model) -> float:
-    """Return the mass of a node inside the lightest material [kg]; infinite for elastic materials.
+    """Return the mass [kg] of a full node in the lightest material; infinite for elastic materials.
 
     In a material that yields, cells may contain up to 1.6 times as many particles as at rest
     without being compressed. A cell of elastic material that is heavier than at rest is always

@@ -150,7 +150,7 @@ class Gripper(Boundary):
     def _closes(self) -> Gripper:
         if self.closed >= self.opening:
             raise ValueError(
-                f"closed {self.closed} m must be less than opening {self.opening} m; lower it"
+                f"closed {self.closed} m must be less than opening {self.opening} m; reduce closed"
             )
         return self
 

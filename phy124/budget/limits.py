@@ -196,8 +196,8 @@ def _note_speed(scene: Scene) -> str | None:
     return (
         f"Forces and initial speeds may accelerate an object to {largest_speed(scene):,.2g} m/s. "
         f"The run may then need {substeps:,} substeps, {ratio:.0f} times as many as at rest, and "
-        f"take about {duration(seconds)} on a CPU: smaller forces and speeds, or larger cells, "
-        "make it faster."
+        f"take about {duration(seconds)} on a CPU. To make it faster, use smaller forces and "
+        "speeds, or larger cells."
     )
 
 

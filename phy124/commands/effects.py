@@ -19,9 +19,7 @@ from phy124.scene import Scene, preset_names
 
 @dataclass(frozen=True)
 class ShowEffects:
-    """List the effects that a run of a scene would compute and leave out, without running the
-    scene.
-    """
+    """List the effects that a run of a scene would compute, and the effects that it would omit."""
 
     scene: tyro.conf.Positional[str]
     """Preset or .toml file."""

@@ -27,7 +27,7 @@ from phy124.weights.store import search_first
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure a clip's motion, flicker and physics, and CLIP-T from four sides by two formulas."""
+    """Measure a clip's motion, flicker, physics, and CLIP-T (from four sides, by two formulas)."""
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""

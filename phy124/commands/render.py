@@ -82,7 +82,7 @@ class Render:
             print(json.dumps({"files": files, "notes": notes}))
         else:
             print("\n".join([*files, *(f"note: {note}" for note in notes)]))
-        return bars.status("the listed files are complete, the others were not written")
+        return bars.status("the listed files are complete, and the others were not written")
 
     def _photograph(self) -> Photograph | None:
         """Open the photograph for --compose, if there is one, before any video is rendered."""

@@ -119,7 +119,7 @@ class Validate:
                 "docs",
                 Path.cwd(),
                 "there is no docs/lab here.",
-                "Change to the root of a clone, or write with --out FOLDER.",
+                "Run the command in the root of a clone, or choose a folder with --out FOLDER.",
             )
 
     def _refuse_out(self) -> None:

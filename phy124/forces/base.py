@@ -62,7 +62,7 @@ class Force(Section):
     def _check_times(self) -> Force:
         if self.end is not None and self.start >= self.end:
             raise ValueError(
-                f"start {self.start} s must be before end {self.end} s; let it end later"
+                f"start {self.start} s must be before end {self.end} s; set a later end"
             )
         return self
 

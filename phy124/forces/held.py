@@ -184,9 +184,7 @@ class Grab(Force):
     def _fits(self) -> Grab:
         check_times(self.times, len(self.targets), "targets")
         if self.region is not None:
-            raise ValueError(
-                "a grab acts within its radius of a point, not in a region; remove `region`"
-            )
+            raise ValueError("a grab acts on the material within its radius; remove `region`")
         if self.profile.kind != "constant":
             raise ValueError(
                 "the targets of a grab define how it varies over time; remove `profile`"
@@ -253,9 +251,7 @@ class WrenchForce(Force):
     @model_validator(mode="after")
     def _a_ball(self) -> WrenchForce:
         if self.region is not None:
-            raise ValueError(
-                "a wrench acts within its radius of a point, not in a region; remove `region`"
-            )
+            raise ValueError("a wrench acts on the material within its radius; remove `region`")
         return self
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

@@ -121,7 +121,7 @@ class Cells:
         """
         model = self._model
         if not np.all(np.abs([lower, upper]) < FARTHEST * model.dx):
-            raise Unstable(f"particles flew {FARTHEST:.0e} cells far")
+            raise Unstable(f"particles flew {FARTHEST:.0e} cells away")
         low = np.floor((lower - model.origin) / model.dx).astype(int)
         high = np.floor((upper - model.origin) / model.dx).astype(int) + 1
         spare = [*(low - self.low).tolist(), *(self.low + self.size - high).tolist()]

@@ -347,7 +347,7 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return the mean force [N] and torque [N m] of walls and pairs since the last frame."""
+        """Return mean forces [N] and torques [N m] on walls and in pairs since the last frame."""
         return dict(self._frame.wrenches or {})
 
     @property

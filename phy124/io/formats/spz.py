@@ -253,7 +253,7 @@ def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
     sizes = head.sizes
     start = at + ENTRY.size * len(sizes)
     if head.streams != len(sizes) or start > len(data):
-        raise refusal(KIND, path, f"its table of {head.streams} streams does not fit.")
+        raise refusal(KIND, path, f"its table of {head.streams} streams exceeds the file.")
     parts = []
     for i, wanted in enumerate(sizes):
         size, raw = ENTRY.unpack_from(data, at + ENTRY.size * i)
