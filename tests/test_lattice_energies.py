@@ -403,6 +403,20 @@ def test_balance_and_works_agree_on_what_a_clamped_body_loses(forces):
     assert not any(math.copysign(1, value) < 0 for value in report["energy"].values() if value == 0)
 
 
+@pytest.mark.parametrize("kind", [{"held": True}, {"motion": {"kind": "free", "density": 3000.0}}])
+def test_balance_counts_the_impulses_of_fixed_and_of_free_objects(kind):
+    """A ball that is pushed by another object receives no more work of gravity for that."""
+    shape = {"material": {"law": "neo_hookean", "E": 1e5}, "stiffness_profile": None}
+    other = {"name": "ball", "on": "base", "lift": 0.02, "size": 0.6, "shape": "sphere", **kind}
+    other["velocity"] = [0, 0, 0] if "held" in kind else [0, 0, -1.5]
+    base = {"name": "base", "velocity": [0, 0, 2.0 if "held" in kind else 0.0]}
+    scene = stacked(**shape, object=base, objects=[other], boundaries=[{"kind": "ground"}])
+    report = simulate(scene).run().report
+    energy = report["energy"]
+    inside = energy["lost"] - energy["friction"] - energy["impacts"]
+    assert report["balance"]["energy_gain"] == pytest.approx(-inside / energy["turnover"], abs=1e-4)
+
+
 def test_balance_closes_in_frames_of_two_substeps():
     """A wind against gravity takes a part of the energy before the first frame ends."""
     soft = {"law": "neo_hookean", "E": 1e4, "density": 3000.0}

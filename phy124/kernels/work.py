@@ -175,7 +175,9 @@ def make_uniform_sums(real: Any):
     these cases, the work of the acceleration follows from the mean of the momenta before and after
     the step. `base` is the momentum without the impulses that are not yet summed. Each array has
     one row of sums per worker, except `mean_walls`, which has one row per wall for a lattice, and a
-    single row for a liquid.
+    single row for a liquid. `solids` and `pairs` contain the impulses of freely moving solids on
+    lattices, and of the first body of each pair on the second; `signs` is 1 or -1 for pairs whose
+    first or second body is fixed, otherwise 0.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -188,6 +190,9 @@ def make_uniform_sums(real: Any):
         walls: wp.array2d(dtype=wp.float64),
         mean_pushes: wp.array2d(dtype=wp.float64),
         mean_walls: wp.array2d(dtype=wp.float64),
+        solids: wp.array2d(dtype=wp.float64),
+        pairs: wp.array2d(dtype=wp.float64),
+        signs: Doubles,
         walls_out: Doubles,
         exchange_out,
     ):
@@ -208,6 +213,10 @@ def make_uniform_sums(real: Any):
                 walls_out[3 + c] += mean_pushes[row, c]
             for row in range(mean_walls.shape[0]):
                 walls_out[3 + c] += mean_walls[row, c]
+            for row in range(solids.shape[0]):
+                walls_out[3 + c] += solids[row, c]
+            for row in range(pairs.shape[0]):
+                walls_out[3 + c] += signs[row] * pairs[row, c]
             p[c] += (walls_out[3 + c] - before) / wp.float64(2.0)
         work = wp.dot(J, p + J / wp.float64(2.0)) / mass
         add_exchange(exchange_out, J, work, wp.length(J), wp.abs(work))

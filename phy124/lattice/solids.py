@@ -80,6 +80,10 @@ class Solids(FreeBodies):
         moment, rest = sums[..., MOMENT : MOMENT + 3], sums[..., IMPULSE + 3 : EXCHANGE]
         return np.concatenate([sums[..., :3], moment, rest], axis=-1)
 
+    def rows(self) -> wp.array:
+        """Return the sums of the impulses of each solid on each body, one row per pair."""
+        return self._sums.reshape((len(self.all) * self._model.bodies, SUMS))
+
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
         """Replace the flat walls for the solids; keep the impulses of the last substep.
 

@@ -182,7 +182,7 @@ class ExternalWork(Observer):
     def begin(self, momentum: Sums) -> None:
         """Start a frame with a momentum [kg m/s], which determines the work of varying forces."""
         if self.by_momentum:
-            self._momentum = momentum - self._sum()[IMPULSES]
+            self._momentum = momentum - self._sum()[IMPULSES] - self._from_bodies()
             self._set_base()
 
     def total(self, clock: Clock, way: Sums, momentum: Sums) -> Exchange:
@@ -269,6 +269,7 @@ class ExternalWork(Observer):
         names = (PUSH, WALL, MEAN_PUSH, MEAN)
         others = [self._device.get(name, self._zeros(0)) for name in names]
         inputs = [model.total_mass, tracks.clock, tracks.values, self._base, *others]
+        inputs += self._rows_of_bodies()
         kernel = kernels.make_uniform_sums(model.real)
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
@@ -281,7 +282,18 @@ class ExternalWork(Observer):
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
             for names in ((WALL,), (MEAN_PUSH, MEAN))
         ]
+        before[1] = before[1] + self._from_bodies()
         self._walls_before.assign(np.concatenate([np.zeros(3) + part for part in before]))
+
+    def _rows_of_bodies(self) -> list[wp.array]:
+        """Return the sums of the impulses of freely moving solids and of pairs of bodies, and the
+        signs of the pairs; empty arrays unless the solver computes work with mean velocities.
+        """
+        return [self._zeros(0), self._zeros(0), wp.zeros(0, wp.float64, device=self._model.device)]
+
+    def _from_bodies(self) -> Sums:
+        """Return the impulse [3] of freely moving solids and fixed bodies since the start, N s."""
+        return np.zeros(3)
 
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State

@@ -108,6 +108,8 @@ class LatticeWork(MeanWork):
     wind against gravity and a frame of two substeps, the difference was 32 % of the energy.
     """
 
+    _solver: Any = None
+
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernel that sums the work of a uniform acceleration, if needed."""
@@ -130,6 +132,19 @@ class LatticeWork(MeanWork):
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
+
+    def _rows_of_bodies(self) -> list[wp.array]:
+        """Return the sums of the impulses of solids and of pairs of bodies, and the pairs' signs."""
+        if self._solver is None:
+            return super()._rows_of_bodies()
+        return [self._solver.free.rows(), *self._solver.pairs.rows()]
+
+    def _from_bodies(self) -> NDArray[np.float64]:
+        """Return the impulse [3] of solids and of fixed bodies since the start of the run, N s."""
+        if self._solver is None:
+            return super()._from_bodies()
+        impulse: NDArray[np.float64] = self._solver.free.impulses()[:3]
+        return impulse + self._solver.pairs.impulse()
 
 
 def _sums_uniform_work(subject: Subject) -> bool:

@@ -99,9 +99,21 @@ class Pairs:
 
     def impulse(self) -> NDArray[np.float64]:
         """Return the impulse of fixed bodies on all other bodies since the start [3], N s."""
+        return self._signs() @ self._total()[:, :MOMENT]
+
+    def rows(self) -> tuple[wp.array, wp.array]:
+        """Return the sums of impulses, one row per worker and pair, and a sign for each row: 1 or -1
+        if the first or the second body is fixed, otherwise 0.
+        """
+        workers, pairs, room = self._sums.shape
+        signs = np.tile(self._signs(), workers)
+        array = wp.array(signs, dtype=wp.float64, device=self._model.device)
+        return self._sums.reshape((workers * pairs, room)), array
+
+    def _signs(self) -> NDArray[np.float64]:
         held = self._model.held
         signs = [(pair.first in held) - (pair.second in held) for pair in self.all]
-        return np.array(signs, float) @ self._total()[:, :MOMENT]
+        return np.array(signs, float)
 
     def sums_of(self, index: int) -> wp.array:
         """Return the sums of impulse and moment for a pair, as added up by the first worker."""
