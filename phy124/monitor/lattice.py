@@ -134,7 +134,7 @@ class LatticeWork(MeanWork):
         self._solver.record()
 
     def _rows_of_bodies(self) -> list[wp.array]:
-        """Return the sums of the impulses of solids and of pairs of bodies, and the pairs' signs."""
+        """Return the impulses of solids and of pairs of bodies, and the signs of the pairs."""
         if self._solver is None:
             return super()._rows_of_bodies()
         return [self._solver.free.rows(), *self._solver.pairs.rows()]

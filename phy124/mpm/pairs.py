@@ -102,8 +102,9 @@ class Pairs:
         return self._signs() @ self._total()[:, :MOMENT]
 
     def rows(self) -> tuple[wp.array, wp.array]:
-        """Return the sums of impulses, one row per worker and pair, and a sign for each row: 1 or -1
-        if the first or the second body is fixed, otherwise 0.
+        """Return the sums of impulses, one row per worker and pair, and a sign for each row.
+
+        The sign is 1 or -1 if the first or the second body of the pair is fixed, otherwise 0.
         """
         workers, pairs, room = self._sums.shape
         signs = np.tile(self._signs(), workers)
