@@ -1,15 +1,11 @@
 """Estimates the order of convergence, and the discretisation error of each grid level.
 
 The result at grid spacing h is modelled as u + h^p e + h^p s. The exact result u and the field e
-are common to all grids, and the scatter s is random. The results of two levels then differ by about
-C
-
-h_i^p - h_j^p
-
-. The order p is fitted to the logarithms of the distances between all pairs of levels. The fields u
-and e are fitted to all levels by least squares with weights h^-2p (Eca, Hoekstra 2014). The error
-of a level is h^p e + h^p s (Richardson 1911; Roache 1998). Only the distances between the levels
-are needed.
+are common to all grids, and the scatter s is random. The results of two levels i and j then differ
+by about C abs(h_i^p - h_j^p), with a constant C. The order p is fitted to the logarithms of the
+distances between all pairs of levels. The fields u and e are fitted to all levels by least squares
+with weights h^-2p (Eca, Hoekstra 2014). The error of a level is h^p e + h^p s (Richardson 1911;
+Roache 1998). Only the distances between the levels are needed.
 """
 
 from __future__ import annotations

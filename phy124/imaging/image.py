@@ -239,7 +239,7 @@ def _check_bytes(size: int) -> None:
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
     """Return the width and height that the header states.
 
-    Refuse formats that cannot be read here.
+    Refuse formats that this installation cannot read.
     """
     kind = read_kind(data)
     if kind is None:

@@ -45,7 +45,8 @@ def record(
 ) -> wp.Launch | None:
     """Record a launch; return None if the launch would have no threads.
 
-    With an unknown version of Warp, the result is Warp's launch, because `Repeated` uses internals.
+    `Repeated` uses internals of Warp. With an unknown version of Warp, Warp's launch is returned
+    instead.
 
     Args:
         kernel: The Warp kernel.

@@ -299,7 +299,7 @@ class _OfAll:
         self._item, self._model, self._state = item, model, state
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of the sums."""
+        """Return the stages that compute the sums."""
         del model, state
         return self._item.attach(self._model, self._state, tracks)
 

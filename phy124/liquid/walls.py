@@ -283,7 +283,7 @@ def span(count: int, worker: int, workers: int) -> tuple[int, int]:
 
 
 def wall_kernels(boundaries: Iterable[Boundary], solids: Iterable[str], real: Any) -> Iterator[Any]:
-    """Yield the kernels for the walls of some boundaries, and for solids of some shapes."""
+    """Yield the kernels for the walls of these boundaries, and for solids of these shapes."""
     yield from (kernels.make_solid_shares(real), make_motions(real))
     outlines = {part.outline() for wall in boundaries for part in wall.parts()}
     for shape in sorted(outlines | set(solids)):

@@ -85,11 +85,11 @@ class Limits:
         return min(LIFTS * self.weight, STRAIN * modulus * math.pi * radius**2)
 
     def force(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a force [N], reduced to the limit, and a sentence about a reduction."""
+        """Return a force [N], reduced to the limit, and a sentence about the reduction."""
         return shorten(field, value, STRONGEST * self.weight, "N")
 
     def torque(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:
-        """Return a torque [N m], reduced to the limit, and a sentence about a reduction."""
+        """Return a torque [N m], reduced to the limit, and a sentence about the reduction."""
         return shorten(field, value, STRONGEST * self.weight * TWIST * self.size, "N m")
 
     def place(self, field: str, value: Sequence[float]) -> tuple[Vector, str]:

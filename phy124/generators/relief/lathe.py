@@ -1,9 +1,9 @@
 """Builds vessels and drums, with a horizontal lid, from the image of a raised camera.
 
 A solid of revolution consists of circles, which a raised camera sees as ellipses. The circle at a
-height is the largest one whose image lies inside the silhouette. Flat ellipses fill any outline.
-The higher the camera is, the rounder are the ellipses, and the less they fill the ends of the
-outline. The elevation of the camera is therefore assumed to be the largest one for which the
+height is the largest one whose image lies inside the silhouette. Very flat ellipses can fill any
+outline. The higher the camera is, the rounder are the ellipses, and the less they fill the ends of
+the outline. The elevation of the camera is therefore assumed to be the largest one for which the
 circles fill the silhouette.
 """
 

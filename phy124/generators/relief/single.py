@@ -227,7 +227,7 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points, normals and spacing of the walls and then of the caps, and the caps."""
+    """Return points of the walls and then of the caps, with normals and spacing, and the caps."""
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

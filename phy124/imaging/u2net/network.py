@@ -39,7 +39,7 @@ def _resize_like(x: Tensor, like: Tensor) -> Tensor:
 
 
 class ResidualU(nn.Module):
-    """Residual U-block RSU-L, with `levels` convolutions down, one fewer up, and a shortcut.
+    """Residual U-block RSU-L, with `levels` convolutions down, `levels` - 1 up, and a shortcut.
 
     With `dilated` (RSU-4F), the resolution is constant. Instead of pooling, dilations of 1, 2, 4
     and 8 widen the receptive field.

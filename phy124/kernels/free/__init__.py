@@ -7,7 +7,7 @@ approaches the surface. Across n, the node takes on this velocity as far as Coul
 The velocities of the body and the nodes are computed together. A light body that exchanged momentum
 with one node after the other would not come to rest. Let u = V + w x r be the surface velocity at a
 node of mass m. The impulse on the node is m W (u' - v), with the velocity u' after the exchange. W
-is 1 along n, and a fraction of 1 across n. With u = B (V, w), the body's motion (V', w') after the
+is 1 along n, and between 0 and 1 across n. With u = B (V, w), the body's motion (V', w') after the
 exchange follows from six equations: (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W v.
 `assemble` computes the sums, and `solve` the solution. The solution of the previous iteration
 determines whether a node approaches the surface, and how much friction acts on the node
