@@ -125,7 +125,7 @@ class Promise:
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error that a run's report states, or the reason for its absence, or None."""
+    """Return the error in a run's report, or the reason why it is missing, or None for neither."""
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)

@@ -80,7 +80,7 @@ class Lathe:
         """Cut off the circles below the base and above the lid; None if nothing is left.
 
         Base and lid are the innermost circles whose images reach the last and the first row of the
-        outline. The circles beyond them form cones, which the camera does not see.
+        outline. The circles beyond base and lid form cones, which the camera does not see.
         """
         row = _images(self.heights, self.radii, self.camera)[1]
         top = np.flatnonzero(row.min(axis=1) <= first + EDGE)
