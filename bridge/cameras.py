@@ -262,7 +262,7 @@ def compress(rgb: NDArray[np.uint8]) -> bytes:
 
 
 def _standing_clip(frame: Frame, scene: Scene) -> Clip:
-    """Return a clip of a motionless object that lasts as long as the scene."""
+    """Return a clip of the object at rest; the clip is as long as the scene."""
     clip = Clip.from_frames([Frame(0, 0.0, frame.gaussians)])
     count = scene.time.frames
     still = {

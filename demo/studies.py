@@ -98,7 +98,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """Return the scene on another grid, with the same solver of elastic objects.
+    """Return the scene on another grid, but with the same solver of elastic objects.
 
     The scene is computed in single precision, which does not affect the error
     (docs/lab/accuracy.md).

@@ -109,7 +109,9 @@ def _with_report(studio: Studio, name: str, shown: Any) -> list[Any]:
 
 
 def _is_there(done: Any) -> bool:
-    """Return whether a result is complete; the clip may have been removed before the videos."""
+    """Return whether a result is complete; the clip may be missing although the videos still
+    exist.
+    """
     if not isinstance(done, Done):
         return False
     return (done.films / "report.json").exists() and (done.clip / "clip.safetensors").exists()

@@ -137,7 +137,9 @@ class Material(Section):
         return (0.0, 0.0)
 
     def wave_speed(self) -> float:
-        """Return the speed that limits substeps of unstrained material, sqrt(A / rho) [m/s]."""
+        """Return the speed `sqrt(A / rho)` [m/s], which limits the substeps of unstrained
+        material.
+        """
         raise NotImplementedError
 
     def sound_speed(self) -> float:
@@ -209,8 +211,8 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return the speed that limits substeps of unstrained material, sqrt((3 lambda + 2 mu) /
-        rho) [m/s].
+        """Return `sqrt((3 lambda + 2 mu) / rho)` [m/s], which limits the substeps of unstrained
+        material.
 
         If lambda is negative (nu < 0), shear is the stiffest motion, so lambda is replaced by zero.
         """
@@ -218,7 +220,9 @@ class Elastic(Material):
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the speed of a pressure wave without strain, sqrt((lambda + 2 mu) / rho) [m/s]."""
+        """Return the speed of a pressure wave in unstrained material, `sqrt((lambda + 2 mu) / rho)`
+        [m/s].
+        """
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 

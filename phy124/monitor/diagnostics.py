@@ -179,7 +179,7 @@ def _finite_or_infinity(values: NDArray) -> NDArray[np.float64]:
 
 
 def broken_particles(state: State) -> NDArray[np.intp]:
-    """Return the indices of particles whose state is not finite, in order."""
+    """Return, in ascending order, the indices of particles whose state is not finite."""
     arrays = [np.asarray(array.numpy()) for array in state.arrays().values() if len(array)]
     flat = [array.reshape(len(state.x), -1) for array in arrays]
     return np.flatnonzero(~np.isfinite(np.concatenate(flat, axis=1)).all(axis=1))

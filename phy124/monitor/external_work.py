@@ -61,7 +61,9 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the sum with the impulse and work of rigid solids (phy124/kernels/free)."""
+        """Return the sum after adding the impulse and work of rigid solids
+        (phy124/kernels/free).
+        """
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned

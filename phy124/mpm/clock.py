@@ -117,7 +117,7 @@ class Clock:
         return late or strain > calm_strain or ahead > TRAVEL * self.dx
 
     def limit_by(self, extremes: Extremes, *, complete: bool, acceleration: float = 0.0) -> None:
-        """Use measured values as limits of the following substeps.
+        """Use the measured values to limit the following substeps.
 
         Args:
             extremes: The largest values over all particles.

@@ -130,7 +130,7 @@ class Outliers:
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Return the indices of particles outside the box, compared in the device's precision."""
+        """Return the indices of particles outside the box, determined in the device's precision."""
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 

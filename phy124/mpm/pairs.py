@@ -188,9 +188,7 @@ class Pairs:
 
 
 def fill_of(model: Model) -> list[float]:
-    """Return the volume fraction that each body fills around a node per unit mass at the node
-    [1/kg].
-    """
+    """Return for each body the fraction of a cell that a unit of the body's mass fills [1/kg]."""
     mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
     runs = [model.particles(body) for body in range(model.bodies)]
     return [float(volume[run].sum() / mass[run].sum() / model.dx**3) for run in runs]

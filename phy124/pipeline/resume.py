@@ -226,7 +226,7 @@ def _frames(run: Simulation) -> Tensors:
 
 
 def _put_frames(run: Simulation, kept: Tensors) -> None:
-    """Restore the frames that a run has computed from arrays with one row per frame."""
+    """Restore, from arrays with one row per frame, the frames that a run has computed."""
     walls = kept.get("wrenches")
     wrenches_of = run.find(Wrenches)
     names = () if wrenches_of is None else wrenches_of.names

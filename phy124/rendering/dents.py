@@ -65,7 +65,9 @@ class Dents:
         self._rest = self._lit(x)
 
     def illuminate(self, rgb: NDArray, x: NDArray) -> NDArray[np.float32]:
-        """Return the colours [n,3] of the Gaussians at positions x [n,3] m, from `rgb` at rest."""
+        """Return the colours [n,3] of the Gaussians at positions x [n,3] m, computed from the
+        colours `rgb` at rest.
+        """
         change = np.clip((self._lit(x) / self._rest) ** CONTRAST, *RANGE) - 1
         return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
 

@@ -95,7 +95,8 @@ class Field:
         self.open, self._room = self._before(planes, corner)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell in front of all walls, before and after smoothing.
+        """Return the fraction of each cell that lies in front of all walls, before and after
+        smoothing.
 
         Args:
             planes: The walls.
@@ -182,7 +183,7 @@ class Field:
 
 
 def _wrap(array: NDArray) -> wp.array:
-    """Return NumPy's array as an array of a kernel of `discs`, without a copy if possible."""
+    """Convert a NumPy array for a kernel of `discs`, without a copy if possible."""
     if array.dtype.kind == "i":
         return wp.array(array, dtype=wp.int32, device="cpu", copy=False)
     kinds: dict[int, Any] = {3: wp.vec3, 4: wp.vec4}

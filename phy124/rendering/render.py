@@ -463,7 +463,7 @@ def render(
 
 
 def to_bytes(image: Array) -> NDArray[np.uint8]:
-    """Convert an image with values from 0 to 1 to bytes, rounded to the nearest integer."""
+    """Convert an image with values in 0..1 to bytes, and round to the nearest integer."""
     return (image * 255 + 0.5).astype(np.uint8)
 
 

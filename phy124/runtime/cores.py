@@ -23,7 +23,7 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of cores of some hardware threads; if unknown, the number of hardware
+    """Return the number of cores to which hardware threads belong; if unknown, the number of
     threads.
     """
     try:

@@ -44,8 +44,8 @@ def steady_streams() -> Iterator[list[OSError]]:
 def _occupy() -> None:
     """Open the null device for each standard stream that is closed.
 
-    If a stream stayed closed, the next opened file would get the number of the stream, and the
-    output of native code.
+    If a stream stayed closed, the next opened file would get the number of the stream, and native
+    code would write to this file.
     """
     for number in range(3):
         try:

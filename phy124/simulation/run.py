@@ -257,9 +257,7 @@ class Simulation:
         return report_run(self)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot from which the run can continue, without frames, as arrays and plain
-        data.
-        """
+        """Return a snapshot (arrays and plain data, no frames) from which the run can continue."""
         return {
             "count": self.count,
             "retried": list(self.retried),

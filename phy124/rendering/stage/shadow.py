@@ -98,7 +98,7 @@ class Caster:
         return layer, level - layer
 
     def shade(self, gaussians: Gaussians, floor: float, glass: Iterable[Glass] = ()) -> Array:
-        """Return the fraction of light that the shadow removes [CELLS,CELLS], along x and y.
+        """Return the fraction of light that the shadow removes [CELLS,CELLS]; the axes are x and y.
 
         Args:
             gaussians: The Gaussians that cast the shadow.

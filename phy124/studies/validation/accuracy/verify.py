@@ -86,7 +86,7 @@ def rigid_spin(fine: bool) -> Iterator[Verdict]:
 
 
 def vibrating_bar(fine: bool) -> Iterator[Verdict]:
-    """Check that the frequency of a bar converges to pi c / L with second order."""
+    """Check that the frequency of a bar converges to `pi c / L` with second order."""
     cells = (8, 16, 32, 64) if fine else (8, 16, 32)
     errors = [abs(problems.vibrating_bar(n)) for n in cells]
     yield _series("vibrating bar", "frequency error", cells, errors, 2e-3, (1.8, 2.2))

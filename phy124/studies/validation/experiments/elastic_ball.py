@@ -108,7 +108,7 @@ def make_mesh(fine: int, *, whole: bool) -> Mesh:
 
 
 def _towards_zero(count: int) -> Array:
-    """Return count + 1 positions from 0 to 1, with smaller spacing near 0."""
+    """Return `count + 1` positions from 0 to 1, with smaller spacing near 0."""
     return np.sinh(FINER * np.linspace(0, 1, count + 1)) / math.sinh(FINER)
 
 

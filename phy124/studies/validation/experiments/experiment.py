@@ -59,8 +59,7 @@ class Experiment:
     run: Callable[[int], Values]
     """Simulates with N cells across the length `across`, and returns the measured values."""
     control: Callable[[int], Values]
-    """Returns values simulated with a deliberate mistake; at least one must be outside its band.
-    """
+    """Returns values simulated with a deliberate mistake; at least one must be outside its band."""
     mistake: str
     """Description of the control's mistake."""
     grids: tuple[int, int, int]
@@ -118,7 +117,9 @@ class Estimate:
 
     @property
     def inside(self) -> bool:
-        """Whether `value` is within the band, extended by `error` on both sides."""
+        """Whether `value` is within the band after the band is extended by `error` on both
+        sides.
+        """
         return self.quantity.low - self.error <= self.value <= self.quantity.high + self.error
 
     @property

@@ -18,12 +18,13 @@ CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
 """Edge of the block [m], and the durations of settling and sliding [s]."""
 SAMPLES = 41
-"""Number of instants to which a parabola is fitted, to average over the block's rocking.
-"""
+"""Number of instants to which a parabola is fitted, to average over the block's rocking."""
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """Return the exact acceleration in units of g: max(0, sin a - mu cos a) for a slope a."""
+    """Return the exact acceleration on a slope of angle a: `max(0, sin a - mu cos a)` in units of
+    g.
+    """
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 

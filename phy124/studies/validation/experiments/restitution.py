@@ -79,7 +79,7 @@ def speed(depth: float) -> float:
 
 
 def duration(depth: float) -> float:
-    """Return Hertz's contact time [s], 2.94 depth / speed; `depth` is relative to the radius."""
+    """Return Hertz's contact time [s]: `2.94 depth / speed`; `depth` is relative to the radius."""
     return 2.9432 * depth * RADIUS / speed(depth)
 
 

@@ -22,7 +22,7 @@ LIMIT = STREAM - GRAVITY / RATE
 
 
 def way(time: float) -> float:
-    """Return the exact upward displacement, (u - g / rate) (t - (1 - exp(-rate t)) / rate) [m].
+    """Return the exact upward displacement [m]: `(u - g / rate) (t - (1 - exp(-rate t)) / rate)`.
 
     Args:
         time: Time in units of 1 / rate.

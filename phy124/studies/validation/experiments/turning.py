@@ -34,8 +34,7 @@ SETTLING, ROLLING = 0.15, 0.35
 PLATE = (0.4, 0.0125, 0.1)
 """Edges of the plate [m]. The plate swings in its own plane about a point on its longest axis."""
 HINGE, GRIP = 0.15, 0.04
-"""Distance of the hinge from the plate's centre, and radius of the fixed material [m].
-"""
+"""Distance of the hinge from the plate's centre, and radius of the fixed material [m]."""
 ANGLE = 0.1
 """Amplitude of the swing [rad]."""
 STIFFNESS = 1e6
@@ -44,7 +43,9 @@ SAMPLES = 60
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the ball's exact acceleration / gravity, and the plate's exact period [s]."""
+    """Return the ball's exact acceleration, divided by gravity, and the plate's exact period
+    [s].
+    """
     rolling = 5 / 7 * math.sin(math.atan(SLOPE))
     return (
         Quantity.within("acceleration of the ball [g]", rolling, 0.01),
