@@ -4,8 +4,8 @@
     ros2 lifecycle set /phy124/player configure
 
 `configure` opens the clip and offers topics and services, `activate` plays, `deactivate` pauses,
-and `cleanup` closes the clip. Parameters that cannot be changed while the node runs are read by the
-next `configure`.
+and `cleanup` closes the clip. The next `configure` reads the parameters that cannot be changed
+while the node runs.
 """
 
 # rclpy comes with ROS 2 and is in no package index, so type checkers do not find it.

@@ -1,4 +1,6 @@
-"""Visitors' videos: options, checks, and decoding to small pictures in a process with limits."""
+"""Visitors' videos: declares their options, checks the files, and decodes them to small
+pictures.
+"""
 
 from __future__ import annotations
 

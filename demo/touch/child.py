@@ -1,4 +1,4 @@
-"""The process of a live run, which runs this file and ends when its pipe is closed.
+"""The process of a live run; it executes this file, and ends when its pipe is closed.
 
 Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
 function reads the lines from a `Line` and answers by messages. A message consists of a letter, the

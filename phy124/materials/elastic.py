@@ -63,7 +63,7 @@ class NeoHookean(Springy):
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
-        In A = 2 mu s^2 + 3 lambda, a strain e multiplies s^2 by at most exp(2 e).
+        In `A = 2 mu s^2 + 3 lambda`, a strain e multiplies `s^2` by at most `exp(2 e)`.
         """
         steady = 3 * max(self.lame[1], 0.0) / self.density
         stretched = max(1 - steady / stiffness, 1e-3) if stiffness > 0 else 1.0

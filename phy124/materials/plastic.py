@@ -21,7 +21,7 @@ class Metal(Logarithmic):
     The default density and Poisson's ratio are those of aluminium; the default stiffness is lower.
     With the defaults, the metal yields at a strain of 1 %, which is less than a cell resolves. Real
     values (E 7e10, yield_stress 3e7) are allowed, but the number of substeps grows as sqrt(E). An
-    impact at speed v leaves a dent if density v^2 is of the order of the yield stress.
+    impact at speed v leaves a dent if `density v^2` is of the order of the yield stress.
     """
 
     law: Literal["metal"] = "metal"

@@ -25,7 +25,9 @@ BODIES = MEAN_PUSH
 
 
 class ImmersedWork(MeanWork):
-    """Reads the external impulse and work on lattices and liquid from the sums for walls."""
+    """Computes the external impulse and work, on lattices and on the liquid, from the sums for
+    walls.
+    """
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:

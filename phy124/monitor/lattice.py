@@ -290,7 +290,9 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """The row of the effects report for the viscosity against fast compression."""
+    """The row of the effects report for the artificial viscosity, which resists fast
+    compression.
+    """
 
     NAME = "artificial viscosity in fast compression"
 

@@ -7,7 +7,7 @@ from A preserves thin axes and positive definiteness (`phy124.kernels.deform`).
 
 Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
 closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
-equal length move with the material, to within 1e-5 of the covariance.
+equal length rotate with the material; the covariance changes by at most a fraction of 1e-5.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class Deformer:
     """Computes the frames of one moving object; call once per frame, in order of time.
 
     With the binding `particles`, each Gaussian moves with one particle. With `lattice`, the nearest
-    particles of the lattice carry the Gaussian: x_g = sum w_i (x_i + F_i (X_g - X_i)) and F_g = sum
-    w_i F_i, with smooth weights w that sum to 1. The interpolation is exact for every affine
-    motion. For fluid and granular materials, the interpolation is exact only while the vectors F_i
-    (X_g - X_i) are at most twice as long as at rest.
+    particles of the lattice carry the Gaussian: `x_g = sum w_i (x_i + F_i (X_g - X_i))` and `F_g =
+    sum w_i F_i`, with smooth weights w that sum to 1. The interpolation is exact for every affine
+    motion. For fluid and granular materials, the interpolation is exact only while the vectors `F_i
+    (X_g - X_i)` are at most twice as long as at rest.
     """
 
     def __init__(

@@ -30,7 +30,7 @@ class Track(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """Adds the Gaussians that the solver does not move to a frame."""
+    """Completes frames by adding the Gaussians that the solver does not move."""
 
     gaussians: Gaussians
     """All N Gaussians at rest."""

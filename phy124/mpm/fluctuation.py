@@ -1,8 +1,8 @@
 """Fluctuation: the part of the particles' motion that the grid does not represent.
 
-APIC discards the fluctuation, so APIC needs no additional launches. The schemes other than APIC
-transfer (v, C) to the grid and back, once or several times, before the scatter of a substep. After
-the gather, these schemes restore a part of the difference.
+APIC discards the fluctuation, so APIC needs no additional launches. Before the scatter of a
+substep, all other schemes transfer (v, C) to the grid and back, once or several times. After the
+gather, these schemes restore a part of the difference.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class Team(Generic[Task]):
 
     `work` is not called for member 0. The caller starts a task for the other members with `put`,
     executes the part of member 0 itself, and starts the next task; `put` first waits for the other
-    members. Load every kernel that `work` launches before entering `running`, since loading is not
+    members. Before entering `running`, load every kernel that `work` launches, since loading is not
     thread-safe.
     """
 

@@ -1,11 +1,11 @@
 """Computes the integration points and surface points of a body on a lattice at rest.
 
 The body is divided into cubic cells of side dx, from i dx to (i + 1) dx along each axis. Each cell
-has eight points of equal volume at c +- s1 e1 +- s2 e2 +- s3 e3. Here c is the centre of the part
-of the body that lies in the cell; s^2 and e are the eigenvalues and eigenvectors of this part's
-second moments per volume. Together, the eight points have the volume, the centre and the second
-moments of this part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss points.
-Without exact second moments, plates thinner than a cell would be too stiff.
+has eight points of equal volume, at `c +- s1 e1 +- s2 e2 +- s3 e3`. Here c is the centre of the
+part of the body that lies in the cell; s^2 and e are the eigenvalues and eigenvectors of this
+part's second moments per volume. Together, the eight points have the volume, the centre and the
+second moments of this part of the body. In a full cell, the eight points are the 2 x 2 x 2 Gauss
+points. Without exact second moments, plates thinner than a cell would be too stiff.
 """
 
 from __future__ import annotations

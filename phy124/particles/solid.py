@@ -11,8 +11,8 @@ interior is found in four steps:
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
 - Only the fraction of a surface voxel below the local surface is part of the solid. The local
-  surface is a plane normal to the outward normal, at the upper limit of the voxel's samples. Filled
-  fractions make volumes more accurate than whole voxels would.
+  surface is a plane perpendicular to the outward normal, at the upper limit of the voxel's samples.
+  Filled fractions make volumes more accurate than whole voxels would.
 
 The voxels depend only on the Gaussians, so the solid does not depend on the simulation grid. The
 solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing. The

@@ -62,7 +62,7 @@ def compliance(shape: Solid) -> float:
     """Return the mean deflection of an upright object in its softest horizontal direction [m].
 
     The object is treated as a beam whose lowest part, `FOOT` high, is clamped. The beam is loaded
-    sideways by an acceleration a with rho a / E = 1 / L, where L is the object's longest side.
+    sideways by an acceleration `a` with `rho a / E = 1 / L`, where L is the object's longest side.
     """
     inside = _inside(shape)
     length, (_, _, height) = shape.voxel * max(inside.shape), inside.shape

@@ -69,9 +69,9 @@ def film(
 ) -> list[Path]:
     """Write the files of a view in every format, with every output, from each side.
 
-    Each frame is drawn from all sides before the next frame. Every video has an encoder, which
-    receives each picture when it is drawn. Large pictures are drawn from fewer sides at a time
-    (`MOST_PIXELS`), because every encoder stores several pictures.
+    Each frame is drawn from all sides before the next frame is drawn. Every video has an encoder,
+    which receives each picture when it is drawn. Large pictures are drawn from fewer sides at a
+    time (`MOST_PIXELS`), because every encoder stores several pictures.
 
     Args:
         clip: The clip.

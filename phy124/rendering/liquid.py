@@ -1,7 +1,7 @@
 """Shapes the Gaussians of a liquid: discs on the surface, and balls where the liquid tears.
 
 Each Gaussian represents a volume of liquid. The fraction phi of space that the liquid fills is
-computed from these volumes, smoothed over `BLUR` cells. The liquid's surface is where phi =
+computed from these volumes and smoothed over `BLUR` cells. The liquid's surface is where phi =
 `LEVEL`. Gaussians near the surface move onto it and become discs. Gaussians deep inside are not
 drawn. Gaussians in thin spray become balls. Near flat walls, phi is the filled fraction of the
 space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto

@@ -130,7 +130,7 @@ class Shine:
         return replace(frame, gaussians=replace(gaussians, sh=sh))
 
     def shape(self, frame: Frame) -> Frame:
-        """Return the frame with liquids shaped for rendering, without reflections."""
+        """Return the frame after shaping its liquids for rendering, but without reflections."""
         return replace(frame, gaussians=self._surface(frame)[0])
 
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
@@ -221,7 +221,9 @@ def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
 
 
 def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
-    """Yield the frames of a clip, with liquids shaped for rendering, without reflections."""
+    """Yield the frames of a clip after shaping the liquids for rendering, but without
+    reflections.
+    """
     shine = make_shine(clip, view)
     return clip.frames() if shine is None else map(shine.shape, clip.frames())
 

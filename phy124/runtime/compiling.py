@@ -71,7 +71,7 @@ def is_compiled(kernel: Any, device: str = "cpu") -> bool:
 
 @contextmanager
 def looking_up(kernels: Iterable[Any], device: str = "cpu") -> Iterator[None]:
-    """Look up kernels in Warp's cache in another thread, within this context.
+    """Within this context, look up kernels in Warp's cache in another thread.
 
     Warp then knows the hashes of the kernels' code, so that `compile_missing` is faster afterwards.
 

@@ -62,7 +62,7 @@ def import_lightly(*names: str) -> None:
 
 @contextmanager
 def _stand_ins() -> Iterator[None]:
-    """Within this context, replace unneeded modules by empty modules, unless already imported."""
+    """Within this context, replace unneeded modules that are not imported yet by empty modules."""
     added: list[tuple[str, ModuleType | None]] = []
     for name, classes in UNUSED.items():
         package, _, last = name.rpartition(".")

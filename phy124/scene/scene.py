@@ -205,7 +205,7 @@ class Scene(Section):
 
     @property
     def particles_per_axis(self) -> float:
-        """Particles per cell and axis, as set or as the most demanding material needs."""
+        """Particles per cell and axis: as set, otherwise the number that the materials need."""
         chosen = self.resolution.particles_per_axis
         return chosen or max(section.particles_per_axis for section in self.materials)
 

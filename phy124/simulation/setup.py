@@ -231,7 +231,7 @@ def sort_for_slabs(
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
     """Return the scene for the cost estimate.
 
-    A properties file is replaced by the material in the file with the highest wave speed.
+    A properties file is replaced by one of its materials: the one with the highest wave speed.
     """
     if scene.properties is None:
         return scene

@@ -58,7 +58,7 @@ def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Return the folder of the Hugging Face cache, which depends on environment variables."""
+    """Return the folder of the Hugging Face cache; environment variables may change this folder."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
     return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
 

@@ -100,7 +100,7 @@ def in_file_units(scene: Scene) -> bool:
 class _Read:
     """Gaussians with the default position and size.
 
-    A position y in the file was mapped to x = scale * rotation @ (y - origin) + offset.
+    A position y in the file was mapped to `x = scale * rotation @ (y - origin) + offset`.
     """
 
     gaussians: Gaussians

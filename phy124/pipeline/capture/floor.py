@@ -34,7 +34,7 @@ Vectors = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """The plane normal . x = offset, and the thickness of the layer of points around the plane."""
+    """A plane `normal . x = offset`, and the thickness of the layer of points around the plane."""
 
     normal: Vectors
     """Unit vector that points up [3]."""

@@ -82,8 +82,8 @@ def _fit_colours(
 ) -> Gaussians:
     """Fit colours by least squares, within the range of nearby colours of the photograph.
 
-    Let W map the colours of Gaussians to pixels, and r be the residual. Each step adds `(W^T r) /
-    (W^T 1)` to the colours (SIRT), with Nesterov's momentum.
+    The matrix W maps the colours of Gaussians to pixels, and r is the residual. Each step adds
+    `(W^T r) / (W^T 1)` to the colours (SIRT), with Nesterov's momentum.
     """
     photo, inside = photograph.rgb / np.float32(255), photograph.alpha[..., None] > 0.9
     pixels, _ = camera.project(gaussians.means[seen].astype(float))

@@ -163,7 +163,7 @@ def _ray(address: str | None, workers: int | None) -> Any:
 def _mute(ray: Any) -> None:
     """Stop Ray from printing messages about dead workers, which are also in Ray's logs.
 
-    Ray prints these messages to standard output even with `log_to_driver=False`, and would corrupt
+    Ray prints these messages to standard output even with `log_to_driver=False`; they would corrupt
     the JSON that phy124 prints there. The private attribute may be missing in some versions of Ray,
     which then still print the messages.
     """

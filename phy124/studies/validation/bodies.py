@@ -143,7 +143,7 @@ def fill_solid(
     upper: Sequence[float] | NDArray[Any],
     voxel: float,
 ) -> Solid:
-    """Return the solid inside a surface; voxels at the surface have the fraction that is filled.
+    """Return the solid inside a surface; voxels at the surface are filled by their fraction inside.
 
     Args:
         distance: Function that returns the signed distance of points [...,3] from the surface [m];
@@ -243,7 +243,7 @@ def record(
     times: Sequence[float] | Array,
     measure: Callable[[], Any],
 ) -> Array:
-    """Advance to each time [s], and return the values that `measure` returns there [T,...]."""
+    """Advance to each time [s], and return the values of `measure` at these times [T,...]."""
     values = []
     for time in times:
         solver.advance(float(time))

@@ -38,7 +38,7 @@ FLOOR_NODE = 0.75
 def angular_momentum(solver: Solver | LatticeSolver) -> Array:
     """Return the angular momentum [3], kg m^2/s, that APIC conserves exactly.
 
-    The angular momentum is the sum of m (x cross v + dx^2/4 axial(C)) over all particles.
+    The angular momentum is the sum of `m (x cross v + dx^2/4 axial(C))` over all particles.
     """
     m, x = host(solver.model.mass)[:, None], host(solver.state.x)
     v, C = host(solver.state.v), host(solver.state.C)

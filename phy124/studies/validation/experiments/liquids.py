@@ -132,9 +132,10 @@ def started_flow() -> tuple[float, float]:
 def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
     """Let a heap spread on a no-slip floor; return the prefactor and the exponent of its radius.
 
-    The heap starts at time t0 from the similarity solution, with the height (1 - r^2 / R^2)^(1/3).
-    The heap's radius is sqrt(7/3) times the root mean square of the particles' distances from the
-    axis; this is exact for the similarity solution. One quarter of the heap is simulated.
+    The heap starts at time t0 from the similarity solution, with the height `(1 - r^2 /
+    R^2)^(1/3)`. The heap's radius is sqrt(7/3) times the root mean square of the particles'
+    distances from the axis; this is exact for the similarity solution. One quarter of the heap is
+    simulated.
 
     Args:
         cells: Cells across the height at the start.

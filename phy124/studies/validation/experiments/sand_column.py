@@ -42,7 +42,7 @@ def plane_strain(angle: float) -> float:
 
     The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two principal stresses are equal.
     In plane strain, the middle principal stress is the mean of the two others. For such stresses
-    sin(angle) = 2 sqrt(3) s / (3 - s), where s is the sine of `friction_angle`.
+    `sin(angle) = 2 sqrt(3) s / (3 - s)`, where s is the sine of `friction_angle`.
 
     Args:
         angle: Angle of friction in plane strain [degrees].
