@@ -379,7 +379,7 @@ class Studio:
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
     def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
-        """Return the finished stages of a run, as arguments of the forecast."""
+        """Return which stages of a run are already finished, as arguments of the forecast."""
         visitor = self.visitors.find(name)
         if visitor is None or source is None or not is_there(source):
             return {}

@@ -208,7 +208,7 @@ def factor_message(factor: float, options: Options, seconds: float) -> Message:
 
 
 def stamp_of(options: Options, seconds: float) -> int:
-    """Return the time stamp [ns since 1970] of a time since the epoch [s]."""
+    """Return the time stamp [ns since 1970] of a time [s since 1970]."""
     return round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
 
 

@@ -102,7 +102,7 @@ def show_source(made: Source) -> dict[str, Any]:
 
 
 def _doubts(made: Cutout) -> dict[str, str]:
-    """Return a warning about a cut-out, and the reasons, which are shown on request."""
+    """Return a warning about a cut-out, and the reasons; the page shows the reasons on request."""
     return {"warning": "".join(made.doubts[:1]), "doubts": " ".join(made.doubts[1:])}
 
 

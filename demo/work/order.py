@@ -99,7 +99,7 @@ def folders(order: Order) -> tuple[Path, Path]:
 
 
 def stages_done(order: Order) -> dict[str, Any]:
-    """Return the finished stages of an order, as arguments of the forecast.
+    """Return which stages of an order are already finished, as arguments of the forecast.
 
     `composed` is the cost of rendering in the photograph, expressed as a number of rendered pixels.
     """

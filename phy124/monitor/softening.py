@@ -1,7 +1,7 @@
 """Softening: changes Young's modulus over time, frame by frame.
 
-The parameters of a law that are proportional to E (`Material.scaled`) are multiplied in the
-solver's arrays. The resulting change of the elastic energy counts as external work, since the
+In the solver's arrays, the factor multiplies those parameters of a law that are proportional to E
+(`Material.scaled`). The resulting change of the elastic energy counts as external work, since the
 energy of a bent body increases when it stiffens.
 """
 

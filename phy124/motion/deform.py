@@ -1,9 +1,9 @@
 """Moves Gaussians with the material: computes a frame from particles and the Gaussians at rest.
 
-The paper (Phy124, arXiv 2409.07179) computes Sigma_t = F Sigma_0 F^T with the total F. The
-decomposition Sigma = Q Lambda Q^T then gives the rotation and the scales. Here the axes are
-computed from A = F R_0 S_0 (Sigma = A A^T) instead, once per frame and in float64. The computation
-from A preserves thin axes and positive definiteness (`phy124.kernels.deform`).
+The paper (Phy124, arXiv 2409.07179) computes `Sigma_t = F Sigma_0 F^T` with the total deformation
+gradient F. The decomposition `Sigma = Q Lambda Q^T` then gives the rotation and the scales. Here
+the axes are computed from `A = F R_0 S_0` (`Sigma = A A^T`) instead, once per frame and in float64.
+The computation from A preserves thin axes and positive definiteness (`phy124.kernels.deform`).
 
 Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
 closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of

@@ -189,7 +189,7 @@ class Recorded:
     def rows_of(self, chosen: NDArray) -> Iterator[dict[str, Array]]:
         """Yield the arrays of chosen Gaussians, frame by frame.
 
-        The frames of a short clip are kept, because its Gaussians will be read again to be drawn.
+        The frames of a short clip are kept, because its Gaussians will be read again for drawing.
         """
         if self._keeps_all:
             rows = (self.row(index) for index in range(len(self)))

@@ -111,8 +111,8 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured: the user's number if it is
-        safe.
+        """Return the number of substeps until speeds must be measured; the user's number is used if
+        it is safe.
 
         Args:
             clock: Clock with the last measurement.

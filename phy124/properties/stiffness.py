@@ -1,7 +1,7 @@
 """Stiffness fields: a Young's modulus that varies continuously inside one object.
 
-A field multiplies Young's modulus E of the material at each particle: E(x) = fraction(x) E. The
-first parameters of every law are proportional to E. With a field, kernels read one row of
+A field multiplies Young's modulus E of the material at each particle by a fraction: `fraction(x)
+E`. The first parameters of every law are proportional to E. With a field, kernels read one row of
 parameters per particle; without a field, all particles use one row. A properties file can also
 contain a fraction for each Gaussian (phy124/properties).
 """

@@ -178,8 +178,8 @@ def vary_materials(
 def with_properties(
     particles: Particles, columns: dict[str, NDArray[Any]], materials: Sequence[AnyMaterial]
 ) -> tuple[Particles, list[AnyMaterial], NDArray[np.intp]]:
-    """Return particles with the materials of a file, sorted by law, with the materials and the
-    order.
+    """Return particles with the materials of a file, sorted by law; also return the materials and
+    the order.
 
     Args:
         particles: The moving particles, with indices into `materials`.

@@ -222,7 +222,9 @@ def _region_in_metres(
     offset: NDArray[np.float64],
     number: int,
 ) -> PartRegion:
-    """Return the box or cylinder of a part, rotated with the file's axes and shifted, in metres."""
+    """Return the region of a part in metres, after rotating and shifting it like the file's
+    axes.
+    """
     # The rotation `turn` of the region is applied first: rotation @ (scale * turn @ box) + offset.
     both = rotation @ rotation_matrices(np.array([region.turn]))[0]
     corners = scale * np.array([region.lower, region.upper]) + both.T @ offset
