@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin
 
 import gradio as gr
 from gradio.components import Component
@@ -35,7 +35,12 @@ from .work import BEAT, Done
 VIEWS = list(get_args(ViewName))
 OTHERS = ("second", "third", "fourth")
 """Arguments for the pictures of further objects."""
-EXTRAS = ("depth", "near", "side", "facing", "back", "thickness", "highlights", *AXES, "compose")
+GUESSES = ("back_look", "shape", "photo_elevation")
+"""Arguments that replace what `relief` guesses from the picture."""
+EXTRAS = (
+    *("depth", "near", "side", "facing", "back", "thickness", "highlights", *AXES, "compose"),
+    *GUESSES,
+)
 """Arguments that are optional inputs in addition to the front picture."""
 NOTHING_YET = "run: There is no run in this session yet. Call /generate first."
 
@@ -63,6 +68,9 @@ class MeasureRequest(BaseModel):
     second: Any = None
     third: Any = None
     fourth: Any = None
+    back_look: Any = "auto"
+    shape: Any = "auto"
+    photo_elevation: Any = None
 
     @property
     def extras(self) -> dict[str, Any]:
@@ -103,6 +111,7 @@ def endpoints(studio: Studio) -> None:
         scene = [picture, preset, accuracy, frames, changes]
         extras = [pick, depth, near, side, facing, back, thickness, highlights, up, front]
         others = [photo(studio, label=name) for name in OTHERS]
+        guesses = [_component(OtherViews, option) for option in GUESSES]
         views = _unread(gr.CheckboxGroup(VIEWS, label="views"))
         size = _unread(gr.Number(512, label="size", precision=0, minimum=16))
         elevation = _unread(gr.Number(10, label="elevation", minimum=-89, maximum=89))
@@ -113,13 +122,13 @@ def endpoints(studio: Studio) -> None:
         # These endpoints only wait for jobs, which wait in the queue of the page.
         shared = {"concurrency_id": "programs", "concurrency_limit": studio.settings.max_queue}
 
-        inputs = [*scene, formats, *extras, compose, *others]
+        inputs = [*scene, formats, *extras, compose, *others, *guesses]
         handle = _unpack(_generate(studio), GenerateRequest, inputs)
         gr.Button().click(handle, inputs, [run, files, report], api_name="generate", **shared)
         inputs = [run, views, size, elevation, speed, compose]
         gr.Button().click(_render(studio), inputs, [files, report], api_name="render", **shared)
         gr.Button().click(_evaluate, run, report, api_name="evaluate")
-        inputs = [*scene, *extras, *others]
+        inputs = [*scene, *extras, *others, *guesses]
         error, sentence = gr.Number(label="error"), gr.Textbox(label="sentence")
         outputs = [error, sentence, gr.JSON(label="levels")]
         handle = _unpack(_measure(studio), MeasureRequest, inputs)
@@ -170,7 +179,7 @@ def _choice(section: type[Section], option: str) -> Any:
 def _component(section: type[Section], option: str) -> Any:
     """Create a component for an option that has a few choices or is a number."""
     field = section.model_fields[option]
-    if get_args(field.annotation):
+    if get_origin(field.annotation) is Literal:
         return _choice(section, option)
     return _unread(gr.Number(field.default, label=option))
 

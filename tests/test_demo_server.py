@@ -304,6 +304,17 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("option", "value"), [("back_look", "shiny"), ("shape", "square"), ("photo_elevation", 90)]
+)
+@pytest.mark.parametrize("endpoint", ["/generate", "/measure"])
+def test_a_guess_can_be_replaced_by_name_and_is_checked(client, endpoint, option, value):
+    from gradio_client import handle_file
+
+    with pytest.raises(Exception, match=f"{option}: It must be "):
+        client.predict(handle_file(str(DUCK)), **{option: value}, api_name=endpoint)
+
+
+@pytest.mark.parametrize(
     ("name", "data", "message"),
     [
         ("bomb.png", bomb(16_000), "more than 25 million pixels"),
