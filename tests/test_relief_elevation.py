@@ -1,5 +1,7 @@
 """relief: objects that were photographed from above stand upright."""
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 import pytest
@@ -7,13 +9,15 @@ import pytest
 from phy124.camera import Camera
 from phy124.generators.relief import relief
 from phy124.generators.relief.lathe import find_lathe
+from phy124.generators.relief.rings import find_ring
 from phy124.generators.relief.upright import Profile
 from phy124.rendering.compose.photograph import Photograph, match
 from phy124.rendering.render import Renderer
-from support.drawings import SIZE, X, Y, outlines, picture
+from support.drawings import SIZE, X, Y, mug, outlines, picture
 
 RED, BLUE = (220, 40, 40), (40, 60, 200)
 DISTANCE = 2.0 * SIZE
+TURN = np.linspace(0, 2 * np.pi, 33)
 
 
 def raised(elevation):
@@ -38,6 +42,18 @@ def cup(elevation, rim=0.5, foot=0.35):
     lid = circle(rim, 0.25)
     solid = hull([*lid, *circle(foot, -0.25)], elevation)
     return picture(solid, np.where(hull(lid, elevation)[..., None], RED, BLUE))
+
+
+def ring(elevation, radius=0.4, wide=0.08, high=0.08):
+    """Draw the mask of a ring with a round section that lies on the floor."""
+    around = np.stack([circle(radius + wide * np.cos(t), high * np.sin(t)) for t in TURN], axis=1)
+    return np.any([hull(np.concatenate(pair), elevation) for pair in pairwise(around)], axis=0)
+
+
+def find_in(mask):
+    rows, columns = np.nonzero(mask)
+    middle = np.array([columns.min() + columns.max(), rows.min() + rows.max()]) / 2
+    return find_ring(mask, middle, DISTANCE, None)
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +98,41 @@ def test_a_cup_stands_upright_and_its_lid_is_flat(renderer):
     inner = np.hypot(x - x[lid].mean(), y) < 0.8 * across[1] / 2
     assert red[lid & inner].mean() > 0.99
     assert red[z < z.max() - 0.06].mean() < 0.01
+
+
+@pytest.mark.parametrize(("elevation", "high"), [(20, 0.08), (30, 0.12), (45, 0.08)])
+def test_outline_and_hole_show_how_a_ring_lies(elevation, high):
+    lying = find_in(ring(elevation, high=high))
+    assert lying is not None
+    assert np.degrees(lying.camera.elevation) == pytest.approx(elevation, abs=4)
+    assert lying.wide / lying.radius == pytest.approx(0.08 / 0.4, abs=0.06)
+    assert lying.high / lying.radius == pytest.approx(high / 0.4, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [
+        abs(np.hypot(X - 96, Y - 96) - 60) < 20,  # a ring from the front
+        abs(np.hypot((X - 96) * 2, Y - 96) - 60) < 20,  # an upright frame
+        (np.hypot((X - 96) / 80, (Y - 96) / 40) < 1) & (np.hypot(X - 70, Y - 96) > 15),
+        np.asarray(mug().getchannel("A")) > 0,
+    ],
+)
+def test_other_outlines_with_a_hole_show_no_ring(solid):
+    assert find_in(solid) is None
+
+
+def test_a_ring_lies_on_the_floor_with_its_hole_open(renderer):
+    shown = picture(ring(30))
+    made = relief(shown, count=4000)
+    wanted, drawn = outlines(renderer, made, shown, 30)
+    assert (wanted & drawn).sum() / (wanted | drawn).sum() > 0.9
+    x, y, z = made.means.T
+    width = np.ptp(y)
+    assert np.ptp(x) == pytest.approx(width, rel=0.02)
+    assert np.ptp(z) / width == pytest.approx(0.16 / 0.96, abs=0.05)
+    away = np.hypot(x - (x.min() + x.max()) / 2, y - (y.min() + y.max()) / 2)
+    assert away.min() / width > 0.25
 
 
 def test_the_photograph_of_a_cup_is_matched_from_its_elevation():

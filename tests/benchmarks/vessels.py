@@ -1,8 +1,8 @@
 """Compares `relief` with vessels photographed from above: `python tests/benchmarks/vessels.py`.
 
-Each object is drawn from an elevation of 25 degrees in soft light. What `relief` makes of this
-picture is compared with the upright object from the views of `support.truths`, as in relief.py.
-`--json FILE` writes the figures, `--against FILE` shows the change since then.
+Each object is drawn from an elevation of 25 degrees (`--elevation`) in soft light. What `relief`
+makes of this picture is compared with the upright object from the views of `support.truths`, as in
+relief.py. `--json FILE` writes the figures, `--against FILE` shows the change since then.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from phy124.generators.relief import relief
 from phy124.rendering.render import Renderer
 from support.truths import DISTANCE, FINE, FRONT, SMALL, VIEWS, WIDE
 from support.truths.distances import box, torus, turned, without
-from support.truths.objects import BLUE, DARK, OBJECTS, WHITE, mottled, part
+from support.truths.objects import BLUE, DARK, OBJECTS, WHITE, YELLOW, mottled, part
 
 ELEVATION = 25
 AMBIENT, DIFFUSE = 0.6, 0.35
@@ -38,6 +38,7 @@ def hollow(outer: list, inner: list, colour: tuple) -> object:
 CUP = hollow([(0.22, 0), (0.36, 0.45)], [(0.18, 0.05), (0.32, 0.6)], WHITE)
 BOWL = hollow([(0.2, 0), (0.35, 0.12), (0.5, 0.32)], [(0.14, 0.05), (0.47, 0.4)], BLUE)
 POT = hollow([(0.4, 0), (0.42, 0.4)], [(0.37, 0.05), (0.39, 0.6)], (0.6, 0.6, 0.62))
+BAND = without(turned([(0.4, -0.1), (0.4, 0.1)]), turned([(0.36, -1), (0.36, 1)]))
 VESSELS = {
     "bowl": [BOWL],
     "cup": [CUP, part(torus(0.14, 0.035, 0, (0, 0.42, 0.25)), WHITE)],
@@ -45,15 +46,17 @@ VESSELS = {
     "tin": [part(turned([(0.45, 0), (0.45, 0.3)]), mottled(BLUE, 0.1))],
     "mug": OBJECTS["mug"],
     "drum": OBJECTS["drum"],
+    "ring": [part(torus(0.35, 0.05, 2), mottled(YELLOW, 0.1))],
+    "bracelet": [part(BAND, YELLOW)],
     "car": OBJECTS["car"],
     "dog": OBJECTS["dog"],
 }
 
 
-def measured(name: str, renderer: Renderer) -> dict[str, float]:
+def measured(name: str, renderer: Renderer, elevation: float = ELEVATION) -> dict[str, float]:
     """Mean overlap (IoU) of the silhouettes, overlap from the side, and relative depth."""
     solid = truths._placed(VESSELS[name])
-    camera = Camera.orbit(0, ELEVATION, DISTANCE, FRONT * FINE, fov_y=WIDE)
+    camera = Camera.orbit(0, elevation, DISTANCE, FRONT * FINE, fov_y=WIDE)
     picture, _ = truths._picture(solid, camera)
     made = relief(Image.fromarray(truths._rounded(picture)), count=GAUSSIANS)
     low, high = made.means.min(axis=0), made.means.max(axis=0)
@@ -76,14 +79,16 @@ def measured(name: str, renderer: Renderer) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--elevation", type=float, default=ELEVATION)
+    parser.add_argument("--only", nargs="*", default=list(VESSELS))
     parser.add_argument("--json", type=Path)
     parser.add_argument("--against", type=Path)
     chosen = parser.parse_args()
     truths.AMBIENT, truths.DIFFUSE = AMBIENT, DIFFUSE
     before = json.loads(chosen.against.read_text()) if chosen.against else {}
     renderer, figures = Renderer(device="cpu"), {}
-    for name in VESSELS:
-        row = figures[name] = measured(name, renderer)
+    for name in chosen.only:
+        row = figures[name] = measured(name, renderer, chosen.elevation)
         columns = [[old[key] for old in (before.get(name), row) if old] for key in row]
         print(f"| {name} |", *(" | ".join(f"{v:.3f}" for v in pair) + " |" for pair in columns))
     if chosen.json:

@@ -74,7 +74,7 @@ def relief(
         shape: "round": as deep as its parts are wide; "upright": turned about a vertical axis;
             "flat": a thin sheet; "auto": the most plausible of these, a slab or a box.
         photo_elevation: Angle above the horizontal from which the picture was taken [degrees], 0 to
-            80. None: the angle that a vessel or a box shows, and 0 for other objects.
+            80. None: the angle that a vessel, a ring or a box shows, and 0 for others.
         highlights: "keep": highlights are painted on the object and move with it; "remove":
             highlights are removed from the images first.
 

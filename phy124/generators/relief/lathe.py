@@ -97,30 +97,6 @@ class Lathe:
         wall = np.stack([self.radii, self.heights], axis=1)
         return np.concatenate([[[0, self.heights[0]]], wall, [[0, self.heights[-1]]]])
 
-    def spread(self, count: int) -> tuple[Field, Field, Field, float]:
-        """Distribute about `count` points evenly over the surface.
-
-        Returns:
-            Radius and height of each point [N,2], its angle from the front [N], the radial and the
-            upward component of its outward normal [N,2], and the spacing of the points.
-        """
-        steps = np.diff(self.path, axis=0)
-        lengths = np.hypot(*steps.T)
-        area = np.pi * float(((self.path[1:, 0] + self.path[:-1, 0]) * lengths).sum())
-        pitch = float(np.sqrt(area / count))
-        edge = pitch * (4 / 3) ** 0.25  # each point of the lattice has the area pitch^2
-        ends = np.concatenate([[0.0], np.cumsum(lengths)])
-        along = np.linspace(0, ends[-1], max(8, round(ends[-1] / (edge * 3**0.5 / 2))))
-        segment = np.clip(np.searchsorted(ends, along, side="right") - 1, 0, len(lengths) - 1)
-        normals = (steps[:, ::-1] * [1, -1] / np.maximum(lengths, 1e-9)[:, None])[segment]
-        ring = np.stack([np.interp(along, ends, part) for part in self.path.T], axis=1)
-        numbers = np.maximum(1, np.rint(2 * np.pi * ring[:, 0] / edge)).astype(int)
-        owner = np.repeat(np.arange(len(ring)), numbers)
-        place = np.arange(len(owner)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
-        # Every second ring is turned by half a spacing.
-        angles = 2 * np.pi * (place + 0.5 * (owner % 2)) / numbers[owner]
-        return ring[owner], (angles + np.pi) % (2 * np.pi) - np.pi, normals[owner], pitch
-
     def shell(self, count: int, front: Field, middle: Field, offset: float) -> Shell:
         """Return the shell with the colours of the image.
 
@@ -133,11 +109,11 @@ class Lathe:
             middle: Column of the axis and row of the image's centre [2].
             offset: Distance of the axis from the centre of the image, pixels.
         """
-        rings, angles, normals, pitch = self.spread(count)
+        rings, angles, normals, pitch = spread_turned(self.path, count)
         rgb = self._colours(rings, angles, normals, front, middle)
         inner = np.maximum(rings - DRAWN_IN * normals, [0.0, -np.inf])
-        points = _upright(inner, angles) + np.array([offset, 0, 0])
-        return Shell(points, _upright(normals, angles), np.full(len(points), pitch), rgb)
+        points = revolve(inner, angles) + np.array([offset, 0, 0])
+        return Shell(points, revolve(normals, angles), np.full(len(points), pitch), rgb)
 
     def _colours(
         self, rings: Field, angles: Field, normals: Field, front: Field, middle: Field
@@ -152,7 +128,7 @@ class Lathe:
         limit = np.where(seen[source] < np.pi, CLEAR * seen[source], np.pi)
         size = np.abs(angles)
         folded = np.where(size <= limit, size, np.minimum(np.pi - size, limit))
-        points = _upright(rings[source], np.copysign(folded, angles))
+        points = revolve(rings[source], np.copysign(folded, angles))
         column, row = self.camera.pixels(points).T
         place = [row + middle[1], column + middle[0]]
         rgb = [
@@ -207,15 +183,44 @@ def cut_lathe(profile: Profile, middle: float, camera: Raised) -> Lathe | None:
     return Lathe.fill(profile, middle, camera).between(first, last)
 
 
+def spread_turned(path: Field, count: int) -> tuple[Field, Field, Field, float]:
+    """Distribute about `count` points evenly over the surface of a solid of revolution.
+
+    Args:
+        path: Radius and height of the points of its outline [M,2]; the solid is on the left.
+        count: Approximate number of points.
+
+    Returns:
+        Radius and height of each point [N,2], its angle from the front [N], the radial and the
+        upward component of its outward normal [N,2], and the spacing of the points.
+    """
+    steps = np.diff(path, axis=0)
+    lengths = np.hypot(*steps.T)
+    area = np.pi * float(((path[1:, 0] + path[:-1, 0]) * lengths).sum())
+    pitch = float(np.sqrt(area / count))
+    edge = pitch * (4 / 3) ** 0.25  # each point of the lattice has the area pitch^2
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = np.linspace(0, ends[-1], max(8, round(ends[-1] / (edge * 3**0.5 / 2))))
+    segment = np.clip(np.searchsorted(ends, along, side="right") - 1, 0, len(lengths) - 1)
+    normals = (steps[:, ::-1] * [1, -1] / np.maximum(lengths, 1e-9)[:, None])[segment]
+    ring = np.stack([np.interp(along, ends, part) for part in path.T], axis=1)
+    numbers = np.maximum(1, np.rint(2 * np.pi * ring[:, 0] / edge)).astype(int)
+    owner = np.repeat(np.arange(len(ring)), numbers)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+    # Every second ring is turned by half a spacing.
+    angles = 2 * np.pi * (place + 0.5 * (owner % 2)) / numbers[owner]
+    return ring[owner], (angles + np.pi) % (2 * np.pi) - np.pi, normals[owner], pitch
+
+
 def _images(heights: Field, radii: Field, camera: Raised) -> tuple[Field, Field]:
     """Return the columns and rows [M,A] of the right halves of circles, relative to the axis."""
     rings = np.stack([np.repeat(radii, len(ANGLES)), np.repeat(heights, len(ANGLES))], axis=1)
-    pixels = camera.pixels(_upright(rings, np.tile(ANGLES, len(radii))))
+    pixels = camera.pixels(revolve(rings, np.tile(ANGLES, len(radii))))
     column, row = pixels.T.reshape(2, len(radii), len(ANGLES))
     return column, row
 
 
-def _upright(rings: Field, angles: Field) -> Field:
+def revolve(rings: Field, angles: Field) -> Field:
     """Convert radial and upward components [N,2] at the angles [N] to vectors [N,3]."""
     radius, height = rings.T
     return np.stack([radius * np.sin(angles), -height, radius * np.cos(angles)], axis=1)

@@ -30,6 +30,7 @@ from phy124.generators.relief.flat import flatten
 from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
+from phy124.generators.relief.rings import find_ring
 from phy124.generators.relief.shell import DRAWN_IN, Shell
 from phy124.generators.relief.sides import Box, check_back
 from phy124.generators.relief.solids import (
@@ -69,7 +70,7 @@ def from_front(
     shape: Shape,
     elevation: float | None,
 ) -> Shell:
-    """Build the upright shell of the object: a vessel, a box, or the inflated silhouette.
+    """Build the upright shell of the object: a ring, a vessel, a box, or the inflated silhouette.
 
     Args:
         picture: Image of the front.
@@ -82,13 +83,15 @@ def from_front(
         thickness: Factor by which the depth guessed from the silhouette is multiplied.
         shape: Kind of solid; "auto": the most plausible one.
         elevation: Angle above the horizontal from which the picture was taken [degrees]; None: the
-            angle that a vessel or a box shows, otherwise 0.
+            angle that a vessel, a ring or a box shows, otherwise 0.
     """
     rgba = work_picture(picture, depth=depth)
     view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)
     if depth is None and back is None and thickness == 1:
         shell = None
         if shape in ("auto", "upright"):
+            shell = _ring_shell(rgba, view, count, elevation)
+        if shell is None and shape in ("auto", "upright"):
             shell = vessel_shell(rgba, view, count, rng, elevation, always=shape == "upright")
         if shell is None and shape == "auto" and (box := find_box(rgba[..., 3] > 0.5, view)):
             shell = _box_shell(box, clean_picture(rgba), count, elevation)
@@ -176,6 +179,13 @@ def _inflated_shell(
         rgb = blend_pictures(drawn, turned, shown, view.distance)
     step(3)
     return Shell(drawn, turned, spacing, rgb)
+
+
+def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) -> Shell | None:
+    """Return the shell of a ring that lies; None if the image [H,W,4] shows none from above."""
+    middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
+    ring = find_ring(rgba[..., 3] > 0.5, middle, view.distance, radians)
+    return ring and ring.shell(count, clean_picture(rgba), middle)
 
 
 def _box_shell(box: Cuboid, front: Field, count: int, elevation: float | None) -> Shell:
