@@ -1,5 +1,7 @@
 """Projected liquids: tanks, slopes and closed boxes with known results."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
 from phy124.forces import Gravity, ZoneForce
 from phy124.kernels.liquid.active import make_forget
+from phy124.kernels.work import WORK
 from phy124.liquid.solver import LiquidSolver
 from phy124.monitor.diagnostics import describe_substep
 from phy124.mpm import FreeBody
@@ -19,6 +22,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
+from phy124.studies.validation.stress.liquids import Balance
 from support.liquids import DENSITY, FPS, TANK, G, block, field, heights, liquid, run
 from support.shapes import ball
 
@@ -308,6 +312,15 @@ def test_projected_water_lands_in_its_basin():
     assert clip.report["walls"]["container_z_low"]["largest_force"] > 0
 
 
+@pytest.mark.parametrize("thickness", [1e-4, 1e-3])
+def test_film_much_thinner_than_a_cell_runs(thickness):
+    sheet = ball()
+    sheet = replace(sheet, means=sheet.means * np.float32([1, 1, thickness]))
+    scene = Scene.named("water").replaced({"accuracy": {"cells": 16}, "time.frames": 4})
+    report = Simulation(prepare(sheet, scene, RunContext(threads=1))).run().report
+    assert report["stopped"] is None and report["balance"]["energy_gain"] < 0.01
+
+
 def test_effects_say_that_a_projected_liquid_is_inviscid():
     scene = Scene.named("water").replaced({"accuracy": {"liquid": "projection"}})
     effects = Effects.of(scene)
@@ -341,6 +354,41 @@ def test_film_and_lone_particle_come_to_rest_on_the_floor():
         x, v = solver.state.x.numpy(), solver.state.v.numpy()
         assert np.abs(v).max() < 1e-3
         assert x[:, 2].min() > 0 and x[:, 2].max() < 0.04
+
+
+@pytest.mark.parametrize(
+    ("height", "tilt", "fall"), [(0.001, 0.0, 0.0), (0.3, 0.0, 0.28), (0.001, 20.0, 0.0)]
+)
+def test_walls_take_only_the_energy_of_a_fall_from_drops(height, tilt, fall):
+    """A film of a twentieth of a cell starts too near the floor, falls, or slides down a slope.
+
+    Heights are in cells.
+    """
+    tilt = np.radians(tilt)
+    normal = (-np.sin(tilt), 0.0, np.cos(tilt))
+    x = block((0.25, 0.25, 0), (0.75, 0.75, 1 / 16), 8)
+    x[:, 2] = x[:, 0] * np.tan(tilt) + height / 8
+    solver = liquid(x, 8, [HalfSpace(point=(0, 0, 0), normal=normal, contact="slip")])
+    for array in (solver.model.volume, solver.model.mass):
+        array.assign(array.numpy() / 10)
+    solver.leave_walls()
+    assert (solver.state.x.numpy() @ normal).min() > 0.019 / 8
+    run(solver, 12)
+    work = solver.impulses.total.numpy()[0, WORK]
+    weight = solver.model.total_mass * G
+    assert work == pytest.approx(-weight * fall / 8, rel=0.1, abs=1e-5 * weight / 8)
+
+
+def test_puddle_that_spreads_gains_no_energy():
+    """It starts half a cell thick and becomes a film of single drops."""
+    x = block((0, 0, 0), (0.5, 0.5, 0.0625), 8)
+    floor, balance = HalfSpace(point=(0, 0, 0), normal=(0, 0, 1), contact="slip"), Balance()
+    solver = liquid(x, 8, [floor], accumulators=[balance])
+    balance.follow(solver)
+    for _ in range(24):
+        run(solver, 1)
+        balance.compare()
+    assert balance.energy < 1e-3
 
 
 def test_liquid_that_an_impact_compresses_is_not_crowded():

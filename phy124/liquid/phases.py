@@ -165,6 +165,7 @@ class Phases:
             yield "walls", launches(phase)
         for phase in self._walls.describe(cells, worker, len(self._workers), move=True):
             yield "move", launches(phase)
+        yield "leave walls", launches(self._push_out(worker, stops=False))
         alone, keep = worker == 0 and self._bodies is None, self.pushes.keep(self._run(worker))
         yield "scatter", [] if self._bodies else keep
         yield "scatter", self._push(pushes, worker, grid)
@@ -457,7 +458,7 @@ class Phases:
         out = []
         if self._bodies is not None:
             out = [(BODIES, self._bodies.push_out(cells, walls, self._model, s.x[run]))]
-        return [*out, *walls.push_out(cells, run, s.x, s.v, sums, stops=stops)]
+        return [*out, *walls.push_out(cells, run, s, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
         """Return the launches with which a worker sums the volumes [m^3] of its particles over the

@@ -287,6 +287,20 @@ class LiquidSolver:
         clock.pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
         self._measure()
 
+    def leave_walls(self) -> None:
+        """Move particles that are inside a wall to the surface of the wall.
+
+        At the start of a run, particles may be slightly inside a wall, or nearer to the wall than
+        all later steps leave any particle. The energy balance should not include the lift out of a
+        floor.
+        """
+        self._fit()
+        if self.walls.move:
+            self.walls.place(self.clock.time)
+            self._move_walls()
+        self._group("leave walls")
+        self.runner.join()
+
     def renew(self) -> None:
         """Measure all limits again; call after changing the state from outside."""
         self._fit()

@@ -15,7 +15,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.liquid import walls as kernels
 from phy124.kernels.liquid.solids import make_motions
 from phy124.liquid.cells import Cells, Region
-from phy124.mpm import FreeBodies, Model
+from phy124.mpm import FreeBodies, Model, State
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
@@ -230,27 +230,26 @@ class Walls:
                 )
 
     def push_out(
-        self, cells: Cells, run: slice, x: wp.array, v: wp.array, sums: wp.array, *, stops: bool
+        self, cells: Cells, run: slice, state: State, sums: wp.array, *, stops: bool
     ) -> list[Recorded]:
         """Return the launches that move particles out of all walls.
 
         Args:
             cells: The cells.
             run: The particles of the worker.
-            x: Positions of all particles [P,3].
-            v: Velocities of all particles [P,3].
+            state: Positions and velocities of all particles.
             sums: Sums of impulse, moment and work of each wall.
             stops: Whether the particles lose their velocity towards the wall.
         """
-        model = self._model
+        model, tracks = self._model, self._tracks
         launches = []
         for group in self._groups:
             kernel = kernels.make_push_out(group.shape, model.real)
             inputs = [int(stops), group.numbers, group.geometries, self.slots, self.frictions]
             inputs += [model.mass[run], cells.lattice, cells.window, self._places]
-            inputs += [self.motions, group.frame]
-            inputs.append(cells.distances)
-            outputs = [x[run], v[run], sums]
+            inputs += [tracks.clock, tracks.values, state.C[run]]
+            inputs += [self.motions, group.frame, cells.distances]
+            outputs = [state.x[run], state.v[run], sums]
             launch = model.launch(kernel, run.stop - run.start, inputs, outputs)
             launches.append((STAGE, launch))
         return launches

@@ -432,7 +432,9 @@ def make_push_out(shape: str, real: Any):
     `walls` contains the indices of the shape's walls in `slots` and `frictions`, which are tables
     of all walls; `geometries` contains their dimensions. A wall stops the normal velocity, and
     reduces the tangential velocity by up to the coefficient of friction times the normal velocity.
-    The impulse on the particles and its work are added to `sums_out`.
+    The impulse on the particles and its work are added to `sums_out`. The work on a single drop is
+    computed with the drop's mean velocity in the step, so a floor does no work on drops that lie on
+    the floor. Pressure does not act on drops; their velocity gradient `C` is zero.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -461,6 +463,9 @@ def make_push_out(shape: str, real: Any):
         lattice,
         window,
         values,
+        clock,
+        tracks: wp.array(dtype=t.vec4),
+        C,
         motions: wp.array2d(dtype=t.vec3),
         frame: Doubles,
         distances: t.reals,
@@ -490,8 +495,12 @@ def make_push_out(shape: str, real: Any):
                         before = v_out[p]
                         after = stop(before, u, normal, frictions[wall][0])
                         v_out[p] = after
+                        start = before
+                        if C[p] == t.mat33():
+                            a = tracks[0]
+                            start -= clock[0] * wp.vector(a[0], a[1], a[2])
                         change = mass[p] * (after - before)
-                        work = real(0.5) * wp.dot(change, after + before)
+                        work = real(0.5) * wp.dot(change, after + start)
                         turn = wp.cross(x, change)
                         for axis in range(3):
                             wp.atomic_add(sums_out, wall, axis, wp.float64(change[axis]))
