@@ -315,7 +315,8 @@ def test_projected_water_lands_in_its_basin():
 @pytest.mark.parametrize("thickness", [1e-4, 1e-3])
 def test_film_much_thinner_than_a_cell_runs(thickness):
     sheet = ball()
-    sheet = replace(sheet, means=sheet.means * np.float32([1, 1, thickness]))
+    means = sheet.means * np.float32([1, 1, thickness])
+    sheet = replace(sheet, means=means, scales=np.full_like(sheet.scales, 1e-4))
     scene = Scene.named("water").replaced({"accuracy": {"cells": 16}, "time.frames": 4})
     report = Simulation(prepare(sheet, scene, RunContext(threads=1))).run().report
     assert report["stopped"] is None and report["balance"]["energy_gain"] < 0.01
