@@ -14,6 +14,10 @@ from phy124.kernels.work import IMPULSE, MOVED, WORK
 from phy124.materials import NeoHookean
 from phy124.monitor.lattice import LatticeTotals
 from phy124.mpm import FreeBody, Pair
+from phy124.runtime.context import RunContext
+from phy124.scene import Scene
+from phy124.simulation import Simulation, prepare
+from phy124.studies.validation.bodies import surface_of_ball
 from phy124.studies.validation.experiments.pressed_block import stress
 from support.lattices import DX, SOFT, block, make, make_bodies
 
@@ -184,3 +188,32 @@ def test_clamp_keeps_nodes_that_an_overlapping_clamp_releases():
     assert np.abs(solver.nodes_state.u.numpy()[inside]).max() == 0
     taken = (solver.walls.sums.numpy() - before)[:, IMPULSE + 2]
     assert taken[0] < 0 < taken[2] and taken[1] == 0
+
+
+@pytest.mark.parametrize("contact", ["sticky", "separate"])
+def test_note_names_walls_between_which_there_is_too_little_space(contact):
+    """A plate passes the middle of a sphere, to which the material sticks or not."""
+    down = {"kind": "path", "times": [0, 0.04], "points": [[0, 0, 0], [0, 0, -0.4]]}
+    along = {"kind": "path", "times": [0, 0.03], "points": [[0, 0, 0], [0, 0.5, 0]]}
+    plate = {"kind": "half_space", "point": [0, 0, 1], "normal": [0, 0, -1], "contact": "slip"}
+    sphere = {"kind": "sphere", "centre": [0, -0.8, 0.7], "radius": 0.25, "contact": contact}
+    scene = Scene.from_data(
+        {
+            "material": {"law": "neo_hookean", "E": 2e5, "density": 200.0, "damping": 1000.0},
+            "boundaries": [{**plate, "motion": down}, {**sphere, "motion": along}],
+            "forces": [],
+            "accuracy": {"cells": 6},
+            "time": {"frames": 4, "fps": 100.0},
+        }
+    )
+    run = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
+    report = run.run().report
+    depth, inside, beside = run.solver.walls.pinch()
+    assert report["complete"]
+    found = [note for note in report["notes"] if "too little space" in note]
+    if contact == "separate":
+        assert depth < 0.3 and not found
+    else:
+        assert depth == pytest.approx(0.9, abs=0.1) and (inside, beside) == (0, 1)
+        assert len(found) == 1 and "0.9 cells inside half_space" in found[0]
+        assert "half_space and sphere" in found[0]

@@ -50,6 +50,8 @@ AHEAD, CLOSE = 2.0, 0.1
 """Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`
 [cells].
 """
+TOUCHING = 0.5
+"""Distance up to which a wall counts as touching a point that is inside another wall [cells]."""
 STEP = 0.5
 """Increment of the distance up to which points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
@@ -221,6 +223,21 @@ class Walls:
             for contact in self._contacts:
                 contact.list_near(steps * width)
 
+    def pinch(self) -> tuple[float, int, int]:
+        """Return the largest depth [cells] inside a wall of a point that another wall touches, and
+        the indices of both walls among the walls that are no clamps; the depth is at least 0.
+        """
+        if len(self._contacts) < 2:
+            return 0.0, 0, 0
+        gaps = np.array([contact.distances() for contact in self._contacts]) / self._dx
+        inside, points = gaps.argmin(axis=0), np.arange(gaps.shape[1])
+        depth = -gaps[inside, points]
+        gaps[inside, points] = np.inf
+        depth[gaps.min(axis=0) > TOUCHING] = 0.0
+        deepest = int(depth.argmax())
+        beside = int(gaps[:, deepest].argmin())
+        return max(0.0, float(depth[deepest])), int(inside[deepest]), beside
+
     def forget(self) -> None:
         """Set the contact forces of the last substep to zero."""
         for contact in self._contacts:
@@ -310,6 +327,15 @@ class _Contact:
     def look(self) -> None:
         """Measure the distances of all points from the wall."""
         self._measure(self._points.count)
+
+    def distances(self) -> NDArray[np.float64]:
+        """Return the distance of each point from the wall [S], m; infinite for points on which the
+        wall cannot act.
+        """
+        self.look()
+        movable = self._affected & (self._yields.numpy() > 0)
+        gaps: NDArray[Any] = self._gaps.numpy()
+        return np.where(movable, gaps.astype(np.float64), np.inf)
 
     @cached_property
     def _measure(self) -> Callable[[int], None]:

@@ -8,6 +8,7 @@ from phy124.monitor.coupled import (
     CoupledWork,
     CoupledWrenches,
 )
+from phy124.monitor.crossing import LatticeCrossing
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork, MeanWork
 from phy124.monitor.immersed import ImmersedPairs, ImmersedWork, ImmersedWrenches
@@ -65,6 +66,7 @@ LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeWork,
     LatticeDissipation,
     LatticeWatchdog,
+    LatticeCrossing,
     Sleep,
 )
 """Observers of bodies on lattices; there is no `Tearing`, since lattices cannot tear."""
