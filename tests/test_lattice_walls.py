@@ -208,12 +208,12 @@ def test_note_names_walls_between_which_there_is_too_little_space(contact):
     )
     run = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1)))
     report = run.run().report
-    depth, inside, beside = run.solver.walls.pinch()
+    depth, inside, touching = run.solver.walls.pinch()
     assert report["complete"]
-    found = [note for note in report["notes"] if "too little space" in note]
+    messages = [note for note in report["notes"] if "too little space" in note]
     if contact == "separate":
-        assert depth < 0.3 and not found
+        assert depth < 0.3 and not messages
     else:
-        assert depth == pytest.approx(0.9, abs=0.1) and (inside, beside) == (0, 1)
-        assert len(found) == 1 and "0.9 cells inside half_space" in found[0]
-        assert "half_space and sphere" in found[0]
+        assert depth == pytest.approx(0.9, abs=0.1) and (inside, touching) == (0, 1)
+        assert len(messages) == 1 and "0.9 cells inside half_space" in messages[0]
+        assert "half_space and sphere" in messages[0]

@@ -235,8 +235,8 @@ class Walls:
         gaps[inside, points] = np.inf
         depth[gaps.min(axis=0) > TOUCHING] = 0.0
         deepest = int(depth.argmax())
-        beside = int(gaps[:, deepest].argmin())
-        return max(0.0, float(depth[deepest])), int(inside[deepest]), beside
+        touching = int(gaps[:, deepest].argmin())
+        return max(0.0, float(depth[deepest])), int(inside[deepest]), touching
 
     def forget(self) -> None:
         """Set the contact forces of the last substep to zero."""

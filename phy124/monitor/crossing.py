@@ -1,4 +1,4 @@
-"""Crossing: notes that two walls on lattices leave too little space for the material between them."""
+"""Crossing: notes that two walls leave too little space for a body on a lattice."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ class LatticeCrossing(Observer):
 
     def after_attempt(self) -> Violation | None:
         """Measure the depth; a large depth is not a violation."""
-        depth, inside, beside = self._solver.walls.pinch()
+        depth, inside, touching = self._solver.walls.pinch()
         if depth > max(DEEP, self._deepest):
-            self._deepest, self._between = depth, (self._names[inside], self._names[beside])
+            self._deepest, self._between = depth, (self._names[inside], self._names[touching])
         return None
 
     def notes(self) -> list[str]:
         """Return the note about the deepest point."""
         if not self._deepest:
             return []
-        inside, beside = self._between
+        inside, touching = self._between
         return [
-            f"The boundaries {inside} and {beside} left too little space: material between them is "
-            f"up to {self._deepest:.1f} cells inside {inside}. Move them so that they keep more "
+            f"The boundaries {inside} and {touching} left too little space: material between them "
+            f"is up to {self._deepest:.1f} cells inside {inside}. Move them so that they keep more "
             'distance, or use contact = "separate", so that the material can escape.'
         ]
 
