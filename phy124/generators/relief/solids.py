@@ -169,13 +169,17 @@ def _balls(silhouette: Silhouette) -> Field:
 
     The result is the maximum, over all centres m, of D(m)^2 - |x - m|^2, where D is the distance to
     the rim. This maximum is the upper envelope of parabolas, and is computed along one axis after
-    the other.
+    the other. No ball reaches farther than the largest D.
     """
     squares = silhouette.distance**2
+    reach = int(silhouette.distance.max())
     for _ in range(2):
-        offsets = np.arange(squares.shape[1])
-        parabolas = (offsets[:, None] - offsets).astype(np.float64) ** 2
-        squares = np.stack([(row - parabolas).max(axis=1) for row in squares]).T
+        highest = squares.copy()
+        for step in range(1, min(reach + 1, len(squares))):
+            lowered = squares - float(step**2)
+            np.maximum(highest[step:], lowered[:-step], out=highest[step:])
+            np.maximum(highest[:-step], lowered[step:], out=highest[:-step])
+        squares = highest.T
     return np.where(silhouette.inside, squares, 0.0)
 
 
