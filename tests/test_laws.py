@@ -242,6 +242,14 @@ def test_no_return_mapping_gains_energy(material, rng):
     assert (kept < 0.9 * trial.energy).mean() > 0.2
 
 
+@pytest.mark.parametrize("material", [Snow(), Scene.named("snow").material], ids=["law", "preset"])
+def test_pressed_snow_packs_instead_of_splitting_sideways(material):
+    """While a column packs, snow that its sides lose is held back, not pushed away."""
+    point = evaluate(material, np.diag([1.05, 1.05, 0.8])[None])
+    again = evaluate(material, point.F, h=point.history)
+    assert (np.diag(again.stress[0])[:2] > 0.1 * material.E * material.extension).all()
+
+
 def test_snow_that_flies_apart_stops_counting():
     """1e6 times its volume is as loose as 1e30 times, and stays a number in float32."""
     point = evaluate(Snow(), 1.1 * EYE[None], h=np.array([[9e5, 0.0]]), precision="float32")
