@@ -53,6 +53,8 @@ CLOSE = 0.72
 """Ratio of the fields of view of a material's preview and a preset's preview."""
 FILM = (800, 600)
 """Width and height of the video of a finished result [pixels]."""
+LARGEST = 500_000
+"""Largest size of a preview's file [bytes]."""
 PLAYERS, SPLATS = ("press", "bounce", "jelly"), 9_000
 """Presets whose finished results have a 3D player, with the number of Gaussians in the player."""
 
@@ -139,18 +141,24 @@ def _thin(clip: Clip, step: int) -> Clip:
 
 
 def _save(images: list[Image.Image], scene: Scene, step: int, path: Path, quality: int) -> None:
-    """Write an animated WebP that plays at 0.6 times the scene's speed."""
+    """Write an animated WebP that plays at 0.6 times the scene's speed.
+
+    If the file is larger than `LARGEST`, the quality is lowered until it fits.
+    """
     duration = round(1000 * step / (0.6 * scene.time.fps))
-    images[0].save(
-        path,
-        save_all=True,
-        append_images=images[1:],
-        duration=duration,
-        loop=0,
-        quality=quality,
-        alpha_quality=80 if quality > 60 else 60,
-        method=6,
-    )
+    for lower in range(quality, 0, -10):
+        images[0].save(
+            path,
+            save_all=True,
+            append_images=images[1:],
+            duration=duration,
+            loop=0,
+            quality=lower,
+            alpha_quality=80 if quality > 60 else 60,
+            method=6,
+        )
+        if path.stat().st_size <= LARGEST:
+            return
 
 
 def _film(clip: Clip, view: View, camera: Camera, step: int) -> list[Image.Image]:
