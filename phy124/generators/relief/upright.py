@@ -1,7 +1,7 @@
 """Recognises vessels and drums, which stand upright, although they may be wider than high.
 
 Most convex objects that are wider than high lie on their side. Two outlines show a solid of
-revolution that stands upright instead. A drum has vertical sides, and its lower edge is half of an
+revolution that stands upright instead. A drum has straight sides, and its lower edge is half of an
 ellipse, because a circle is seen from above. A vessel is widest at its rim, and becomes narrower
 from there to its foot. Handles are left out of the comparison.
 """
@@ -23,6 +23,8 @@ CENTRED, EVERY = 0.04, 0.97
 
 The second number is the smallest fraction of the rows that must be centred and without gaps.
 """
+LEAN = 0.04
+"""Largest slope of the axis in the image. Perspective lets an object beside the centre lean."""
 ELLIPTIC = 0.03
 """Largest root mean square distance between an arc and half of an ellipse, relative to the
 ellipse's half width."""
@@ -31,23 +33,23 @@ LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.7
 
 Arcs of a ball have larger ratios than the second number.
 """
-VERTICAL, WALL = 0.88, 0.3
-"""Smallest ratio of the widths of a drum's rows between its arcs.
-
-The second number is the smallest height of the rows between the arcs, relative to half the width.
-"""
+WALL = 0.3
+"""Smallest height of a drum between its arcs, relative to half the width."""
 MORE = 0.1
 """Largest difference by which a drum's upper arc is higher than the lower, relative to half of the
 width. From above, the upper circle appears flatter than the lower."""
 FULL = 0.97
 """The rim of an object is its first row, from the top, with this fraction of the largest width."""
-FLAT_RIM, LOW_RIM = 0.15, 0.385
+FLAT_RIM, LOW_RIM = 0.15, 0.5
 """Largest height of a vessel above its rim, relative to its whole height, for any outline.
 
-The second number applies if the outline above the rim is half of an ellipse.
+The second number applies if the outline above the rim is half of an ellipse, but not below it:
+otherwise it is the outline of an egg.
 """
+EGG = 0.9
+"""Smallest height of two arcs, relative to the whole height, that together are an egg."""
 NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
-"""Largest width of a vessel near its foot, relative to its largest width.
+"""Largest width of a vessel near its foot, relative to its largest width; a drum is wider.
 
 The second number is the height of this place, relative to the height of the object. The third
 number is the largest amount by which the vessel may become wider below its rim.
@@ -101,6 +103,8 @@ class Profile:
     """The rows [H], counted from the top of the image."""
     axis: float
     """Column of the axis."""
+    leaning: Field
+    """Column of the axis in each row [H], if the axis may lean."""
     symmetric: bool
     """Whether the silhouette is symmetric about its axis."""
 
@@ -113,10 +117,16 @@ class Profile:
         high = solid.shape[1] - solid[:, ::-1].argmax(axis=1)
         half, middle = (high - low) / 2, (high + low) / 2
         axis = np.average(middle, weights=half)
-        centred = np.abs(middle - axis) < CENTRED * half.max()
+        down = np.arange(len(half)) - np.average(np.arange(len(half)), weights=half)
+        lean = (half * down * (middle - axis)).sum() / max((half * down**2).sum(), 1e-9)
+        leaning = axis + np.clip(lean, -LEAN, LEAN) * down
+        # The arcs at both ends do not lean.
+        away = np.minimum(np.abs(middle - leaning), np.abs(middle - axis))
+        centred = away < CENTRED * half.max()
         good = centred & (np.count_nonzero(solid, axis=1) == high - low)
         symmetric = len(half) >= FEWEST and bool(good.mean() >= EVERY)
-        return cls(half, np.arange(rows[0], rows[-1] + 1.0), float(axis) - 0.5, symmetric)
+        every = np.arange(rows[0], rows[-1] + 1.0)
+        return cls(half, every, float(axis) - 0.5, leaning - 0.5, symmetric)
 
     @cached_property
     def top(self) -> int:
@@ -133,7 +143,7 @@ class Profile:
         bottom, top = _arc(self.half[::-1]), max(self.top, self.rim)
         core = self.half[top : len(self.half) - bottom]
         widest = self.half.max()
-        if not bottom or len(core) < WALL * widest or core.min() < VERTICAL * widest:
+        if not bottom or len(core) < WALL * widest or core.min() < NARROWER * widest:
             return False
         return (
             LOWEST_VIEW * widest <= bottom <= HIGHEST_VIEW * widest
@@ -145,6 +155,8 @@ class Profile:
         height, widest = len(self.half), self.half.max()
         top = max(self.top, self.rim)
         if top > (LOW_RIM if self.top else FLAT_RIM) * height:
+            return False
+        if self.top + _arc(self.half[::-1]) > EGG * height:
             return False
         below = self.half[top:]
         widening = np.maximum.accumulate(below[::-1])[::-1] - below
@@ -190,7 +202,21 @@ def _without_handles(solid: Mask) -> Mask | None:
         if rows[-1] - np.flatnonzero(part.any(axis=1))[-1] < BELOW * len(rows):
             return None
         handles |= part
-    return solid & ~handles if handles.any() else None
+    return _complete(solid & ~handles, solid) if handles.any() else None
+
+
+def _complete(body: Mask, solid: Mask) -> Mask:
+    """Add the parts of the other side to a body [H,W], which is symmetric, where `solid` has them.
+
+    Where a handle joins the body close to the rim, a corner of the rim looks like a part of it.
+    """
+    profile, columns = Profile.of(body), np.arange(body.shape[1])
+    mirrored = np.zeros_like(body)
+    for row, axis in zip(profile.rows.astype(int), profile.leaning, strict=True):
+        other = np.rint(2 * axis - columns).astype(int)
+        inside = (other >= 0) & (other < len(other))
+        mirrored[row] = inside & body[row, other.clip(0, len(other) - 1)]
+    return body | (mirrored & solid)
 
 
 def _inner_distance(solid: Mask) -> Field:
