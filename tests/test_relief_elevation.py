@@ -103,22 +103,22 @@ def test_a_cup_stands_upright_and_its_lid_is_flat(renderer):
 @pytest.mark.parametrize(
     ("foot", "elevation"), [(0.2, 15), (0.2, 25), (0.2, 40), (0.26, 25), (0.26, 40)]
 )
-def test_a_mug_is_found_beside_the_centre_with_its_handle(foot, elevation):
+def test_a_mug_is_recognised_beside_the_centre_with_its_handle(foot, elevation):
     """Its axis leans in the picture, and its handle joins it at the rim."""
     body = hull([*circle(0.3, 0.3), *circle(foot, -0.3)] + np.array([0, -0.12, 0]), elevation)
     rows = np.flatnonzero(body.any(axis=1))
     handle = X[0, np.flatnonzero(body[rows[30]])[-1]], Y[rows[30], 0]
     solid = body | (abs(np.hypot(X - handle[0], Y - handle[1]) - 22) < 5) & (handle[0] - 9 < X)
-    found = upright_body(solid)
-    assert found is not None
-    assert np.count_nonzero(found ^ body) < 0.015 * np.count_nonzero(body)
+    seen = upright_body(solid)
+    assert seen is not None
+    assert np.count_nonzero(seen ^ body) < 0.015 * np.count_nonzero(body)
 
 
 def test_a_lying_egg_is_no_vessel():
     assert upright_body(np.hypot((X - 96) / 80, (Y - 96) / 48) < 1) is None
 
 
-def test_a_bowl_is_found_from_high_above():
+def test_a_bowl_is_recognised_from_high_above():
     assert upright_body(hull([*circle(0.5, 0.2), *circle(0.2, -0.2)], 40)) is not None
 
 

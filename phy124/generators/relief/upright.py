@@ -24,7 +24,7 @@ CENTRED, EVERY = 0.04, 0.97
 The second number is the smallest fraction of the rows that must be centred and without gaps.
 """
 LEAN = 0.04
-"""Largest slope of the axis in the image. Perspective lets an object beside the centre lean."""
+"""Largest slope of the axis in the image. Perspective lets an object away from the centre lean."""
 ELLIPTIC = 0.03
 """Largest root mean square distance between an arc and half of an ellipse, relative to the
 ellipse's half width."""
