@@ -57,8 +57,14 @@ def test_lattice_has_no_transfer_options(setting):
     assert reason == f"accuracy.{name} is {value}"
 
 
-def test_a_projected_liquid_leaves_objects_to_particles():
-    assert "projection" in reason_for_particles(scene(WATER, accuracy={"cells": 6}))
+def test_lattices_in_a_liquid_support_forces_but_no_free_solids():
+    assert reason_for_particles(scene(WATER, forces=[WIND], accuracy={"cells": 6})) == ""
+    assert "free solids" in reason_for_particles(scene(WATER, BALL, accuracy={"cells": 6}))
+    two = [WATER, {**WATER, "name": "oil"}]
+    forces = [{**WIND, "object": "oil"}]
+    assert "several liquids" in reason_for_particles(
+        scene(*two, forces=forces, accuracy={"cells": 6})
+    )
     assert reason_for_particles(scene(WATER, accuracy={"liquid": "compressible"})) == ""
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from phy124.boundaries import Container, Held
 from phy124.errors import InputError
-from phy124.forces import Gravity
+from phy124.forces import Gravity, Impulse, TotalForce, WrenchForce
 from phy124.liquid.immersed import ImmersedSolver
 from phy124.liquid.mixed import MixedSolver
 from phy124.materials import Fluid, NeoHookean
@@ -13,6 +13,8 @@ from phy124.mpm import Model, State
 from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
 from phy124.runtime.context import RunContext
+from phy124.scene.lattices import reason_for_mpm
+from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
 from support.liquids import CELLS, DENSITY, DX, LEVEL, TANK, G, block, pool
 from support.shapes import ball
@@ -160,12 +162,17 @@ def test_stone_presses_on_the_floor_by_weight_minus_buoyancy():
     assert lift == pytest.approx(DENSITY * G * 64 * DX**3, rel=0.03)
 
 
+ZONE = {"kind": "zone", "a": (3, 0, -4), "place": {"lower": (-2, -2, -2), "upper": (2, 2, 2)}}
+SAND = {"name": "sand", "shape": "sphere", "size": 0.4, "lift": 2.0, "material": {"law": "sand"}}
+STONE = {"name": "stone", "shape": "sphere", "size": 0.4, "lift": 2.0, "motion": {"kind": "free"}}
+
+
 def on_lattice(**changes):
     return pool(**changes).replaced({"accuracy.solver": "lattice"})
 
 
-def test_scene_runs_on_lattices_by_choice_and_reports():
-    clip = Simulation(prepare(ball(), on_lattice(wrenches=True), RunContext(threads=1))).run()
+def test_scene_runs_on_lattices_by_default_and_reports():
+    clip = Simulation(prepare(ball(), pool(wrenches=True), RunContext(threads=1))).run()
     assert clip.report["complete"], clip.report["stopped"]
     assert clip.report["balance"]["momentum_gain"] < 0.02
     assert clip.report["balance"]["energy_gain"] < 0.02
@@ -176,17 +183,69 @@ def test_scene_runs_on_lattices_by_choice_and_reports():
     assert "pressure projection" in ran
 
 
-def test_default_is_mpm_and_sand_keeps_its_solver():
-    assert pool().solver == "mpm"
-    sand = {"name": "sand", "shape": "sphere", "size": 0.4, "lift": 2.0}
-    sand = {**sand, "material": {"law": "sand"}}
-    objects = [*pool().data()["objects"], sand]
-    scene = on_lattice(objects=objects)
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"accuracy.solver": "mpm"}, "solver is mpm"),
+        ({"material.density": 20.0}, "so light"),
+        ({"accuracy.precision": "auto"}, "slower in float64"),
+        ({"objects": [*pool().data()["objects"], SAND]}, "objects that yield"),
+        ({"objects": [*pool().data()["objects"], STONE]}, "free solids"),
+    ],
+)
+def test_default_is_mpm_for_a_reason(changes, reason):
+    assert pool().solver == "lattice"
+    assert pool(stiffness_profile={"kind": "sine", "frequency": 1.0, "offset": 2.0}).immerses
+    assert pool().replaced({"material.density": 20.0, "material.damping": 5.0}).immerses
+    scene = pool().replaced(changes)
+    assert scene.projects and scene.solver == "mpm"
+    assert reason in reason_for_mpm(scene)
+
+
+def test_sand_keeps_its_solver_beside_lattices_by_choice():
+    scene = on_lattice(objects=[*pool().data()["objects"], SAND])
     with pytest.raises(InputError, match="yield"):
         prepare(ball(), scene, RunContext(threads=1))
     free = scene.replaced({"accuracy.liquid": None})
     assert not free.projects
     assert free.couples
+
+
+def simulate(**changes):
+    """Return the mean positions of body and liquid at the end, and the lost energy."""
+    run = Simulation(prepare(ball(), pool(**changes), RunContext(threads=1)))
+    gain = run.run().report["balance"]["energy_gain"]
+    model, x = run.solver.model, run.solver.state.x.numpy()
+    return np.array([x[model.particles(body)].mean(axis=0) for body in (0, 1)]), gain
+
+
+def test_force_on_all_particles_acts_like_a_uniform_acceleration():
+    gravity = {"kind": "gravity"}
+    uniform, lost = simulate(forces=[gravity, {"kind": "acceleration", "a": ZONE["a"]}])
+    pushed, same = simulate(forces=[gravity, ZONE])
+    assert uniform[0, 0] > 0.03
+    np.testing.assert_allclose(pushed, uniform, atol=2e-3)
+    assert same == pytest.approx(lost, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "force",
+    [
+        TotalForce(f=(3, 0, 0)),
+        Impulse(p=(3, 0, 0), region=Region(lower=(-1, -1, -1), upper=(2, 2, 0.45))),
+        WrenchForce(point=(0.5, 0.5, 0.4), force=(3, 0, 0), radius=0.3),
+        WrenchForce(point=(0.5, 0.5, 0.4), force=(3, 0, 0), object="body"),
+    ],
+)
+def test_force_is_divided_between_body_and_liquid(force):
+    """Together, the parts of the force transfer the momentum of the whole force."""
+    solver = immersed((5, 5, 5), (5, 5, 5))
+    parts = [solver.lattice.model, solver.liquid.model]
+    found = [part for part in (force.in_part(each, solver.model) for each in parts) if part]
+    assert len(found) == (1 if force.object else 2)
+    sums = [np.sum([getattr(part, name)[0] for part in found]) for name in force.totals]
+    assert sums[0] == pytest.approx(3)
+    solver.bind([force], [SMOOTH], walls=[("tank", SMOOTH)])
 
 
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])

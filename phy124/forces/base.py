@@ -28,6 +28,8 @@ class Force(Section):
     """Whether the track is a force on each particle [N] instead of an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that determine the strength of the force."""
+    totals: ClassVar[tuple[str, ...]] = ()
+    """Names of the fields that are sums over all particles on which the force acts."""
     joins: ClassVar[bool] = False
     """Whether the force accelerates the whole body uniformly if it has no region."""
 
@@ -109,6 +111,36 @@ class Force(Section):
             tracks: The tracks of the run, to which the force adds its strength over time.
         """
         raise NotImplementedError
+
+    def mass_in(self, model: Model) -> float:
+        """Return the mass of the movable particles of a model on which the force acts [kg]."""
+        if self.object is not None and self.object not in model.names:
+            return 0.0
+        share = self.shares(model.rest) * (model.moves & of_object(model, self.object))
+        return float(share @ np.asarray(model.mass.numpy(), np.float64))
+
+    def shares(self, rest: NDArray) -> NDArray[np.float64]:
+        """Return the fraction of the force that acts on each particle [P], from the positions at
+        rest [P,3], m.
+        """
+        inside = np.ones(len(rest)) if self.region is None else self.region.contains(rest)
+        return np.asarray(inside, np.float64)
+
+    def in_part(self, part: Model, whole: Model) -> Force | None:
+        """Return the force for a part of a model, or None if the force does not act in this part.
+
+        Sums over particles are divided in proportion to the masses in the part and in the model.
+        """
+        total = self.mass_in(whole)
+        share = self.mass_in(part) / total if total > 0 else 1.0
+        if share in (0.0, 1.0) or not self.totals:
+            return self if share > 0 else None
+        values = {name: getattr(self, name) for name in self.totals}
+        part_of = {
+            name: tuple(share * x for x in value) if isinstance(value, tuple) else share * value
+            for name, value in values.items()
+        }
+        return self.model_copy(update=part_of)
 
     def chosen(self, model: Model) -> wp.array:
         """Return the indices of the movable particles in the force's region.

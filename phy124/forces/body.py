@@ -45,6 +45,7 @@ class TotalForce(Force):
 
     kind: Literal["force"] = "force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
+    totals: ClassVar[tuple[str, ...]] = ("f",)
     joins: ClassVar[bool] = True
     f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
 
@@ -60,6 +61,7 @@ class Impulse(Force):
 
     kind: Literal["impulse"] = "impulse"
     strengths: ClassVar[tuple[str, ...]] = ("p",)
+    totals: ClassVar[tuple[str, ...]] = ("p",)
     joins: ClassVar[bool] = True
     p: Push = Field(
         default=(0.0, 1.0, 0.0), description="Total momentum that the impulse transfers [N s]."

@@ -153,6 +153,7 @@ class Grab(Force):
 
     kind: Literal["grab"] = "grab"
     strengths: ClassVar[tuple[str, ...]] = ("strength",)
+    totals: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "strength")
     point: Position = Field(
         default=(0.0, 0.0, 0.5),
         description="Point of the object that is pulled, at the object's rest position [m].",
@@ -190,6 +191,10 @@ class Grab(Force):
                 "the targets of a grab define how it varies over time; remove `profile`"
             )
         return self
+
+    def shares(self, rest: NDArray) -> NDArray[np.float64]:
+        """Return the weight of each particle in the part that is pulled [P]."""
+        return weights(rest, self.point, self.radius)
 
     @property
     def varies(self) -> bool:
@@ -232,6 +237,7 @@ class WrenchForce(Force):
 
     kind: Literal["wrench"] = "wrench"
     strengths: ClassVar[tuple[str, ...]] = ("force", "torque")
+    totals: ClassVar[tuple[str, ...]] = ("force", "torque")
     force: Push = Field(default=(0.0, 1.0, 0.0), description="Force [N].")
     torque: Push = Field(default=(0.0, 0.0, 0.0), description="Torque about the point [N m].")
     point: Position | None = Field(
@@ -253,6 +259,10 @@ class WrenchForce(Force):
         if self.region is not None:
             raise ValueError("a wrench acts on the material within its radius; remove `region`")
         return self
+
+    def shares(self, rest: NDArray) -> NDArray[np.float64]:
+        """Return the weight of each particle in the part that is pushed [P]."""
+        return weights(rest, self.point, self.radius)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that compute the centre of the part, and apply force and torque."""

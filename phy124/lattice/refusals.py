@@ -41,9 +41,9 @@ def reason_for_particles(scene: Any) -> str:
         value = getattr(accuracy, name)
         if value != type(accuracy).model_fields[name].default:
             return f"accuracy.{name} is {value}"
-    if scene.projects:
-        return "its liquid is computed by pressure projection"
-    accuracy = accuracy.model_copy(update={"solver": "lattice"})
+    # With the liquid's solver fixed, the reason names what lattices in this liquid lack.
+    chosen = {"solver": "lattice", "liquid": "projection" if scene.projects else accuracy.liquid}
+    accuracy = accuracy.model_copy(update=chosen)
     scene = scene.model_copy(update={"accuracy": accuracy})
     if not any(scene.on_lattices):
         return "no object consists of elastic materials only"
@@ -72,11 +72,7 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
     """Yield the scene's unsupported features, in the order of the scene's fields."""
     if scene.couples:
-        yield from _refusals_of_couples(scene)
-    if scene.couples and scene.projects and not_immersed(scene):
-        limit = "the liquid also contains objects that yield, which are not on lattices."
-        remedy = 'Use accuracy.liquid = "compressible", or accuracy.solver = "mpm".'
-        yield Refusal("accuracy.liquid", "projection", limit, remedy)
+        yield from (_refusals_of_immersed if scene.projects else _refusals_of_couples)(scene)
     yield from _refusals_of_materials(scene, materials)
     if scene.binding != "lattice":
         yield Refusal("binding", scene.binding, "its particles are not on a lattice.")
@@ -120,11 +116,29 @@ def _refusals_of_couples(scene: Any) -> Iterator[Refusal]:
         yield Refusal("stiffness_profile", "set", limit)
 
 
+def _refusals_of_immersed(scene: Any) -> Iterator[Refusal]:
+    """Yield the features that are not supported if lattices are in a projected liquid."""
+    sections = scene.materials
+    if any(not is_elastic(section) and section.law != "fluid" for section in sections):
+        limit = "the liquid also contains objects that yield, which are not on lattices."
+        remedy = 'Use accuracy.liquid = "compressible", or accuracy.solver = "mpm".'
+        yield Refusal("accuracy.liquid", "projection", limit, remedy)
+    solids = ", ".join(body.name for body in scene.objects if body.free)
+    if solids:
+        limit = "free solids are not supported if lattices are in a liquid."
+        yield Refusal("objects.motion", solids, limit)
+    moving = [item for item in (scene, *scene.objects) if not getattr(item, "scenery", False)]
+    names = [each.name for each in scene.every_object if not getattr(each, "scenery", False)]
+    wet = [name for name, item in zip(names, moving, strict=True) if item.material.law == "fluid"]
+    for number, force in enumerate(scene.acting):
+        if len(wet) > 1 and force.object in wet:
+            limit = "a force cannot act on one of several liquids if lattices are in the liquids."
+            yield Refusal(f"forces.{number}.object", force.object, limit)
+
+
 def not_immersed(scene: Any) -> bool:
     """Return whether a scene's projected liquid prevents elastic objects from being lattices."""
-    sections = scene.materials
-    other = any(not is_elastic(section) and section.law != "fluid" for section in sections)
-    return other or next(_refusals_of_couples(scene), None) is not None
+    return next(_refusals_of_immersed(scene), None) is not None
 
 
 def is_elastic(section: Material) -> bool:

@@ -200,7 +200,7 @@ class LatticeSolver:
                 *before,
                 crew.force(worker, self.tracks if pushed else None),
                 in_shock_only(self.clock, crew.shock(worker, self.clock.values)),
-                crew.kick(worker, self.tracks, pushed=pushed or crew.lasting is not None),
+                crew.kick(worker, self.tracks, pushed=pushed),
                 self._contact() if index == 0 else [],
                 crew.drift(worker, self.tracks),
             ]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -191,9 +190,6 @@ class Crew:
         if pushes is None:
             return stress
         clear: Callable[[], Any] = worker.pushes.zero_
-        if self.lasting is not None:
-            part = self.part_of(self.lasting, self.workers.index(worker))
-            clear = partial(wp.copy, worker.pushes, part)
         return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
 
     def press(self, pushes: wp.array, turns: wp.array) -> None:
@@ -212,7 +208,6 @@ class Crew:
             inputs += [self._offset, state.F, pushes, turns]
             count, part = span.stop - span.start, self.part_of(self.lasting, index)
             wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
-        wp.copy(self._pushes, self.lasting)
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
         """Return the launches that sum the forces due to trial displacements.
@@ -395,10 +390,12 @@ class Crew:
         """
         span, v, before, clock = worker.nodes, self.nodes.v, self.nodes.before, tracks.clock
         stress = [span, self._pool, self._donors, clock, tracks.values, v]
-        if not pushed:
-            return self._kick(*stress, before)
-        push = [span, self._pushes, self._push_donors, clock, self._still, v]
-        return self._kick(*push, before) + self._kick(*stress, self._middle)
+        kicks: list[Named] = []
+        for pool in (self.lasting, self._pushes if pushed else None):
+            if pool is not None:
+                push = [span, pool, self._push_donors, clock, self._still, v]
+                kicks += self._kick(*push, self._middle if kicks else before)
+        return kicks + self._kick(*stress, self._middle if kicks else before)
 
     def _kick(self, span: slice, pool: wp.array, donors: list[wp.array], *rest: Any) -> list[Named]:
         """Return the launch of `make_kick` on a span of nodes."""

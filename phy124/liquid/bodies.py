@@ -116,6 +116,10 @@ class Bodies:
         """
         return self._impulses[self.first :]
 
+    def soften(self, factor: float) -> None:
+        """Multiply the stiffness of all bodies by a factor."""
+        self._stiffness.assign(factor * np.asarray(self._stiffness.numpy()))
+
     def join(self, solids: Solids, mobility: wp.array) -> None:
         """Connect the bodies with the arrays of all solids; bodies come last in the arrays."""
         self._solids, self._mobility = solids, mobility

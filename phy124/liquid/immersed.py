@@ -8,6 +8,7 @@ the prediction.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -47,8 +48,6 @@ class ImmersedSolver:
     """Advances a liquid and bodies on lattices in time."""
 
     projects: ClassVar[bool] = True
-    softened = 1.0
-    """Factor on the stiffness of all materials, which does not change in a liquid."""
 
     def __init__(
         self,
@@ -73,7 +72,7 @@ class ImmersedSolver:
             model: All particles; the liquid consists of the bodies `Model.wet`.
             surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
             state: Initial state of the particles.
-            forces: Forces, which must be uniform.
+            forces: Forces; if there are several liquids, no force acts on only one of them.
             boundaries: Boundaries for the bodies.
             walls: The boundaries for the liquid, with their names.
             accumulators: Sums that are updated in every substep.
@@ -102,7 +101,8 @@ class ImmersedSolver:
             if {pair.first, pair.second} <= place.keys()
         ]
         self.lattice = ImmersedLattices(
-            part, rows, State.of(part, *motion), forces=forces, boundaries=boundaries,
+            part, rows, State.of(part, *motion), forces=_acting(forces, part, model),
+            boundaries=boundaries,
             accumulators=self._of_all(accumulators), pairs=between, copies=copies, threads=threads,
             **options,
         )  # fmt: skip
@@ -116,19 +116,32 @@ class ImmersedSolver:
         crew.lasting = crew.new_pool()
         self.lattice.record()
         span = liquid_span(model)
+        wet = replace(liquid_model(model, span), names=_names_of_liquid(model))
         self.liquid = LiquidSolver(
-            liquid_model(model, span), liquid_state(state, span), forces=forces, boundaries=walls,
+            wet, liquid_state(state, span), forces=_acting(forces, wet, model),
+            boundaries=walls,
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
             advance_bodies=self._advance_bodies, whole=model,
         )  # fmt: skip
         self.clock.liquid = self.liquid.clock
         self.clock.share = self.liquid.model.total_mass / model.total_mass
         self._after: Callable[[], None] | None = None
+        self._pushed: wp.array | None = None
 
     @property
     def clock(self) -> Any:
         """The clock of the bodies' substeps."""
         return self.lattice.clock
+
+    @property
+    def softened(self) -> float:
+        """Current factor on the stiffness of all materials."""
+        return self.lattice.softened
+
+    @softened.setter
+    def softened(self, factor: float) -> None:
+        self.bodies.soften(factor / self.lattice.softened)
+        self.lattice.softened = factor
 
     @property
     def impulses(self) -> WallImpulses:
@@ -170,7 +183,7 @@ class ImmersedSolver:
         """Replace forces, boundaries and sums, from the next step on.
 
         Args:
-            forces: Forces, which must be uniform.
+            forces: Forces, as in `__init__`.
             boundaries: Boundaries for the bodies.
             accumulators: Sums that are updated in every substep.
             planes: Not used; there are no freely moving solids.
@@ -180,8 +193,17 @@ class ImmersedSolver:
             InputError: As in `__init__`.
         """
         self._accumulators = list(accumulators)
-        self.liquid.bind(forces, walls)
-        self.lattice.bind(forces, boundaries, self._of_all(accumulators))
+        self.liquid.bind(_acting(forces, self.liquid.model, self.model), walls)
+        of_bodies = _acting(forces, self.lattice.model, self.model)
+        self.lattice.bind(of_bodies, boundaries, self._of_all(accumulators))
+
+    def keep_pushes(self, of_bodies: wp.array, of_liquid: wp.array) -> None:
+        """From now on, sum impulse and work of forces on points, and on particles of the liquid, in
+        one row per worker.
+        """
+        self._pushed = of_bodies
+        self.lattice.keep_pushes(of_bodies)
+        self.liquid.keep_pushes(of_liquid)
 
     def _of_all(self, accumulators: Sequence[Accumulator]) -> list[Any]:
         """Return the sums, attached to all particles instead of only to the lattices' points."""
@@ -234,10 +256,13 @@ class ImmersedSolver:
         lattice, nodes = self.lattice, self.lattice.nodes_state
         sums = [item.snapshot() for item in self._accumulators]
         kept, u = lattice.snapshot(), nodes.u.numpy().copy()
+        pushed = None if self._pushed is None else wp.clone(self._pushed)
         self._press()
         lattice.advance(lattice.clock.time + duration)
         mean = (nodes.u.numpy() - u) / duration
         lattice.restore(kept)
+        if self._pushed is not None and pushed is not None:
+            wp.copy(self._pushed, pushed)
         for item, values in zip(self._accumulators, sums, strict=True):
             item.restore(values)
         v = wp.clone(nodes.v)
@@ -290,6 +315,17 @@ class ImmersedSolver:
         self.liquid.restore(snapshot["liquid"])
         self.pairs.restore(snapshot["pairs"])
         self._copy_state()
+
+
+def _acting(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
+    """Return the forces that act in a part of a model."""
+    found = (force.in_part(part, whole) for force in forces)
+    return [force for force in found if force is not None]
+
+
+def _names_of_liquid(model: Model) -> tuple[str, ...]:
+    """Return the name of the liquid; no name if there are several liquids."""
+    return tuple(model.names[body] for body in model.wet) if len(model.wet) == 1 else ()
 
 
 class _OfAll:

@@ -167,7 +167,8 @@ class Phases:
             yield "move", launches(phase)
         yield "leave walls", launches(self._push_out(worker, stops=False))
         alone, keep = worker == 0 and self._bodies is None, self.pushes.keep(self._run(worker))
-        yield "scatter", [] if self._bodies else keep
+        between = self._bodies is not None and not pushes
+        yield "scatter", [] if between else keep
         yield "scatter", self._push(pushes, worker, grid)
         yield "scatter", launches(self._solids.kick(self._tracks) if alone else [])
         yield "scatter", [*self._scatter(worker), *self.pushes.add(worker, self._run(worker))]
@@ -178,7 +179,7 @@ class Phases:
             yield "gather", launches(records)
         if solids:
             drift = self._solids.bodies.drift() if alone else []
-            yield "drift", keep if self._bodies else launches(drift)
+            yield "drift", keep if between else launches(drift)
             yield "fill", launches(self._push_out(worker, stops=False))
         yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):

@@ -84,6 +84,7 @@ IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
     ImmersedPairs,
     LatticeSelfContact,
     LatticeShock,
+    Softening,
     ImmersedWrenches,
     ImmersedWork,
     CoupledWatchdog,

@@ -10,18 +10,19 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.lattice.contact import MOMENT
 from phy124.kernels.work import WORK, make_uniform_sums
 from phy124.monitor.coupled import CoupledPairs, elastic_names
-from phy124.monitor.external_work import MEAN_PUSH, MeanWork
+from phy124.monitor.external_work import MEAN_PUSH, PUSH, ROOM, MeanWork
 from phy124.monitor.lattice import LatticeWrenches
 from phy124.monitor.observer import Effect, Observer, Subject
 from phy124.scene import Scene
 
 BODIES = MEAN_PUSH
-"""Cause of the work of walls on lattices. No forces act on points, so the name is free."""
+"""Cause of the work of walls on lattices. The work of forces on points has the cause `PUSH`."""
 
 
 class ImmersedWork(MeanWork):
@@ -38,6 +39,10 @@ class ImmersedWork(MeanWork):
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, in order to read the sums of walls on the liquid and on lattices."""
         self._solver = self._liquid = solver
+        counts = [len(each.workers) for each in (solver.lattice, solver.liquid)]
+        sums = wp.zeros((sum(counts), ROOM), dtype=wp.float64, device=solver.model.device)
+        self._device[PUSH] = sums
+        solver.keep_pushes(sums[: counts[0]], sums[counts[0] :])
         self._read_impulses()
 
     def change(self, scene: Scene) -> None:
@@ -74,5 +79,6 @@ class ImmersedPairs(CoupledPairs):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report before a run."""
-        bodies = ", ".join(elastic_names(subject.scene))
-        return Effect(f"rest lattices (accuracy.solver = lattice) for {bodies}, in the liquid")
+        scene = subject.scene
+        bodies, solver = ", ".join(elastic_names(scene)), scene.resolution.solver
+        return Effect(f"rest lattices (accuracy.solver = {solver}) for {bodies}, in the liquid")

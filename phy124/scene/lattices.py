@@ -6,6 +6,7 @@ An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from phy124.lattice.refusals import is_elastic, reason_for_particles
@@ -16,11 +17,10 @@ HARDEST = 2.0
 Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as MPM.
 """
 
-PARTICLES_ONLY = (
-    "lattices in a liquid support fewer features, and are used only by choice (accuracy.solver = "
-    "lattice); objects made of particles tear if they are very soft"
-)
-"""Reason why elastic objects in a liquid are not on lattices."""
+LIGHTEST = 0.03
+"""Smallest density, relative to the densest liquid, for which `auto` chooses lattices for bodies
+without damping. With 0.01, a cube of E = 1 kPa gained energy; with 0.03 or E = 10 kPa it did not.
+"""
 
 FARTHEST_DRIVEN = 0.5
 """Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
@@ -55,21 +55,24 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     accuracy = scene.resolution
     if accuracy.solver != "auto":
         return "" if accuracy.solver == "lattice" else f"accuracy.solver is {accuracy.solver}"
-    for item, elastic in zip((scene, *scene.objects), find_elastic(scene), strict=True):
-        if not elastic and not getattr(item, "scenery", False):
-            floats = scene.projects and any(find_elastic(scene))
-            return PARTICLES_ONLY if floats else "lattices are for elastic materials"
+    elastic = find_elastic(scene)
+    immersed = scene.projects and any(elastic)
+    for item, springs in zip((scene, *scene.objects), elastic, strict=True):
+        if not springs and not immersed and not getattr(item, "scenery", False):
+            return "lattices are for elastic materials"
     needed = _needs_lattice(scene)
-    if accuracy.precision == "float64" and not needed:
-        return (
-            f"accuracy.precision is {accuracy.precision}, and lattices are slower in this precision"
-        )
+    double = immersed and accuracy.precision == "auto"  # In a liquid, `auto` is float64.
+    if (accuracy.precision == "float64" or double) and not needed:
+        return f"accuracy.precision is {accuracy.precision}, and lattices are slower in float64"
     if scene.properties is not None and not needed:
         return "its materials are in a file"
     reason = reason_for_particles(scene)
     if reason or (device != "cpu" and not needed):
         return reason or "lattices are slower on a GPU"
-    slowest = min(section.sound_speed() for section in scene.materials)
+    sections = [section for section in scene.materials if is_elastic(section)]
+    if immersed and (light := _find_too_light(scene, sections)):
+        return f"material {light} without damping is so light that it would gain energy in a liquid"
+    slowest = min(section.sound_speed() for section in sections)
     mach = math.sqrt(energy(scene)) / slowest
     if mach > HARDEST:
         return f"an object may be hit or squeezed at {mach:.2g} times its speed of sound"
@@ -88,6 +91,17 @@ def choose_solver(scene: Any, device: str) -> Any:
 def reason_for_others(scene: Any) -> str:
     """Return the reason why a scene is not simulated on lattices alone, or an empty text."""
     return reason_for_mpm(scene) or ("some objects yield or flow" if scene.couples else "")
+
+
+def _find_too_light(scene: Any, sections: Sequence[Any]) -> str:
+    """Return the law of the first undamped material that is too light for a liquid, or ""."""
+    densest = max(section.density for section in scene.materials if section.law == "fluid")
+    light = [
+        section.law
+        for section in sections
+        if section.density < LIGHTEST * densest and not getattr(section, "damping", 0)
+    ]
+    return next(iter(light), "")
 
 
 def _needs_lattice(scene: Any) -> bool:
