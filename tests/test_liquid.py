@@ -322,6 +322,31 @@ def test_film_much_thinner_than_a_cell_runs(thickness):
     assert report["stopped"] is None and report["balance"]["energy_gain"] < 0.01
 
 
+def test_layer_of_a_cell_rests_in_its_tank():
+    cells = 16
+    sheet = ball()
+    means = np.clip(1.5 * sheet.means, -0.5, 0.5) * np.float32([1, 1, 1 / cells])
+    sheet = replace(sheet, means=means, scales=np.full_like(sheet.scales, 1e-4))
+    inside = {"lower": (-0.5, -0.5, 0), "upper": (0.5, 0.5, 9)}
+    walls = [{"kind": "container", "inside": inside, "friction": 0.0}]
+    changes = {"accuracy": {"cells": cells}, "time.frames": 4, "boundaries": walls}
+    scene = Scene.named("water").replaced(changes)
+    report = Simulation(prepare(sheet, scene, RunContext(threads=1))).run().report
+    assert report["stopped"] is None and report["balance"]["energy_gain"] < 0.2
+
+
+def test_crowded_liquid_rises_before_the_first_step():
+    x = block((0, 0, 0), (1, 1, 0.5), 8)
+    x[:, 2] *= 0.97
+    solver = liquid(x, 8, [TANK])
+    solver.settle()
+    settled = solver.state.x.numpy()[:, 2].mean()
+    assert settled == pytest.approx(0.25, abs=0.01 / 8)
+    assert not solver.state.v.numpy().any()
+    run(solver, 4)
+    assert solver.state.x.numpy()[:, 2].mean() == pytest.approx(settled, abs=0.01 / 8)
+
+
 def test_effects_say_that_a_projected_liquid_is_inviscid():
     scene = Scene.named("water").replaced({"accuracy": {"liquid": "projection"}})
     effects = Effects.of(scene)
@@ -372,7 +397,7 @@ def test_walls_take_only_the_energy_of_a_fall_from_drops(height, tilt, fall):
     solver = liquid(x, 8, [HalfSpace(point=(0, 0, 0), normal=normal, contact="slip")])
     for array in (solver.model.volume, solver.model.mass):
         array.assign(array.numpy() / 10)
-    solver.leave_walls()
+    solver.settle()
     assert (solver.state.x.numpy() @ normal).min() > 0.019 / 8
     run(solver, 12)
     work = solver.impulses.total.numpy()[0, WORK]

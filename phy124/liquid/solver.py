@@ -61,6 +61,8 @@ EXTENT = -1
 TOLERANCE, LOOSE = 1e-4, 1e-2
 """Largest residuals of the equations of pressure and of density, relative to the right-hand side.
 """
+SETTLE = 4
+"""Number of corrections of the density before the first step."""
 MOST_CELLS = 2**22
 """Largest number of cells in a window; particles outside the window move along parabolas."""
 BULK = 0.01
@@ -287,19 +289,26 @@ class LiquidSolver:
         clock.pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
         self._measure()
 
-    def leave_walls(self) -> None:
-        """Move particles that are inside a wall to the surface of the wall.
+    def settle(self) -> None:
+        """Move particles out of walls, and restore the rest density, without changing velocities.
 
         At the start of a run, particles may be slightly inside a wall, or nearer to the wall than
-        all later steps leave any particle. The energy balance should not include the lift out of a
-        floor.
+        all later steps leave any particle. They may also be closer to each other than at rest. The
+        energy balance should not include the lift out of a floor or out of a crowded tank.
         """
         self._fit()
         if self.walls.move:
             self.walls.place(self.clock.time)
             self._move_walls()
         self._group("leave walls")
+        self.clock.begin(0.0, 0.0)
+        self._group("scatter")
+        for _ in range(SETTLE):
+            self._group("fill")
+            self._solve("packing", LOOSE)
+            self._group("displace")
         self.runner.join()
+        self._measure()
 
     def renew(self) -> None:
         """Measure all limits again; call after changing the state from outside."""

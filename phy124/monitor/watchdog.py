@@ -53,6 +53,10 @@ PROJECTED = 0.5
 thinner than a cell exert up to a quarter less than their weight on walls. When objects of two cells
 hit the floor, up to 35 % of the momentum is missing in the floor's impulse.
 """
+LEVEL = 0.05
+"""Error of a resting liquid's level [cells]. The energy that lifts the liquid by this height is the
+least energy to which spurious energy is compared.
+"""
 CROWDED = 0.1
 """If the mean excess of a projected liquid's density is larger, the space between the walls is too
 small.
@@ -334,6 +338,7 @@ class Watchdog(Observer):
             energy_supplied(self.first.energy, outside.work, self.external.of_walls()),
             abs(outside.work),
             ROUNDING[self.model.precision] * outside.turned,
+            self._unresolved_lift(),
         )
         gained = now.energy - self.first.energy - outside.work
         moved = max(self.balance.moved, self._momentum_scale(now), outside.moved)
@@ -390,6 +395,13 @@ class Watchdog(Observer):
         stiffest = max(m.density * m.wave_speed() ** 2 for m in self.model.materials)
         volume = float(np.sum(self.model.volume.numpy(), dtype=np.float64))
         return stiffest * volume * strain**2
+
+    def _unresolved_lift(self) -> float:
+        """Return the energy [J] that lifts a projected liquid by the error of its level."""
+        pull = getattr(self.clock, "pull", None)
+        if pull is None:
+            return 0.0
+        return LEVEL * self.model.dx * self.model.total_mass * float(np.linalg.norm(pull))
 
     def _momentum_scale(self, now: Diagnostics) -> float:
         """Add up the norms of all momenta, and return an upper bound of this sum [kg m/s]."""

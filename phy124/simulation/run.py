@@ -81,7 +81,7 @@ class Simulation:
             for observer in self.observers:
                 observer.bind(self.solver, self.observers)
             if self.scene.projects and not self.scene.mixes:
-                cast("Any", self.solver).leave_walls()
+                cast("Any", self.solver).settle()
             self.spent = Spent(self.solver.runner.team, self.device)
         self.count = 0
         """Number of frames computed so far."""
