@@ -8,6 +8,8 @@ from phy124.errors import InputError
 from phy124.forces import Gravity, Impulse, TotalForce, WrenchForce
 from phy124.liquid.immersed import ImmersedSolver
 from phy124.liquid.mixed import MixedSolver
+from phy124.live import Live
+from phy124.live.places import Motion
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Model, State
 from phy124.particles.lattice import lattice_of
@@ -246,6 +248,15 @@ def test_force_is_divided_between_body_and_liquid(force):
     sums = [np.sum([getattr(part, name)[0] for part in found]) for name in force.totals]
     assert sums[0] == pytest.approx(3)
     solver.bind([force], [SMOOTH], walls=[("tank", SMOOTH)])
+
+
+def test_body_can_be_moved_at_once_in_a_live_run():
+    live = Live(ball(), pool(), RunContext(threads=1))
+    live.step()
+    to = Motion(np.array([0.1, 0, 1.5]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    live.set_motion("object", to)
+    live.step()
+    np.testing.assert_allclose(live.centres["object"], to.place, atol=0.05)
 
 
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])

@@ -295,6 +295,13 @@ class ImmersedSolver:
             total[self._index] = points.F.numpy()
             self.state.total.assign(total)
 
+    def carry_nodes(self, carry: Callable[[NDArray, NDArray], Any], body: int = 0) -> None:
+        """Set the positions and velocities of a body's nodes, as in `LatticeSolver.carry_nodes`."""
+        self.lattice.carry_nodes(carry, self._numbers.index(body))
+        self._find_windows()
+        self._copy_state()
+        self.renew()
+
     def renew(self) -> None:
         """Measure all limits again; call after changing the state from outside."""
         self.clock.expire()
