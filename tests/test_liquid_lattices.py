@@ -243,9 +243,9 @@ def test_force_is_divided_between_body_and_liquid(force):
     """Together, the parts of the force transfer the momentum of the whole force."""
     solver = immersed((5, 5, 5), (5, 5, 5))
     parts = [solver.lattice.model, solver.liquid.model]
-    found = [part for part in (force.in_part(each, solver.model) for each in parts) if part]
-    assert len(found) == (1 if force.object else 2)
-    sums = [np.sum([getattr(part, name)[0] for part in found]) for name in force.totals]
+    acting = [part for part in (force.in_part(each, solver.model) for each in parts) if part]
+    assert len(acting) == (1 if force.object else 2)
+    sums = [np.sum([getattr(part, name)[0] for part in acting]) for name in force.totals]
     assert sums[0] == pytest.approx(3)
     solver.bind([force], [SMOOTH], walls=[("tank", SMOOTH)])
 

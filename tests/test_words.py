@@ -53,7 +53,8 @@ def find_names(code: str) -> Iterator[tuple[int, str]]:
     for node in ast.walk(ast.parse(code)):
         match node:
             case ast.FunctionDef(name=name, decorator_list=decorators):
-                is_property = "property" in " ".join(map(ast.unparse, decorators))
+                texts = list(map(ast.unparse, decorators))
+                is_property = any("property" in t or t == f"{name}.setter" for t in texts)
                 banned = PARTICIPLES.fullmatch(name) or name.lstrip("_") in NAMES
                 if banned and not is_property and name not in PUBLIC:
                     yield node.lineno, f"{name}()"
@@ -122,7 +123,13 @@ def test_bad_names_are_found(code):
 
 @pytest.mark.parametrize(
     "code",
-    ["def speed(): pass", "@property\ndef closed(self): pass", "def find_one(): pass", "one.x = 2"],
+    [
+        "def speed(): pass",
+        "@property\ndef closed(self): pass",
+        "@closed.setter\ndef closed(self, value): pass",
+        "def find_one(): pass",
+        "one.x = 2",
+    ],
 )
 def test_good_names_are_allowed(code):
     assert not [*find_names(code)]

@@ -326,8 +326,8 @@ class ImmersedSolver:
 
 def _acting(forces: Sequence[Any], part: Model, whole: Model) -> list[Any]:
     """Return the forces that act in a part of a model."""
-    found = (force.in_part(part, whole) for force in forces)
-    return [force for force in found if force is not None]
+    parts = (force.in_part(part, whole) for force in forces)
+    return [force for force in parts if force is not None]
 
 
 def _names_of_liquid(model: Model) -> tuple[str, ...]:

@@ -131,6 +131,7 @@ class Attacker:
             "back": None, "thickness": None, "highlights": "keep",
             "up": None, "front": None, "compose": False,
             "second": None, "third": None, "fourth": None,
+            "back_look": "auto", "shape": "auto", "photo_elevation": None,
         }  # fmt: skip
         data = [image, *{**inputs, **options}.values()]
         status, text, _ = self.post("/gradio_api/call/generate", {"data": data})
