@@ -25,8 +25,9 @@ LIGHT, GIVING = 0.02, 0.2
 least the mass `GIVING`. Both values are relative to the mass of a node inside the body. Lighter
 nodes would vibrate too fast in squeezed parts of the body.
 """
-DONORS, NEAR = 27, 3.0
-"""The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells].
+DONORS, NEAR, FAR = 27, 3.0, 6.0
+"""The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells],
+or than `FAR` if the nearer nodes do not determine it.
 """
 
 
@@ -50,7 +51,7 @@ def tie_light(
     # Weights can be negative, so nodes that would lose their mass are tied as well.
     while True:
         candidates = np.where(light, 0, candidates)
-        tied, ties = _tie(index, cells, candidates, least, least)
+        tied, ties = _tie(index, cells, candidates, least, least, far=True)
         result: NDArray[np.float64] = mass + ties.T @ mass[tied]
         result[tied] = 0
         light = (result < least / 2) & (candidates > 0)
@@ -107,13 +108,17 @@ def _tie(
     mass: NDArray,
     least: float,
     giving: float,
+    *,
+    far: bool = False,
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
     """Return the nodes lighter than `least` [kg], and the weights that extrapolate their motion.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
     of at least `giving` [kg]. Nodes in a common cell with the light node are preferred. Other nodes
     may belong to another part of the body, such as a leaf near a stem, to which the light node
-    would then be glued. A light node without a heavy node nearby is not tied.
+    would then be glued. A light node is not tied if the heavy nodes nearby do not determine its
+    motion; if `far` is true, heavy nodes of neighbouring cells are then used up to a distance of
+    `FAR`.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
@@ -132,10 +137,23 @@ def _tie(
         away, near = tree.query(index[light[alone]], k=ranks, distance_upper_bound=NEAR)
         donors[alone] = heavy[np.where(np.isfinite(away), near, 0)]
         weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
-    tied = np.abs(weight.sum(axis=1) - 1) < 1e-6
+    tied = _are_determined(weight)
+    lost = np.flatnonzero(~tied)
+    if far and len(lost):
+        donors[lost], away = _nearest_in_cells(
+            index, cells, light[lost], heavy, chained=True, near=FAR
+        )
+        weight[lost], _ = _extrapolate(index, light[lost], donors[lost], away)
+        tied = _are_determined(weight)
     row, column = np.nonzero(weight[tied])
     entries = (weight[tied][row, column], (row, donors[tied][row, column]))
     return light[tied], scipy.sparse.csr_matrix(entries, shape=(int(tied.sum()), count))
+
+
+def _are_determined(weight: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether weights of donors [T,K] reproduce a constant [T]."""
+    determined: NDArray[np.bool_] = np.abs(weight.sum(axis=1) - 1) < 1e-6
+    return determined
 
 
 def _have_copies(index: NDArray[np.int64]) -> bool:
@@ -151,6 +169,7 @@ def _nearest_in_cells(
     heavy: NDArray,
     *,
     chained: bool = False,
+    near: float = NEAR,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return, for each node in a list, the heavy nodes in a common cell, sorted by distance.
 
@@ -160,6 +179,7 @@ def _nearest_in_cells(
         some: The nodes whose neighbours are returned [T].
         heavy: The nodes that may be returned [H].
         chained: Whether to include neighbours of neighbours (by common cells).
+        near: Neighbours are closer than this [cells].
 
     Returns:
         The neighbours [T,`DONORS`] and their distances [cells]; infinite if there is no neighbour.
@@ -167,12 +187,12 @@ def _nearest_in_cells(
     of_cells = np.repeat(np.arange(len(cells)), cells.shape[1])
     entries = (np.ones(cells.size, np.float32), (cells.ravel(), of_cells))
     touches = scipy.sparse.csr_matrix(entries, shape=(len(index), len(cells)))
-    near = touches[some] @ touches.T @ touches if chained else touches[some]
-    common = (near @ touches[heavy].T).tocoo()
+    around = touches[some] @ touches.T @ touches if chained else touches[some]
+    common = (around @ touches[heavy].T).tocoo()
     row, donor = common.row, heavy[common.col]
     far = np.linalg.norm(index[donor] - index[some[row]], axis=1)
     order = np.lexsort((donor, far, row))
-    order = order[far[order] < NEAR]
+    order = order[far[order] < near]
     row = row[order]
     place = np.arange(len(row)) - np.searchsorted(row, row)
     row, order, place = (values[place < DONORS] for values in (row, order, place))
