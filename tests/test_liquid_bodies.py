@@ -17,15 +17,29 @@ from support.shapes import ball
 
 
 def mixed(
-    water, body, density, *, gravity=G, held=(), walls=(TANK,), E=1e5, pushes=(), free=(), threads=1
+    water,
+    body,
+    density,
+    *,
+    gravity=G,
+    held=(),
+    walls=(TANK,),
+    E=1e5,
+    pushes=(),
+    free=(),
+    threads=1,
+    below=0.0,
 ) -> MixedSolver:
-    """Particles of water and of an elastic body, with 8 in each cell."""
+    """Particles of water and of an elastic body, with 8 in each cell.
+
+    A grid line is `below` cells below the floor.
+    """
     for solid in free:
         water = water[solid.measure_depth(water) < 0]
     x = np.concatenate([water, body])
     number = np.repeat([0, 1], [len(water), len(body)])
     materials = [Fluid(density=DENSITY), NeoHookean(density=density, E=E, nu=0.3)]
-    named = {"names": ["water", "body"], "held": held, "wet": [0]}
+    named = {"names": ["water", "body"], "held": held, "wet": [0], "origin": (0, 0, -below * DX)}
     volume = np.full(len(x), DX**3 / 8)
     model = Model.of(x, volume, materials, dx=DX, material=number, body=number, **named)
     pull = [Gravity(g=(0, 0, -gravity))] if gravity else []
@@ -114,6 +128,15 @@ def test_held_block_is_lifted_by_the_water_it_displaces():
     level = (level - 36 * DX**2 * 0.1875) / (1 - 36 * DX**2)
     lift = solver.pairs.wrenches(6 / 24)[0, 1].force[2]
     assert lift == pytest.approx(DENSITY * G * 36 * DX**2 * (level - 0.1875), rel=0.05)
+
+
+@pytest.mark.parametrize("below", [0.0, 0.4, 0.75])
+def test_film_below_a_body_has_the_pressure_at_the_floor(below):
+    """The floor does not have to be on a grid line."""
+    solver = run(with_block(DENSITY, 0.0, held=[1], below=below), 6)
+    solver.pairs.begin()
+    lift = run(solver, 2).pairs.wrenches(2 / 24)[0, 1].force[2]
+    assert lift == pytest.approx(DENSITY * G * 75 * DX**3, rel=0.06)
 
 
 def test_force_on_particles_presses_the_floor_beside_bodies():

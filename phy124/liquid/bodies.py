@@ -378,7 +378,7 @@ class Bodies:
         self._launch(films.make_head(real), count, inputs, [self._rims])
         inputs = [solid, self._rims, self._solids.scale, *layers, *grid, *surface]
         fixed, owners, _ = cells.still
-        inputs += [cells.distances, fixed if self._expect else fixed[:0], owners, self._contact]
+        inputs += [fixed, owners, self._contact]
         outputs = [self.pressed, sums, self._exchanged]
         self._launch(films.make_film(real), count, inputs, outputs)
 

@@ -17,7 +17,7 @@ from phy124.kernels.liquid.conjugate import Vectors
 from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 from phy124.kernels.liquid.impulses import way_to_wall
 from phy124.kernels.liquid.mixture import CENTRE
-from phy124.kernels.liquid.walls import centre_of, point, solid_face
+from phy124.kernels.liquid.walls import centre_of, solid_face
 
 
 @build_once
@@ -189,10 +189,8 @@ def make_film(real: Any):
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
     around the contact; `rims` contains the sums over this liquid for each direction (`make_head`).
     If a cell between body and wall contains liquid, the film has the pressure of the cell. All
-    pressures are converted to the position of the wall if `fixed` contains the distances from the
-    fixed walls. If `fixed` is empty, the position is estimated from `distances`. In cells at a
-    body's rim, the estimate is up to half a cell too far from the wall. The film acts on the
-    fraction of the contact that `share_of` returns.
+    pressures are converted to the position of the wall, with the distances `fixed` from the fixed
+    walls. The film acts on the fraction of the contact that `share_of` returns.
     """
     t = types(real)
 
@@ -212,7 +210,6 @@ def make_film(real: Any):
         liquid: Ints,
         jumps: Vectors,
         x_guess: Doubles,
-        distances: t.reals,
         fixed: t.reals,
         owners: Ints,
         contact: t.vec3s,
@@ -226,7 +223,6 @@ def make_film(real: Any):
             return
         n = number(cell, size)
         zero = real(0.0)
-        half = real(0.5)
         a = wp.vector(values[0][0], values[0][1], values[0][2])
         for axis in range(3):
             row = contact[n][axis]
@@ -237,11 +233,7 @@ def make_film(real: Any):
             if row != real(0.0):
                 x = centre_of(cell, lattice, window[0])
                 inside = weight_at(x, a, clock[0], lattice[3], low, heads)
-                if fixed.shape[0] > 0:
-                    x[axis] = x[axis] + way_to_wall(cell, axis, row, size, fixed, lattice[3])
-                else:
-                    way = wp.clamp(-distances[point(cell, 1, 1, 1, size)] / lattice[3], zero, half)
-                    x[axis] = x[axis] - way * lattice[3] * wp.sign(row)
+                x[axis] = x[axis] + way_to_wall(cell, axis, row, size, fixed, lattice[3])
                 q = weight_at(x, a, clock[0], lattice[3], low, heads)
                 if liquid[n] == 1:
                     q += real(x_guess[n]) - inside
