@@ -461,7 +461,7 @@ class Bodies:
             "forces": self._forces.tolist(),
             "period": self.period,
             "films": self._films.tolist(),
-            **({"pushes": self._pressure()} if self._expect else {}),
+            **(self._pressure() if self._expect else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -472,13 +472,14 @@ class Bodies:
         self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
         self.period = snapshot["period"]
         if self._expect:
-            self.limit, pushes, turns = snapshot["pushes"]
-            self.pushes.assign(pushes)
-            self.turns.assign(turns)
+            self.limit = snapshot["limit"]
+            self.pushes.assign(snapshot["pushes"])
+            self.turns.assign(snapshot["turns"])
 
-    def _pressure(self) -> list[Any]:
+    def _pressure(self) -> dict[str, Any]:
         """Return the last accelerations, with which the next motion is predicted."""
-        return [self.limit, wp.clone(self.pushes), wp.clone(self.turns)]
+        pushes, turns = wp.clone(self.pushes), wp.clone(self.turns)
+        return {"limit": self.limit, "pushes": pushes, "turns": turns}
 
 
 Advance = Callable[[float], None]
