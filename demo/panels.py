@@ -130,7 +130,7 @@ def fit() -> gr.HTML:
     """Create the panel of fits to a video; its value is the offer of a fit or the finished fit.
 
     The event "begin" starts a fit to an uploaded video, "stop" cancels the fit, and "ended" reports
-        its end.
+    its end.
     """
     return _panel("fit", FIT, events="'begin' 'stop' 'ended'")
 

@@ -96,12 +96,12 @@ def reason_for_others(scene: Any) -> str:
 def _find_too_light(scene: Any, sections: Sequence[Any]) -> str:
     """Return the law of the first undamped material that is too light for a liquid, or ""."""
     densest = max(section.density for section in scene.materials if section.law == "fluid")
-    light = [
+    light = (
         section.law
         for section in sections
         if section.density < LIGHTEST * densest and not getattr(section, "damping", 0)
-    ]
-    return next(iter(light), "")
+    )
+    return next(light, "")
 
 
 def _needs_lattice(scene: Any) -> bool:

@@ -100,7 +100,9 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     if scene.projects and not scene.mixes:
         from phy124.liquid.solver import LiquidSolver
 
-        return LiquidSolver(model, state, **options, free=setup.free)
+        liquid = LiquidSolver(model, state, **options, free=setup.free)
+        liquid.settle()
+        return liquid
     options["pairs"] = list(_pairs(model.names, scene))
     steps = {"measure_every": scene.checks.measure, "scheme": scheme_of(scene)}
     if scene.on_lattice:

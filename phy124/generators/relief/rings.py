@@ -24,7 +24,7 @@ from phy124.generators.relief.shell import DRAWN_IN, Shell
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 LOWEST, HIGHEST = np.radians([3.0, 60.0]).tolist()
-"""Limits of the camera's elevation; from above these limits, rings may also stand [radians]."""
+"""Limits of the camera's elevation [radians]. Outside them, a ring may also be standing."""
 OVERLAP = 0.93
 """Smallest overlap (IoU) of the silhouette with the image of the ring."""
 FACING = 0.2

@@ -3,7 +3,7 @@
 A body responds to the pressure in two ways. The body moves rigidly (`solids`). In addition, the
 layer of mass at its surface moves with the change of the pressure since the last step (a Robin
 condition: Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest. Without the
-    response, the deformation of a light or soft body would become unstable.
+response, the deformation of a light or soft body would become unstable.
 """
 
 from typing import Any
