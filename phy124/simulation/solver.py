@@ -100,9 +100,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     if scene.projects and not scene.mixes:
         from phy124.liquid.solver import LiquidSolver
 
-        liquid = LiquidSolver(model, state, **options, free=setup.free)
-        liquid.settle()
-        return liquid
+        return LiquidSolver(model, state, **options, free=setup.free)
     options["pairs"] = list(_pairs(model.names, scene))
     steps = {"measure_every": scene.checks.measure, "scheme": scheme_of(scene)}
     if scene.on_lattice:
