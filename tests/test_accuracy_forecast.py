@@ -203,6 +203,7 @@ def test_pixels_per_size_is_what_the_camera_sees():
     assert pixels_per_size(chosen) == pytest.approx(512 / (2 * half))
 
 
+@pytest.mark.slow
 def test_the_report_compares_what_was_predicted(tmp_path, capsys):
     arguments = ["generate", str(DUCK), *QUICK, "--json", "--out", str(tmp_path)]
     assert main([*arguments, "--forecast"]) == 0

@@ -28,7 +28,11 @@ WALLS = {
         ("sway", {}),
         ("spin", {}),
         ("drop", {"material": {"law": "sand"}}),
-        ("drop", {"accuracy": {"cells": 8, "particles_per_axis": 1.0, "precision": "float64"}}),
+        pytest.param(
+            "drop",
+            {"accuracy": {"cells": 8, "particles_per_axis": 1.0, "precision": "float64"}},
+            marks=pytest.mark.slow,
+        ),
         *(
             pytest.param("drop", {"boundaries": [wall]}, marks=pytest.mark.slow)
             for wall in WALLS.values()

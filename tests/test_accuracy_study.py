@@ -55,6 +55,7 @@ def study() -> tuple[Study, Report]:
     return made, made.run()
 
 
+@pytest.mark.slow
 def test_every_level_and_variation_is_run(study):
     names = [row.name for row in study[1].rows]
     assert names == [
@@ -204,6 +205,7 @@ def test_level_that_may_be_torn_is_reported():
     assert re.match(r"D/8: \d+ particles were stretched \(by up to \d\.\d times", report.skipped[0])
 
 
+@pytest.mark.slow
 def test_a_torn_level_promises_nothing(monkeypatch, tmp_path):
     """However close two grids are: what both tear is not what the material does."""
     likely = property(lambda self: self._model.dx < 1 / 13)

@@ -98,7 +98,8 @@ def test_a_light_body_does_not_sink_under_a_heavy_one():
 
 
 @pytest.mark.parametrize(
-    ("material", "deepest"), [(Sand(), 0.12), (Foam(), 0.05), (Plasticine(), 0.05)]
+    ("material", "deepest"),
+    [(Sand(), 0.12), (Foam(), 0.05), pytest.param(Plasticine(), 0.05, marks=pytest.mark.slow)],
 )
 def test_crowded_fluid_particles_do_not_sink(material, deepest):
     """Two bodies in one place, as the middle of a heap has them, above a layer of one."""
@@ -228,6 +229,7 @@ def test_a_gripper_lifts_a_block():
     assert heights[2] == pytest.approx(heights[1], abs=0.005)
 
 
+@pytest.mark.slow
 def test_a_container_keeps_a_fluid():
     tank = Region(lower=(0.0, 0.0, 0.0), upper=(0.8, 0.4, 1e9))
     water = Fluid(bulk_modulus=2e4)

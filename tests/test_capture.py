@@ -288,6 +288,7 @@ def test_interrupted_capture_resumes_with_the_same_command(tmp_path, capsys):
     assert Clip.load(tmp_path / "out/clip.safetensors").report["complete"]
 
 
+@pytest.mark.slow
 def test_a_capture_at_an_accuracy_that_is_looked_for(tmp_path, capsys):
     """The floor is in every run that is compared; with --gaussians it is thinned, too."""
     path = saved(tmp_path, captured(8))
@@ -300,6 +301,7 @@ def test_a_capture_at_an_accuracy_that_is_looked_for(tmp_path, capsys):
     assert 0.5 < report["static"] / report["gaussians"] < 0.8
 
 
+@pytest.mark.slow
 def test_a_study_reads_captures_as_a_simulation_does(tmp_path, capsys, monkeypatch):
     """Its levels suffice: variations of the finest read nothing."""
     plan = Study._plan

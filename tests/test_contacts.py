@@ -49,7 +49,10 @@ def test_the_shares_of_all_particles_are_what_the_walls_give(threads):
     assert np.array_equal(contacts.impulses(len(start)), impulses)
 
 
-@pytest.mark.parametrize(("base", "damping", "error"), [(SCENE, 400, 0.03), (LATTICE, 1000, 0.01)])
+@pytest.mark.parametrize(
+    ("base", "damping", "error"),
+    [pytest.param(SCENE, 400, 0.03, marks=pytest.mark.slow), (LATTICE, 1000, 0.01)],
+)
 def test_a_body_at_rest_weighs_on_the_ground(base, damping, error):
     scene = Scene.named("drop").replaced({**base, "material.damping": damping, "time.frames": 40})
     scene = scene.replaced({"contacts": True, "time.sleep": False, "object.size": 0.2})
@@ -83,6 +86,7 @@ def test_a_clamp_gives_the_gaussians_inside_what_it_gives():
     assert np.abs(forces).max() > 1 and height[touched].max() < 0.5 * height.max()
 
 
+@pytest.mark.slow
 def test_lattices_and_sand_share_the_force_of_the_ground():
     place = {"objects": [{**SAND, "place": [1.0, 0.0]}], "velocities": True}
     scene = Scene.named("drop").replaced({**LATTICE, **place, "accuracy.cells": 6})

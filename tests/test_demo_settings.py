@@ -221,6 +221,7 @@ def test_the_forecast_counts_the_substeps_of_a_run(three_gaussians, changes):
     assert count_substeps(scene) == pytest.approx(run.solver.clock.substeps, rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_page_measures_this_machine_before_the_first_visitor(tmp_path, monkeypatch):
     """Every cost but that of nodes, 1 % of a substep, and of the rest is replaced."""
     monkeypatch.setattr("demo.warm.preset_names", lambda: ["press", "water"])

@@ -68,6 +68,7 @@ def study(tmp_path):
     return replace(order, scene=scene, levels=(8, 10, 12))
 
 
+@pytest.mark.slow
 def test_grids_are_run_once_and_serve_every_accuracy_and_view(study):
     events = [event for event in steps(study) if event is not None]
     assert {e.stage for e in events if isinstance(e, Step)} == {"generate", "measure"}
@@ -161,6 +162,7 @@ def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatc
     assert "error not measured" not in after
 
 
+@pytest.mark.slow
 def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
     for module in (handlers.results, handlers.event):
         monkeypatch.setattr(module, "visitor_of", lambda _: "a")

@@ -195,6 +195,7 @@ def simple_object() -> Splats:
     return splats
 
 
+@pytest.mark.slow
 def test_known_views_of_a_simple_object_are_reconstructed():
     """A toy guidance in image space: from 32 pixel views, held-out views reach 25 dB."""
     truth = simple_object()

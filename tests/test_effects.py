@@ -142,7 +142,7 @@ def test_checks_are_effects_with_a_cost():
     assert "their work need not be summed" in free["balance of momentum and energy"]
 
 
-@pytest.mark.parametrize("gradient", ["affine", "spline"])
+@pytest.mark.parametrize("gradient", ["affine", pytest.param("spline", marks=pytest.mark.slow)])
 def test_effects_name_the_kernels_that_run(gradient):
     scene = Scene.named("press").replaced({"accuracy": {"cells": 8, "gradient": gradient}})
     effects, form = Effects.of(scene), Simulation(prepare(ball(100), scene)).solver.model.form

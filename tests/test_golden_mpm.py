@@ -147,7 +147,14 @@ def assert_the_difference_is_the_gradient(recording, steps):
     return solver, original
 
 
-@pytest.mark.parametrize("case", ["b_jelly_free_spin", "f5_bounding_box_slip", "f_impulse"])
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param("b_jelly_free_spin", marks=pytest.mark.slow),
+        "f5_bounding_box_slip",
+        "f_impulse",
+    ],
+)
 def test_the_difference_is_the_gradient_alone(golden, case):
     solver, original = assert_the_difference_is_the_gradient(Recording.load(golden, case), 80)
     assert np.abs(solver.state.v.numpy() - original.v).max() < 1e-6

@@ -58,6 +58,7 @@ def test_a_scene_asks_for_it_with_apic_alone():
         spline.replaced({"checks.energy": True})
 
 
+@pytest.mark.slow
 def test_a_beam_bends_as_far_as_the_elastica():
     """Within the experiment's band, which the affine fit leaves by 4 %."""
     (drop,) = beam.measure_drops(2, (1.0,), beam.load_tip, gradient="spline")

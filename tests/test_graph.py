@@ -56,9 +56,9 @@ def assert_same(host: Solver, alone: Solver) -> None:
     "material, options",
     [
         (NeoHookean(E=3e4), {}),
-        (NeoHookean(E=3e4), {"precision": "float64"}),
+        pytest.param(NeoHookean(E=3e4), {"precision": "float64"}, marks=pytest.mark.slow),
         (NeoHookean(E=3e4), {"ceiling": 1e-3}),
-        (NeoHookean(E=3e4), {"simd": False}),
+        pytest.param(NeoHookean(E=3e4), {"simd": False}, marks=pytest.mark.slow),
         (NeoHookean(E=3e4), {"boundaries": [Ground(), PRESS]}),
         (NeoHookean(E=3e4), {"forces": [Gravity(), SWING]}),
         (Sand(), {}),

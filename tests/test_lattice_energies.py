@@ -95,7 +95,7 @@ def test_damped_swing_loses_what_its_mode_loses():
     damped.nothing_but("elastic", "viscous")
 
 
-@pytest.mark.parametrize("law", [Hencky, FixedCorotated])
+@pytest.mark.parametrize("law", [Hencky, pytest.param(FixedCorotated, marks=pytest.mark.slow)])
 def test_each_law_stores_the_work_of_its_stress(law):
     solver = make_bodies([block(CUBE)], law(E=1e5, nu=0.3, density=1000, damping=20.0))
     solver.carry_nodes(lambda x, v: (x, x * [1.0, -0.5, 0.2]))

@@ -83,7 +83,7 @@ def floating(density: float, bottom: float, threads: int = 1, **options) -> Liqu
     return liquid(x, cells, [TANK], **options)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_block_of_half_the_density_stays_at_half_its_height(threads):
     solver = run(floating(0.5 * DENSITY, 0.325, threads), 12)
     level = solver.model.total_mass / DENSITY + 0.5 * solver.free.all[0].volume

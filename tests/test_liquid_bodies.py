@@ -81,6 +81,7 @@ def depth(solver: MixedSolver) -> float:
     return (level - (x[block, 2].mean() - rest.mean() + rest.min() - DX / 4)) / DX
 
 
+@pytest.mark.slow
 def test_elastic_block_floats_at_its_depth():
     solver = run(with_block(0.5 * DENSITY, LEVEL - 1.5 * DX), 12)
     assert depth(solver) == pytest.approx(1.5, abs=0.2)
@@ -97,6 +98,7 @@ def floating(ratio: float, **options) -> MixedSolver:
     return mixed(water, block(lower, upper, CELLS), DENSITY / 2, free=[solid], **options)
 
 
+@pytest.mark.slow
 def test_free_solid_floats_next_to_an_elastic_block():
     solver = floating(0.5)
     solid = solver.free.all[0]

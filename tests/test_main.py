@@ -172,6 +172,7 @@ def test_clip_is_filmed_slowly_by_moving_cameras(made, tmp_path, capsys):
     assert "Simulate it again with --outputs force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_object_that_leaves_the_picture_is_noted(made, tmp_path, capsys):
     gone = ["--scene", "push_right", "--set", "object.velocity=[0,200,0]", "--views", "front"]
     simulate = ["simulate", str(made / "gaussians.ply"), *QUICK, *gone, "--out", str(tmp_path)]

@@ -23,7 +23,7 @@ def test_the_window_forgets_a_particle_that_flew_off():
     np.testing.assert_allclose(fallen, [0, 12, 20], atol=2e-3)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_particles_beyond_the_domain_fall_once_per_substep(rng, threads):
     """Debris that leaves and debris that comes back: all fall as one, to rounding."""
     way = rng.normal(size=(20, 3))

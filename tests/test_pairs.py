@@ -213,6 +213,7 @@ def struck(cells, *, sticky=False, offset=(0.0, 0.0, 0.0), precision="float32", 
     return np.array(force), s
 
 
+@pytest.mark.slow
 def test_balls_that_collide_press_as_finite_elements_say():
     result, s = struck(14)
     force, lasts = collision(0.5, V, E=1e5, nu=0.3, density=1000.0)

@@ -61,6 +61,7 @@ def test_a_dry_run_refuses_an_output_folder_that_is_a_file(command, source, file
     assert f"out = {file}: it is a file." in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_forecast_omits_the_own_error_like_the_run(file, capsys, monkeypatch):
     monkeypatch.setattr(companion, "AFFORDABLE", 1e9)
     arguments = [
@@ -122,6 +123,7 @@ def test_simulate_meets_a_time_and_compares_its_forecast(file, tmp_path, capsys,
     assert "predicted " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_run_with_an_error_goal_names_one_error(file, tmp_path, capsys, monkeypatch):
     """The one that it has measured, not that of other objects, whatever the grid."""
     monkeypatch.setattr("phy124.accuracy.choose.CELLS", (8, 10, 12, 14, 16))

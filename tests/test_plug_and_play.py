@@ -98,6 +98,7 @@ def test_one_box_from_four_generators_falls_and_bounces_alike(tmp_path):
     assert sum(figure > 0 for figure in figures.values()) == 3, "they are different Gaussians"
 
 
+@pytest.mark.slow
 def test_results_of_real_generators_fly_alike(tmp_path):
     """Relief, its PLY, LGM and DreamGaussian with made-up weights: any shape, the same flight."""
     picture = np.zeros((64, 64, 4), np.uint8)

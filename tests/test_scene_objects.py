@@ -443,6 +443,7 @@ def test_a_file_of_more_objects_than_the_scene_has_is_refused(tmp_path):
         pipeline.make_gaussians(path, scene, generator=str(path))
 
 
+@pytest.mark.slow
 def test_notes_of_every_file_come_into_the_report(tmp_path):
     for name in ("first", "second"):
         write_ply(tmp_path / f"{name}.ply", ball(300))

@@ -77,7 +77,8 @@ def test_a_wrong_friction_shows_in_a_sand_column(factor):
     assert not 25 - 6 < angle < 25 + 1
 
 
-@pytest.mark.parametrize("cells", [8, pytest.param(16, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("cells", [8, 16])
 def test_sand_of_more_friction_heaps_steeper(cells):
     width, result = 0.4, []
     for angle in (20.0, 35.0):
@@ -160,6 +161,7 @@ def test_a_cantilever_sags_as_beam_theory_says(coarse, fine, close):
     assert 0.93 * shear < rough < better < limit
 
 
+@pytest.mark.slow
 def test_loose_sand_flies_apart_without_a_force():
     """Thrown up and expanding: no stress, so it moves as if it had no stiffness at all."""
     dx, k, rise, time = 0.1, 2.0, 3.0, 0.2

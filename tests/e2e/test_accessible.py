@@ -46,7 +46,7 @@ LOOKS = {
     "look",
     [
         "light",
-        "dark phone",
+        pytest.param("dark phone", marks=pytest.mark.slow),
         pytest.param("dark", marks=pytest.mark.slow),
         pytest.param("light phone", marks=pytest.mark.slow),
     ],

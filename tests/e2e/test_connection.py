@@ -5,6 +5,7 @@ import pytest
 pytestmark = pytest.mark.browser
 
 
+@pytest.mark.slow
 def test_a_lost_connection_and_a_reload_lose_nothing(visit):
     page = visit.page
     visit.begin(frames=40)

@@ -187,6 +187,7 @@ def test_the_result_clicked_last_is_shown_and_stops_no_run(visit):
         page.wait_for_selector("#history li:nth-child(3)")
 
 
+@pytest.mark.slow
 def test_a_file_of_another_result_is_not_offered(visit):
     page, clip = visit.page, '#takeaway [data-name="clip.safetensors"]'
     visit.upload()
@@ -210,6 +211,7 @@ def test_a_file_of_another_result_is_not_offered(visit):
     assert page.locator(clip).get_attribute("href") == after
 
 
+@pytest.mark.slow
 def test_the_forecast_is_that_of_the_last_scene(visit):
     """The probe of an earlier scene is answered after the forecast of a later one."""
     page = visit.page
@@ -255,6 +257,7 @@ def test_the_forecast_is_that_of_the_last_scene(visit):
     page.unroute_all(behavior="wait")
 
 
+@pytest.mark.slow
 def test_a_fit_that_is_cancelled_before_it_began_stops(visit, tmp_path):
     from support.ducks import video
 

@@ -64,6 +64,7 @@ def test_a_second_wrong_file_is_refused_like_the_first(visit, text):
             visit.page.wait_for_function(SAYS, arg=[panel, WRONG, times])
 
 
+@pytest.mark.slow
 def test_after_a_wrong_side_the_object_is_made_without_it(visit, text):
     visit.upload()
     visit.page.get_by_label("Side", exact=True).set_input_files(text)
@@ -73,6 +74,7 @@ def test_after_a_wrong_side_the_object_is_made_without_it(visit, text):
     visit.finished()
 
 
+@pytest.mark.slow
 def test_a_link_to_share_is_made_a_second_time(visit):
     visit.upload()
     visit.choose(frames=2)

@@ -154,6 +154,7 @@ def _check_files(folder: Path) -> None:
     assert not re.search(r'(?:src|href)="', page), "the exported player asks for other files"
 
 
+@pytest.mark.slow
 def test_the_error_of_a_scene_is_measured_on_request(visit):
     page = visit.page
     visit.upload()

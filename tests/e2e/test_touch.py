@@ -42,6 +42,7 @@ def visit(browser, server):
     visit.context.close()
 
 
+@pytest.mark.slow
 def test_the_object_follows_the_pointer_and_comes_back(visit):
     page = visit.page
     seen = {
