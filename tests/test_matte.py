@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+import scipy
 
 from phy124 import Scene, Simulation, prepare
 from phy124.gaussians import Gaussians
 from phy124.particles.grains import tint
-from phy124.rendering.matte import Matte, find_matte, illuminate
+from phy124.rendering.matte import Matte, blur, find_matte, illuminate
 from phy124.rendering.shine import LAMP, add_gloss, make_shine
 from support.shapes import ball
 
@@ -56,6 +57,13 @@ def test_light_follows_the_material_not_the_lattice(heap):
     np.testing.assert_allclose(moved[top], light_on(heap)[top], atol=0.04)
     apart = np.concatenate([heap, [[500, 500, 0]]]).astype(np.float32)
     np.testing.assert_allclose(light_on(apart)[top], light_on(heap)[top], atol=0.04)
+
+
+@pytest.mark.parametrize("sigma", [1.4, 3.0])
+def test_the_filter_equals_the_one_of_scipy(sigma):
+    values = np.random.default_rng(0).random((13, 5, 9)) < 0.2
+    wanted = scipy.ndimage.gaussian_filter(values.astype(np.float32), sigma, truncate=2.5)
+    np.testing.assert_allclose(blur(values, sigma), wanted, atol=1e-6)
 
 
 def test_a_white_tint_keeps_the_contrast_of_bright_parts():

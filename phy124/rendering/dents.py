@@ -94,8 +94,7 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
     The normals point in the direction in which the density of the object, with its interior,
     decreases.
     """
-    _, at, size = locate(x, cell)
-    flat: Any = np.ravel_multi_index(tuple(at), size)
+    _, flat, size = locate(x, cell)
     filled = np.zeros(size, bool)
     filled.reshape(-1)[flat] = True
     parts, _ = scipy.ndimage.label(~filled)

@@ -10,11 +10,12 @@ hides the sky (ambient occlusion).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0
@@ -22,6 +23,8 @@ from phy124.gaussians import SH_C0
 SMOOTH, WIDE, SPARE = 1.4, 3.0, 6
 """Standard deviations of the filters for the normals, and for the occlusion, which is applied to
 the result of the first; width of the empty margin around the grains. All in cells."""
+TAILS = 2.5
+"""Distance at which the filters are cut off [standard deviations]."""
 MOST = 2_000_000
 """Largest number of cells. If the grains are too scattered for this number, the cells are larger.
 """
@@ -57,20 +60,25 @@ class Matte:
 
         `lamp` [3] is the unit vector towards the lamp.
         """
-        cell, place, size = locate(x, self._cell)
-        flat: Any = np.ravel_multi_index(tuple(place), size)
-        filled = np.bincount(flat, self._volumes / cell**3, minlength=int(np.prod(size)))
-        phi = blur(np.minimum(filled, 1).reshape(size), SMOOTH)
-        slopes = np.gradient(phi)
+        cell, cells, size = locate(x, self._cell)
+        total = np.bincount(cells, self._volumes, minlength=math.prod(size))
+        # The light is computed only in cells that contain grains.
+        used = np.flatnonzero(total)
+        phi = blur(np.minimum(total / cell**3, 1).reshape(size), SMOOTH)
+        wide = blur(phi, WIDE).reshape(-1)[used]
+        phi = phi.reshape(-1)
+        steps = size[1] * size[2], size[2], 1
+        slopes = [(phi[used + step] - phi[used - step]) / 2 for step in steps]
         steep = np.sqrt(sum(slope * slope for slope in slopes))
         along = sum(slope * part for slope, part in zip(slopes, lamp.tolist(), strict=True))
         facing = -along / np.maximum(steep, 1e-9)
         certain = np.minimum(steep / CERTAIN, 1)
         lit = EVEN + certain * (((1 + facing) / 2) ** 1.2 - EVEN)
-        hidden = np.clip((blur(phi, WIDE) - HOLLOW) / (DEEP - HOLLOW), 0, 1)
-        at_points = [field.reshape(-1)[flat][:, None] for field in (lit, hidden)]
-        light = (SKY + LAMP_LIGHT * at_points[0]) * (1 - (1 - DARKEST) * at_points[1])
-        return light.astype(np.float32)
+        hidden = np.clip((wide - HOLLOW) / (DEEP - HOLLOW), 0, 1)
+        light = (SKY + LAMP_LIGHT * lit[:, None]) * (1 - (1 - DARKEST) * hidden[:, None])
+        row = np.empty(len(total), np.int32)
+        row[used] = np.arange(len(used))
+        return light.astype(np.float32)[row[cells]]
 
 
 def find_matte(rows: Sequence[dict[str, Any]], cell: float) -> list[Matte]:
@@ -98,19 +106,32 @@ def illuminate(sh: NDArray, light: NDArray) -> NDArray:
     return lit
 
 
-def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.int64], tuple[int, ...]]:
-    """Return the cell size [m], the cells of points [3,n], and the number of cells per axis.
+def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.intp], tuple[int, int, int]]:
+    """Return the cell size [m], the index of the cell of each point [n], and the number of cells
+    per axis.
 
-    Points far away from all others are placed in the cells at the boundary.
+    Points far away from all others are placed near the boundary. The outermost cells are empty.
     """
     low, high = np.percentile(x[:: 1 + len(x) // 8192], [0.1, 99.9], axis=0)
     cell = max(cell, float(np.prod(high - low + 2 * SPARE * cell) / MOST) ** (1 / 3))
-    size = np.ceil((high - low) / cell).astype(int) + 2 * SPARE
-    place = np.rint((x - low) / cell).astype(np.int64) + SPARE
-    return cell, np.clip(place, 0, size - 1).T, tuple(size.tolist())
+    across, along, up = (np.ceil((high - low) / cell).astype(int) + 2 * SPARE).tolist()
+    index = np.zeros(len(x), np.intp)
+    for coordinates, start, count in zip(x.T, low, (across, along, up), strict=True):
+        place = np.rint((coordinates - start) / cell) + SPARE
+        index *= count
+        index += np.clip(place, 1, count - 2).astype(np.intp)
+    return cell, index, (across, along, up)
 
 
 def blur(values: NDArray, sigma: float) -> NDArray[np.float32]:
     """Return values of cells, smoothed with a standard deviation [cells]."""
-    smooth: Any = scipy.ndimage.gaussian_filter(values.astype(np.float32), sigma, truncate=2.5)
+    reach = np.arange(-round(TAILS * sigma), round(TAILS * sigma) + 1)
+    weights = np.exp(-0.5 * (reach / sigma) ** 2)
+    weights /= weights.sum()
+    smooth = np.array(values, np.float32, order="C")
+    # OpenCV filters along the rows and columns of pictures.
+    rows = smooth.reshape(len(smooth), -1)
+    cv2.sepFilter2D(rows, -1, np.ones(1), weights, rows, borderType=cv2.BORDER_REFLECT)
+    for layer in smooth:
+        cv2.sepFilter2D(layer, -1, weights, weights, layer, borderType=cv2.BORDER_REFLECT)
     return smooth
