@@ -161,15 +161,14 @@ class Deformer:
         means, scales = (wp.empty(n, dtype=vec3, device=device) for _ in range(2))
         quats = wp.empty(n, dtype=vec4, device=device)
         real = _precision(F)
-        if self.binding.weights is None:
-            carry, shared = deform.make_follow(real), [x, F]
-        else:
-            # Particles keep their precision; the kernel converts the values that it reads.
-            carry, shared = deform.make_carry(real), [self._rest, x, F]
+        lattice = self.binding.weights is not None
+        carry, carried = carry_of(real, device, lattice=lattice)
+        # Particles keep their precision; the kernel converts the values that it reads.
+        shared = [self._rest, x, F] if lattice else [x, F]
         shapes, each = shapes_of(device)
         rest = [self._quats0, self._scales0, *self._limits, self._quats]
         steps = [
-            Step(carry, self._carried, shared, [means, DEFORMATION]),
+            Step(carry, self._carried, shared, [means, DEFORMATION], carried),
             Step(shapes, rest, [DEFORMATION], [self._inner, quats, scales], each),
         ]
         if self.gaussians.sh_degree:
@@ -278,8 +277,16 @@ def shapes_of(device: str) -> tuple[Any, int]:
     return (deform.deform_shapes_simd, 8) if device == "cpu" else (deform.deform_shapes, 1)
 
 
+def carry_of(real: Any, device: str, *, lattice: bool) -> tuple[Any, int]:
+    """Return the kernel that carries Gaussians, and the number of Gaussians per kernel thread."""
+    if not lattice:
+        return deform.make_follow(real), 1
+    return (deform.make_carry_simd(real), 8) if device == "cpu" else (deform.make_carry(real), 1)
+
+
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """Return the kernels that deform the Gaussians of a frame."""
-    bound = [deform.make_carry(real), carriers.find_carriers] if binding == "lattice" else []
-    carry = bound or [deform.make_follow(real)]
-    return [shapes_of(device)[0], *carry, deform.make_count_broken(real)]
+    lattice = binding == "lattice"
+    found = [carriers.find_carriers] if lattice else []
+    carry = carry_of(real, device, lattice=lattice)[0]
+    return [shapes_of(device)[0], carry, *found, deform.make_count_broken(real)]
