@@ -160,7 +160,9 @@ class Steps:
         shape: tuple[int, ...],
     ) -> None:
         """Store the packed bytes, with the data for unpacking."""
-        self._data, self._step, self._order = data, step, order
+        self._data, self._step = data, step
+        self._place = np.argsort(order)
+        """Place of each particle in the packed order."""
         self._base = np.ascontiguousarray(base[order].T)
         self._ends = np.cumsum([0, *lengths])
         self._count, self._shape, self._chunk = count, shape, (-1, np.zeros(0))
@@ -185,8 +187,8 @@ class Steps:
                 limit = f"its motion is damaged ({error})."
                 raise InputError("clip", f"frame {index}", limit, "Simulate it again.") from error
             self._chunk = which, steps
-        row = np.empty((len(self._order), len(self._base)), np.float32)
-        row[self._order] = (self._base + self._chunk[1][:, place] * self._step).T
+        values = (self._base + self._chunk[1][:, place] * self._step).T
+        row = np.ascontiguousarray(values, np.float32).take(self._place, axis=0)
         return row.reshape(self._shape)
 
 
@@ -322,8 +324,12 @@ def _zigzag(values: NDArray, size: int) -> NDArray:
 
 
 def _unzigzag(values: NDArray) -> NDArray:
+    """Return the integers from which `_zigzag` made the values, which are overwritten."""
     signed = values.view(f"<i{values.dtype.itemsize}")
-    return ((values >> 1).view(signed.dtype)) ^ -(signed & 1)
+    odd = signed & 1
+    values >>= 1
+    signed ^= np.negative(odd, out=odd)
+    return signed
 
 
 def _compress(values: NDArray) -> bytes:
@@ -336,7 +342,12 @@ def _compress(values: NDArray) -> bytes:
 
 def _decompress(data: bytes, size: int) -> NDArray:
     planes = np.frombuffer(zstandard.ZstdDecompressor().decompress(data), np.uint8)
-    return np.ascontiguousarray(planes.reshape(size, -1).T).view(f"<u{size}").reshape(-1)
+    planes = planes.reshape(size, -1)
+    values = np.zeros((planes.shape[1], size), np.uint8)
+    for place, plane in enumerate(planes):
+        if plane.any():  # The upper bytes of small numbers are zero.
+            values[:, place] = plane
+    return values.view(f"<u{size}").reshape(-1)
 
 
 def _join(chunks: Sequence[bytes]) -> tuple[NDArray[np.uint8], list[int]]:

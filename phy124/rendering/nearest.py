@@ -97,14 +97,15 @@ class Sample:
         corners = (rest.min(axis=1), rest.max(axis=1)) if rest.size else None
         chosen = chosen[:: 1 + len(chosen) // min(SAMPLE, max(MOST_VALUES // len(clip), FEWEST))]
         chosen = chosen[np.isfinite(clip.means[0, chosen]).all(axis=1)]
-        drawn = np.eye(3) * _reach_of_discs(clip)[chosen, None, None] ** 2
+        drawn = np.eye(3)[:, :, None] * _reach_of_discs(clip)[chosen] ** 2
         means = np.empty((len(clip), len(chosen), 3), np.float32)
         shapes = np.empty((*means.shape, 3), np.float32)
         for index, (centres, quats, scales) in enumerate(clip.rows_of(chosen)):
-            axes = rotation_matrices(quats) * scales[:, None]
-            shape = axes @ axes.transpose(0, 2, 1) + drawn
-            sound: Any = np.isfinite(centres).all(axis=1) & np.isfinite(shape).all(axis=(1, 2))
-            shapes[index] = np.where(sound[:, None, None], shape, 0.0)
+            # Long rows are several times faster than a product of matrices for each Gaussian.
+            axes = np.ascontiguousarray((rotation_matrices(quats) * scales[:, None]).T)
+            shape = (axes[:, :, None] * axes[:, None]).sum(axis=0) + drawn
+            sound: Any = np.isfinite(centres).all(axis=1) & np.isfinite(shape).all(axis=(0, 1))
+            shapes[index] = np.where(sound, shape, 0.0).T
             means[index] = np.where(sound[:, None], centres, means[0])
         return cls(means, shapes, corners)
 
