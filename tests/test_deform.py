@@ -385,8 +385,8 @@ def test_eight_at_a_time_are_carried_as_one_by_one(rng, count):
         out = [wp.zeros(count, dtype=wp.vec3f), wp.zeros(count, dtype=wp.mat33d)]
         wp.launch(make(wp.float32), -(-count // each), inputs, out, device="cpu")
         results.append([array.numpy().copy() for array in out])
-    for one, eight, digits in zip(*results, (1e-6, 1e-13), strict=True):
-        np.testing.assert_allclose(eight, one, rtol=digits, atol=30 * digits)
+    for single, eight, digits in zip(*results, (1e-6, 1e-13), strict=True):
+        np.testing.assert_allclose(eight, single, rtol=digits, atol=30 * digits)
 
 
 @pytest.mark.parametrize("binding", ["particles", "lattice"])

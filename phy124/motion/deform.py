@@ -287,6 +287,6 @@ def carry_of(real: Any, device: str, *, lattice: bool) -> tuple[Any, int]:
 def kernels(real: Any, binding: str, device: str) -> list[Any]:
     """Return the kernels that deform the Gaussians of a frame."""
     lattice = binding == "lattice"
-    found = [carriers.find_carriers] if lattice else []
+    search = [carriers.find_carriers] if lattice else []
     carry = carry_of(real, device, lattice=lattice)[0]
-    return [shapes_of(device)[0], carry, *found, deform.make_count_broken(real)]
+    return [shapes_of(device)[0], carry, *search, deform.make_count_broken(real)]
