@@ -1,7 +1,8 @@
 """Renders the pictures of the cameras of a clip or a running simulation, for `camera_messages`.
 
 The pictures equal those of `phy124 render`. In a running simulation, however, later frames are
-unknown, so the cameras are at `view.distance` from the object at rest, and the background is plain.
+unknown. The cameras are therefore at `view.distance` from the object at rest, and the background is
+plain.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def _limit(receive: Receive, most: int) -> Receive:
 
 
 def _replay(body: bytes, receive: Receive) -> Receive:
-    """Return a receive function that first returns the body that has already been read."""
+    """Return a receive function whose first message is the body that has already been read."""
     unread = True
 
     async def again() -> Message:

@@ -66,7 +66,7 @@ class Measurement(BaseModel):
         )
 
     def promise(self, cells: int) -> Promise:
-        """Return the error on a grid, or a message if the object may have torn on any grid."""
+        """Return the error on a grid; if the object may have torn on any grid, return a message."""
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.refuse_promise(f"{promises.torn(torn)}.")

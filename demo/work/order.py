@@ -176,7 +176,7 @@ def study_file(order: Order) -> Path:
 def order_of(
     visitor: Visitor, source: Source, scene: Scene, extras: ExtraInputs, limits: Settings
 ) -> Order:
-    """Create the order for a visitor's request, without a stop file.
+    """Create the order for a visitor's request.
 
     Args:
         visitor: The visitor.

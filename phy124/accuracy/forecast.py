@@ -323,8 +323,8 @@ class Forecaster:
     def _remember(self, key: Any, make: Any, keep: Any = None) -> Any:
         """Return the stored value for a key; if the value is missing, compute and store it.
 
-        If the key contains the `id` of a Python object, pass this object as `keep`: while it is
-        stored, no other object can get the same id.
+        If the key contains the `id` of a Python object, pass this object as `keep`. While the
+        object is stored, no other object can get the same id.
         """
         if key not in self._known:
             while len(self._known) >= REMEMBERED:

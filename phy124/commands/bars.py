@@ -36,7 +36,7 @@ def silence() -> Iterator[None]:
 
 class Bars:
     """A `Progress` that shows the current stage; use it as a context manager. On a terminal, a
-    progress bar is drawn; elsewhere, for example in a log file, a line is printed at regular
+    progress bar is drawn. Elsewhere, for example in a log file, a line is printed at regular
     intervals. Within the context, Ctrl-C ends the work at the next report of progress, because
     stopping inside a kernel could crash the process. A second Ctrl-C interrupts at once. If `keeps`
     is true, a message says that the results so far are saved; the caller must save them. `left`

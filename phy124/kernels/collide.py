@@ -85,7 +85,7 @@ def make_settle(real: Any):
     the node's columns request.
 
     `changes_out` contains the sums of the weighted changes and of the weights; the kernel resets
-    these sums to zero. The weight of a column is the size of its change, so that the mean varies
+    these sums to zero. The weight of a column is the size of its change. The mean therefore varies
     continuously when a column begins to push.
     """
     t = types(real)
@@ -119,9 +119,10 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     the wall does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
     changes `grid_out`; other walls change `changes_out` (see `make_settle`).
 
-    If `updating` is set, one kernel performs both a flat wall and the grid update: it reads momenta
-    from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle the
-    nodes of the sub-box, whose size is `extent`; the other threads handle all nodes of the window.
+    If `updating` is set, one kernel performs both a flat wall and the grid update. The kernel reads
+    momenta from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle
+    the nodes of the sub-box, whose size is `extent`; the other threads handle all nodes of the
+    window.
 
     Args:
         shape: Name of a distance function.
@@ -400,8 +401,9 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
     """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside the wall's
     shape.
 
-    A node counts as inside if its signed distance is below `reach` [m]. A moving shape is displaced
-    by the value of its track, and its wall moves at the track's rate, while the track is active.
+    A node counts as inside if its signed distance is below `reach` [m]. While its track is active,
+    a moving shape is displaced by the value of the track. The wall of the shape moves at the rate
+    of the track.
 
     Args:
         shape: Name of a distance function.

@@ -2,7 +2,7 @@
 
 The grid cannot represent the whole motion of the particles. The rest of the motion is called the
 fluctuation. APIC discards the fluctuation in every substep, and thus damps the motion. The
-fluctuation is (v, C) minus (v, C) after a round trip over the grid; Hammerquist and Nairn (2017)
+fluctuation is (v, C) minus (v, C) after a round trip over the grid. Hammerquist and Nairn (2017)
 write this operator as D = 1 - S S^+. FLIP restores the whole fluctuation; AFLIP (Fei et al. 2021)
 restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C), which is only noise.
 In phy124, C makes the round trip together with v, so that the round trip changes neither momentum

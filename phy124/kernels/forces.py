@@ -4,7 +4,7 @@ The kick is the time step of velocities [s]. `chosen` lists the particles on whi
 `slot` is the index of the track with the force's strength. The strength is averaged over the kick,
 and is zero while the force does not act.
 
-A pull or a wrench acts on a group of particles as a whole; each particle has a weight w from 0 to
+A pull or a wrench acts on a group of particles as a whole. Each particle has a weight w from 0 to
 1. The group's centre X and velocity V are means of the positions and velocities, weighted by w m.
 The group may turn and deform freely about X. A force f gives each particle the acceleration w f /
 sum(w m); with any weights, the total force is f.
@@ -68,8 +68,8 @@ def make_drag(real: Any):
     overshooting.
 
     The uniform acceleration a acts after the drag, on the grid, and adds kick * a. If drag and
-    acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick));
-    this kernel makes this change without the part kick * a. If drag and acceleration acted one
+    acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick)).
+    This kernel makes this change without the part kick * a. If drag and acceleration acted one
     after the other, an object's terminal velocity in a stream would be too high by the fraction
     rate kick / 2.
     """

@@ -2,7 +2,8 @@
 
 Each body has a separate velocity field. Impulses act between two bodies at the nodes that belong to
 both (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of an impulse is
-computed from the gradients of both bodies' volumes (Nairn 2013), so it is the same for both bodies.
+computed from the gradients of both bodies' volumes (Nairn 2013), so both bodies have the same
+normal.
 
 Two bodies have common nodes before they touch, so contact needs another criterion. The weights of a
 quadratic B-spline have the variance dx^2 / 4 along every direction. In any direction, the volume
@@ -187,8 +188,8 @@ def is_closed(gap: Any, more: Any):
     """Return whether the gap between two bodies at a node counts as closed.
 
     The gap is averaged over more than one cell. At the edge of the contact area, the mean includes
-    the wider gap outside this area. A gap up to `ROUNDING` times `more` therefore counts as closed,
-    where `more` is the sum of the neighbours' gaps, each minus the node's gap.
+    the wider gap outside this area. A gap up to `ROUNDING` times `more` therefore counts as closed.
+    Here `more` is the sum of the neighbours' gaps, each minus the node's gap.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))

@@ -4,7 +4,7 @@ On a GPU, atomic operations on one address are serialised. Therefore each thread
 own items, then the 32 threads of a warp combine their results, and one of them writes the total. If
 threads of a warp are inactive (at the end of a launch, or in another branch), each thread writes
 its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
-transaction; older GPUs, float64 and the CPU add each component separately.
+transaction. Older GPUs, float64 and the CPU add each component separately.
 
 At the barrier, CPU threads that run kernels in parallel wait for each other. A waiting thread spins
 for some tens of microseconds inside a kernel, without Python's global lock. The caller then yields
@@ -28,8 +28,8 @@ def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[i
     """Return the number of threads for a reduction over particles, and `first`, `each` and
     `stride`.
 
-    A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU a thread's
-    particles are neighbours; on a GPU, neighbouring threads have neighbouring particles, so that
+    A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU, a thread's
+    particles are neighbours. On a GPU, neighbouring threads have neighbouring particles, so that
     memory reads coalesce.
     """
     if device == "cpu":

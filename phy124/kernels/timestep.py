@@ -202,8 +202,8 @@ def make_timestep(real: Any):
 
     `look_out` is 1 if the particles have to be measured after the next substep, and `block_out` is
     1 if a whole block of substeps follows. `limiters_out` contains, first, the number of substeps
-    that each limit determined. Next, it contains one sum per limit: the sum of the ratios of each
-    substep's length to the limit.
+    that each limit determined. Then follows one sum per limit: each substep's length divided by the
+    limit, summed over the substeps.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)

@@ -174,10 +174,10 @@ def make_uniform_sums(real: Any):
     lattices and on projected liquids, which is computed with the mean velocities of a step. In
     these cases, the work of the acceleration follows from the mean of the momenta before and after
     the step. `base` is the momentum without the impulses that are not yet summed. Each array has
-    one row of sums per worker, except `mean_walls`, which has one row per wall for a lattice, and a
-    single row for a liquid. `solids` and `pairs` contain the impulses of freely moving solids on
-    lattices, and of the first body of each pair on the second; `signs` is 1 or -1 for pairs whose
-    first or second body is fixed, otherwise 0.
+    one row of sums per worker. Only `mean_walls` differs: it has one row per wall for a lattice,
+    and a single row for a liquid. `solids` contains the impulses of freely moving solids on
+    lattices. `pairs` contains the impulses of the first body of each pair on the second body.
+    `signs` is 1 or -1 for pairs whose first or second body is fixed, and 0 for all other pairs.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)

@@ -1,8 +1,9 @@
 """Spectrum: measures the largest angular frequency of the bodies, which limits the substep.
 
-At rest, the frequency is found by power iteration. In motion, there is one more iteration every few
-substeps, which starts from the last shape plus the current accelerations. The accelerations are
-large in material that has just been squeezed or that begins to vibrate more strongly.
+At rest, the frequency is found by power iteration. In motion, one more iteration is made every few
+substeps. This iteration starts from the last shape plus the current accelerations. The
+accelerations are large in material that has just been squeezed or that begins to vibrate more
+strongly.
 """
 
 from __future__ import annotations
@@ -151,8 +152,7 @@ class Spectrum:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
         The norm gives large motions a large weight. The norm therefore measures the fastest
-        vibration, which moves few nodes, although the shape also contains small motions of all
-        nodes.
+        vibration, which moves few nodes. The shape also contains small motions of all nodes.
 
         Args:
             share: Factor with which the accelerations are added to the shape.

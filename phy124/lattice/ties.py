@@ -115,10 +115,10 @@ def _tie(
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
     of at least `giving` [kg]. Nodes in a common cell with the light node are preferred. Other nodes
-    may belong to another part of the body, such as a leaf near a stem, to which the light node
-    would then be glued. A light node is not tied if the heavy nodes nearby do not determine its
-    motion; if `far` is true, heavy nodes of neighbouring cells are then used up to a distance of
-    `FAR`.
+    may belong to another part of the body, such as a leaf near a stem. The light node would then be
+    glued to this part. If the heavy nodes nearby do not determine the motion of a light node, the
+    node is not tied. If `far` is true, heavy nodes of neighbouring cells up to a distance of `FAR`
+    are then used instead.
     """
     count = len(index)
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)

@@ -61,7 +61,9 @@ class OverActive:
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and a view [2] of the first and end index of the active cells."""
+        """Store the launch, and a view [2] of two indices: the first active cell, and the cell
+        after the last.
+        """
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:

@@ -66,7 +66,7 @@ def motion(video: Video) -> float:
 def flicker(video: Video) -> float:
     """Return the oscillation of the frames' mean colour, in per cent of the colour range.
 
-    Each channel of each frame is averaged; flicker is half the mean absolute second difference of
+    Each channel of each frame is averaged. Flicker is half the mean absolute second difference of
     these averages in time. Flicker is 0 if the mean changes at a constant rate, and 100 if the
     frames alternate between black and white. If an object only moves, the mean hardly changes, so
     flicker does not measure motion.

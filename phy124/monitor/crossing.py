@@ -15,7 +15,9 @@ DEEP = 0.5
 
 
 class LatticeCrossing(Observer):
-    """Measures, once per frame, how deep points that two walls touch are inside a wall."""
+    """Finds points that two walls touch, and measures once per frame how deep they are in a
+    wall.
+    """
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

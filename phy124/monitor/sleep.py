@@ -4,14 +4,15 @@ A body with zero speed need not be at rest: a thrown body has zero speed at the 
 object counts as at rest if, for Q frames of T seconds, no particle has moved further than D from
 its starting point. Under a constant acceleration, a particle can then move by at most `7 D m (1 +
 m)` in the next `M = m Q` frames. In the worst case, a particle first moved by D to one side of its
-starting point, turned, and is now at the distance D on the other side, moving away. In addition, a
-vibration in phase with the frames, with the largest speed v, can hide a displacement of `v T / (2
-pi)`.
+starting point and turned. The particle is now at the distance D on the other side, moving away. In
+addition, a vibration in phase with the frames can hide a displacement of `v T / (2 pi)`, where v is
+the largest speed of the vibration.
 
-The object sleeps if the sum of both displacements is invisible and the object's speed does not
-grow. The object wakes when a force or boundary of the scene changes. Under gravity, an object
-sleeps only if it has also moved much less than a free body would. Without this condition, in a clip
-with many frames per second, an object at the top of its path would count as at rest.
+The object sleeps if two conditions hold: the sum of both displacements is invisible, and the
+object's speed does not grow. The object wakes when a force or boundary of the scene changes. Under
+gravity, an object sleeps only if it has also moved much less than a free body would. Without this
+condition, in a clip with many frames per second, an object at the top of its path would count as at
+rest.
 """
 
 from __future__ import annotations

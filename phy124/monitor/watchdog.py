@@ -2,7 +2,7 @@
 
 A state is valid if all values are finite and at most a few particles are inverted (det F < 0). The
 change of momentum must equal the impulse of forces and walls. Energy must not grow by more than the
-work of forces and walls: explicit MPM only loses energy, so a gain means that the run is unstable.
+work of forces and walls. Explicit MPM only loses energy, so a gain means that the run is unstable.
 The responsible particle and the remedies are determined only after an error. The watchdog only
 reads the state; the solver repairs invalid deformations (phy124/mpm/repair.py).
 """

@@ -1,7 +1,7 @@
 """Packs a motion into bytes: static arrays without loss, moving arrays with rounding.
 
-Every array is stored as differences; their bytes of equal significance are grouped and compressed
-by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`; differences are
+Every array is stored as differences. Their bytes of equal significance are grouped and compressed
+by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Differences are
 taken in time, and along a Hilbert curve through the particles at rest.
 """
 

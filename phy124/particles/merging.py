@@ -1,8 +1,8 @@
 """Merges neighbouring Gaussians to make files smaller.
 
 Two Gaussians are replaced by one Gaussian with their joint mean, covariance and colour, weighted by
-mass (opacity times volume). The opacity of the new Gaussian preserves the mass; if it would exceed
-`OPAQUE`, the new Gaussian is enlarged instead.
+mass (opacity times volume). The opacity of the new Gaussian preserves the mass. If this opacity
+would exceed `OPAQUE`, the new Gaussian is enlarged instead.
 """
 
 from __future__ import annotations

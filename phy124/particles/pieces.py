@@ -1,10 +1,10 @@
 """Finds pieces of a body that lie in one cell, or at one node, without being connected.
 
-Two prongs, or a leaf and a stem, may lie in one cell, or in the support of one node, although the
-connection between them is far away from this cell or node. Each piece of a cell then gets
-integration points, and each connected piece in the support of a node gets a copy of the node, so
-that the pieces move independently (phantom nodes of Hansbo and Hansbo 2004, doi
-10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova and Faure 2009, doi 10.1145/1531326.1531358).
+Parts of a body that are connected only far away, such as two prongs, may lie in one cell or in the
+support of one node. Each piece of a cell then gets integration points, and each connected piece in
+the support of a node gets a copy of the node, so that the pieces move independently (phantom nodes
+of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova and Faure 2009, doi
+10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
 without any connection, such as specks around a body, keep common nodes and move with the body.

@@ -48,9 +48,8 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
     If `accuracy.solver = "auto"`, elastic objects use lattices where lattices are supported and
     were better in measurements (docs/lab/solvers.md). In scenes that contain objects of other
     materials, lattices are not faster and support fewer features. On a GPU a lattice that touches
-    walls takes many times as long as particles (docs/lab/cuda.md). If a scene requests the causes
-    of the energy loss, and only lattices can determine the causes, lattices are used even if they
-    are slower.
+    walls takes many times as long as particles (docs/lab/cuda.md). If a scene requests causes of
+    the energy loss that only lattices can determine, lattices are used even if they are slower.
     """
     accuracy = scene.resolution
     if accuracy.solver != "auto":

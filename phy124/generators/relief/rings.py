@@ -195,7 +195,7 @@ def _edges(object_mask: Mask, middle: Field) -> Field | None:
 
 
 def _lines(across: Field, column: Field, row: Field, beyond: float) -> Field:
-    """Return the rows [S,C] of lines at the columns `across` [C].
+    """Interpolate lines: return the row [S,C] at which each line crosses each column.
 
     Args:
         across: Columns.

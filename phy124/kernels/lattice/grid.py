@@ -3,7 +3,7 @@
 The surface of the material is assumed to be where the volume fraction is one half. The fraction is
 computed from the masses of the grid's nodes (phy124/lattice/coupled.py). The velocity of the
 material at a point is the mass-weighted mean velocity of the nodes around the point. The impulse is
-distributed over these nodes with the same weights: each velocity changes by the fraction w_i / sum
+distributed over these nodes with the same weights. Each velocity changes by the fraction w_i / sum
 w_i m_i of the impulse, so momentum is conserved exactly.
 """
 

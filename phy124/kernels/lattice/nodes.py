@@ -213,8 +213,8 @@ def make_pin(real: Any):
     The interpolated velocity relative to the clamp vanishes at the clamp's surface if the clamped
     node's relative velocity is `ratio` times the free node's relative velocity. Momenta are
     projected onto motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If
-    another clamp fixes the free node, only the clamped node's velocity changes; if another clamp
-    fixes the clamped node, neither velocity changes.
+    another clamp fixes the free node, only the velocity of the clamped node changes. If another
+    clamp fixes the clamped node, neither velocity changes.
     """
     t = types(real)
 
@@ -287,8 +287,9 @@ def make_pin(real: Any):
 def make_drift(real: Any):
     """Kernel over the nodes `start` to `stop`: moves the nodes; tied nodes follow their donors.
 
-    `lagging_out` receives the velocity on which viscosity acts in the next substep: the mean of the
-    present velocity, with the weight `RECENT`, and of the velocity one substep earlier (`before`).
+    `lagging_out` receives the velocity on which viscosity acts in the next substep. This velocity
+    is a mean of the present velocity, with the weight `RECENT`, and the velocity one substep
+    earlier (`before`).
     """
     t = types(real)
 

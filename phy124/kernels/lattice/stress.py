@@ -148,9 +148,9 @@ def compression(C: Any):
 def make_lattice_measure(real: Any):
     """Kernel over points: finds the largest speed, rate of compression and closing rate.
 
-    The closing rate is the rate of compression times the volume ratio: the speed at which opposite
-    sides of a cell approach each other, relative to the side of the cell at rest. In material that
-    is squeezed flat, even a slow motion has a high rate of compression.
+    The closing rate is the speed at which opposite sides of a cell approach each other, relative to
+    the side of the cell at rest. This rate is the rate of compression times the volume ratio. In
+    material that is squeezed flat, even a slow motion has a high rate of compression.
     """
     t = types(real)
 

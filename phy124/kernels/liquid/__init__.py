@@ -1,8 +1,8 @@
 """Device code for projected liquids: incompressible flow on a staggered grid with particles.
 
-The x component of the velocity is stored at the centre of each cell's low x face, the y and z
-components at the centres of the low y and z faces. Pressure, density and distance from the surface
-are stored at cell centres. A step is
+The x component of the velocity is stored at the centre of each cell's low x face. The y and z
+components are stored at the centres of the low y and z faces. Pressure, density and distance from
+the surface are stored at cell centres. A step is
 
     particles to faces (`faces`) - surface (`surface`) - pressure (`pressure`, `conjugate`)
     - velocities outside the liquid (`spread`) - faces to particles - out of walls (`walls`)

@@ -3,8 +3,8 @@
 The cells of liquid are listed in memory order. The list is divided into parts of equal length: one
 part per CPU thread, or many parts on a GPU. The modified incomplete Cholesky factor (Bridson 2015,
 "Fluid simulation for computer graphics", ch. 5) ignores matrix entries that couple cells of
-different parts, so the parts can be processed in parallel. Sums are added part by part, so a result
-depends only on the number of parts.
+different parts. The parts can therefore be processed in parallel. Sums are added part by part, so a
+result depends only on the number of parts.
 """
 
 import warp as wp

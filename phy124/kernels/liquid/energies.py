@@ -4,7 +4,7 @@ The work of an impulse is the impulse times the mean of the velocities at the st
 the step. The work of all causes then adds up to the change of a face's kinetic energy. In a liquid
 at rest, where pressure balances gravity, the work of every cause is zero. Faces behind walls and
 above the surface may carry mass of the particles. Such faces move like their neighbours in the
-liquid, so the mass of each is added to the masses of its neighbours.
+liquid. The mass of such a face is therefore added to the masses of its neighbours.
 """
 
 from typing import Any

@@ -172,7 +172,7 @@ def make_head(real: Any):
 def share_of(rim: wp.vec3d, opposite: wp.vec3d):
     """Return the fraction of a contact on which a film acts; `make_head` computes the rows.
 
-    A film exists only if there is liquid along at least half of the contact's perimeter; the
+    A film exists only if there is liquid along at least half of the contact's perimeter. The
     contact is assumed to be square. If a body fills the space between two walls, films on both
     sides would squeeze it. Therefore, a film acts only on the difference between opposite contact
     areas.
@@ -187,7 +187,7 @@ def make_film(real: Any):
     """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact; `rims` contains the sums over this liquid for each direction (`make_head`).
+    around the contact. `rims` contains the sums over this liquid for each direction (`make_head`).
     If a cell between body and wall contains liquid, the film has the pressure of the cell. All
     pressures are converted to the position of the wall, with the distances `fixed` from the fixed
     walls. The film acts on the fraction of the contact that `share_of` returns.

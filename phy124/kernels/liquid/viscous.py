@@ -1,12 +1,12 @@
 """Viscosity of a liquid: implicit diffusion of the face velocities, solved by Jacobi's method.
 
-The new velocity u of a face follows from its old velocity u0 and the velocities u' of the
-neighbouring faces: (1 + k sum g) u = u0 + k sum g u', with k = eta dt / (rho dx^2) and g = 1.
-Between two liquids, eta is the harmonic mean of the viscosities at both faces. No momentum diffuses
-across the surface. A sticky wall at the distance d counts as a neighbour with the wall's velocity
-and g = dx / d. A smooth wall stops only the normal velocity component. The velocity components
-diffuse independently. The coupling of the components at a surface is neglected (Batty and Bridson
-2008), so jets do not fold or coil correctly.
+Let u be the new velocity of a face, u0 its old velocity, and u' the velocities of the neighbouring
+faces. Then (1 + k sum g) u = u0 + k sum g u', with k = eta dt / (rho dx^2) and g = 1. Between two
+liquids, eta is the harmonic mean of the viscosities at both faces. No momentum diffuses across the
+surface. A sticky wall at the distance d counts as a neighbour with the wall's velocity and g = dx /
+d. A smooth wall stops only the normal velocity component. The velocity components diffuse
+independently. The coupling of the components at a surface is neglected (Batty and Bridson 2008), so
+jets do not fold or coil correctly.
 """
 
 from typing import Any

@@ -69,7 +69,7 @@ class PlacedWall:
 
 
 def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
-    """Split boundaries into walls of simple shape, placed around an object at rest [N,3], m."""
+    """Split boundaries into simple walls, and place them around an object at rest [N,3], m."""
     return [wall for boundary in boundaries for wall in _walls(boundary, rest)]
 
 

@@ -174,7 +174,7 @@ def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
     If the frame has transparent pixels, the mask contains its opaque pixels. If the frame is
     opaque, the mask contains the pixels whose colour differs from the median colour of the frame's
-    border; holes in this mask are filled.
+    border. Holes in this mask are filled.
     """
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127

@@ -126,9 +126,9 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
     """Return the error on any grid, derived from the errors of a study's levels.
 
     On a grid between two levels, the error is assumed to be that of the coarser level. On grids
-    finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`), or is
-    constant if no order was observed. On grids coarser than all levels, the error is unknown
-    (None).
+    finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`). If no
+    order was observed, the error is constant there. On grids coarser than all levels, the error is
+    unknown (None).
 
     Args:
         cells: Number of cells across the object on the grid.
