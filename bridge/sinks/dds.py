@@ -1,7 +1,7 @@
 """DdsSink: ROS 2 topics without ROS 2, through the pip package cyclonedds.
 
-To be compatible with ROS 2 nodes, this sink uses mangled topic and type names, XCDR version 1, the
-type hash in the user data of the endpoints, and a sample on `ros_discovery_info` that names the
+To be compatible with ROS 2 nodes, this sink uses mangled topic and type names and XCDR version 1.
+The type hash is in the user data of the endpoints, and a sample on `ros_discovery_info` names the
 node (Jazzy's rmw_dds_common). `DdsServices` offers the services.
 """
 

@@ -1,8 +1,8 @@
 """The process of a live run; it executes this file, and ends when its pipe is closed.
 
-Standard input carries two pickles, `sys.path` and (function, arguments), then lines of text. The
-function reads the lines from a `Line` and answers by messages. A message consists of a letter, the
-length (uint32, little-endian) and the content.
+Standard input first carries two pickles, `sys.path` and (function, arguments). Lines of text
+follow. The function reads the lines from a `Line` and answers by messages. A message consists of a
+letter, the length (uint32, little-endian) and the content.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Keeps the time of a liquid's run, and chooses the length of the steps.
 
-A step is limited by the distance that particles move, and by waves on the surface, above all waves
-with a length of two cells. Pressure is implicit and does not limit a step. Viscosity limits a step
-only if the liquid is so viscous that the iterations of one long step would take more time than
-several shorter steps.
+A step is limited by the distance that particles move, and by waves on the surface. The most
+restrictive waves are two cells long. Pressure is implicit and does not limit a step. Viscosity
+limits a step only if the liquid is so viscous that the iterations of one long step would take more
+time than several shorter steps.
 """
 
 from __future__ import annotations

@@ -293,8 +293,8 @@ class LiquidSolver:
         """Move particles out of walls, and restore the rest density, without changing velocities.
 
         At the start of a run, particles may be slightly inside a wall, or nearer to the wall than
-        all later steps leave any particle. They may also be closer to each other than at rest. The
-        energy balance should not include the lift out of a floor or out of a crowded tank.
+        in any later step. They may also be closer to each other than at rest. The energy balance
+        should not include the lift out of a floor or out of a crowded tank.
         """
         self._fit()
         if self.walls.move:

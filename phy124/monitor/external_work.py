@@ -349,8 +349,8 @@ class ExternalWork(Observer):
 class MeanWork(ExternalWork):
     """Reads the external work from solvers that sum the work of walls and forces themselves.
 
-    In a projected liquid, the pressure counteracts a force within the same step; on lattices,
-    clamps counteract a force. All work is therefore computed with the mean velocities of the step.
+    The pressure of a projected liquid and the clamps of lattices counteract a force within the same
+    step. All work is therefore computed with the mean velocities of the step.
     """
 
     @classmethod

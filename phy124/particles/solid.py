@@ -4,10 +4,10 @@ The Gaussians may be a shell of flat discs with gaps, a fuzzy cloud, thin sheets
 interior is found in four steps:
 
 - Each Gaussian is sampled within one standard deviation, at least once per voxel.
-- The grid is flooded from outside; voxels that the flood does not reach are inside. The flood is
-  repeated after the samples are dilated by increasing radii r (in voxels), and dilation seals gaps
-  of width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow
-  slots stay open. Wide openings are never sealed.
+- The grid is flooded from outside; voxels that the flood does not reach are inside. The samples are
+  then dilated by increasing radii r (in voxels), and the flood is repeated. Dilation seals gaps of
+  width up to 2 r. Larger dilations are used only if they enclose a new cavity; other narrow slots
+  stay open. Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
 - Only the fraction of a surface voxel below the local surface is part of the solid. The local

@@ -164,7 +164,7 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
 
 
 def _project(values: Field, distance: float) -> Field:
-    """Return the image positions [8,2] of the corners of a box: rotation, log sizes, x, y."""
+    """Return the corners [8,2] of a box in the image from its rotation, log sizes, x and y."""
     turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
     return points[:, :2] / (1 - points[:, 2:] / distance)

@@ -140,7 +140,7 @@ def make_diffuse(real: Any):
 def make_drag(real: Any):
     """Kernel over cells: copies the diffused velocities, and sums the drag of walls.
 
-    The impulse of a wall on a face with mass m is m k (sum g u_wall - sum g u).
+    On a face with mass m, a wall exerts the impulse m k (sum g u_wall - sum g u).
     """
     t = types(real)
     vec8 = sums(real)
