@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -19,9 +19,8 @@ from phy124.kernels.arguments import types
 from phy124.kernels.liquid import bodies as kernels
 from phy124.kernels.liquid import films, shapes
 from phy124.kernels.liquid.active import EMPTY
-from phy124.kernels.reduction import shared_out
 from phy124.liquid.cells import Cells, Region
-from phy124.liquid.rigid import FreeSolids, Motion
+from phy124.liquid.rigid import FreeSolids, Moments, Motion
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
@@ -70,8 +69,7 @@ class Bodies:
         t, device, count = types(model.real), model.device, len(self.numbers)
         self.free, self.first = FreeSolids(model, free), len(free.all)
         """Freely moving rigid solids, and their number."""
-        shape = (count, kernels.MOMENTS)
-        self._rows = wp.zeros(shape, dtype=wp.float64, device=device)
+        self._moments = Moments(model, [model.particles(body) for body in self.numbers])
         self.pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
         self.turns = wp.zeros(len(model), dtype=t.mat33, device=device)
         """Accelerations of the particles by the pressure, and rates of change of their C."""
@@ -227,10 +225,11 @@ class Bodies:
             kick: Duration of the step [s].
             pull: Uniform acceleration [3], m/s^2.
         """
-        motions = [*self.free.motions(), *self._rigid(self._state.v, self._state.C)]
+        motions = [*self.free.motions(), *self.motions()]
         expected = motions
         if self._expect is not None:
-            expected = [*motions[: self.first], *self._rigid(*self._motion)]
+            predicted = self._moments.read(self._state.x, *self._motion)
+            expected = [*motions[: self.first], *predicted]
         others = [self._other(index, motion, kick, pull) for index, motion in enumerate(motions)]
         plans, present, centres, mobility = (
             np.array(a.numpy())
@@ -257,18 +256,9 @@ class Bodies:
         self._centres = centres
         self._kick, self._pull = kick, pull
 
-    def _rigid(self, v: wp.array, C: wp.array) -> list[Motion]:
-        """Return the rigid motion of each body for these velocities of the particles."""
-        self._rows.zero_()
-        for index, body in enumerate(self.numbers):
-            run = self._model.particles(body)
-            threads, *fraction = shared_out(run.stop - run.start, self._model.device)
-            inputs = [*fraction, run.stop - run.start, self._model.dx, self._model.mass[run]]
-            inputs += [self._state.x[run], v[run], C[run]]
-            kernel = kernels.make_moments(self._model.real)
-            self._launch(kernel, threads, inputs, [cast("wp.array", self._rows[index])])
-        rows = np.array(self._rows.numpy(), np.float64)
-        return [Motion.of(row, self._model.dx) for row in rows]
+    def motions(self) -> list[Motion]:
+        """Return the rigid motion of each body, without the freely moving solids."""
+        return self._moments.read(self._state.x, self._state.v, self._state.C)
 
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]

@@ -45,10 +45,6 @@ class MixedClock(Clock):
         """
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
 
-    def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work done on the liquid [J] since the bodies were last accelerated."""
-        return self.last_dt / 2 * self.share * float(self.liquid.pull @ momentum)
-
 
 class MixedSolver(Solver):
     """Advances a liquid and bodies of other materials in time."""
@@ -92,17 +88,18 @@ class MixedSolver(Solver):
         """
         span = liquid_span(model)
         part = liquid_model(model, span)
-        self._bodies: Bodies | None = None
+        self.bodies: Bodies | None = None
+        """The bodies of other materials; None only while the solver is constructed."""
         self._liquid: LiquidSolver | None = None
         super().__init__(
             model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,
             planes=planes, threads=threads, graph=False, **options,
         )  # fmt: skip
-        self._bodies = Bodies(model, state, self.grids, self.free)
-        self._bodies.pushed = pushed
+        self.bodies = Bodies(model, state, self.grids, self.free)
+        self.bodies.pushed = pushed
         self._liquid = LiquidSolver(
             part, liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
-            ceiling=self.clock.ceiling, threads=threads, bodies=self._bodies,
+            ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
             advance_bodies=self._advance_bodies, whole=model,
         )  # fmt: skip
         assert isinstance(self.clock, MixedClock)
@@ -110,7 +107,7 @@ class MixedSolver(Solver):
         self.clock.share = part.total_mass / model.total_mass
         self._after: Callable[[], None] | None = None
         self._each = False
-        super().bind([*forces, self._bodies], boundaries, accumulators, planes)
+        super().bind([*forces, self.bodies], boundaries, accumulators, planes)
         self._liquid.bounds = self.rejection
 
     @property
@@ -161,10 +158,10 @@ class MixedSolver(Solver):
         Raises:
             InputError: For the same reasons as in `__init__`.
         """
-        if self._liquid is not None and self._bodies is not None:
-            self._bodies.pushed = pushed
+        if self._liquid is not None and self.bodies is not None:
+            self.bodies.pushed = pushed
             self._liquid.bind(uniform, walls)
-            forces = [*forces, self._bodies]
+            forces = [*forces, self.bodies]
         super().bind(forces, boundaries, accumulators, planes)
         if self._liquid is not None:
             self._liquid.bounds = self.rejection
@@ -194,14 +191,12 @@ class MixedSolver(Solver):
 
     def _advance_bodies(self, until: float) -> None:
         """Advance the bodies by substeps under the pressure of the liquid."""
-        assert self._bodies is not None
+        assert self.bodies is not None
         wet = min(self.model.wet)
-        for body, (impulse, moment) in zip(
-            self._bodies.numbers, self._bodies.impulses, strict=True
-        ):
+        for body, (impulse, moment) in zip(self.bodies.numbers, self.bodies.impulses, strict=True):
             self.pairs.add(wet, body, impulse, moment)
         super().advance(until, after=self._after, each=self._each)
-        self._bodies.finish()
+        self.bodies.finish()
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:

@@ -1,12 +1,13 @@
-"""Couples freely moving rigid solids to a liquid if the scene has other materials as well.
+"""Rigid motions of liquids and bodies, and freely moving rigid solids among other materials.
 
-The solver of the other materials stores and moves the solids. The liquid uses copies with positions
-that are half a step ahead. The impulse of the pressure is distributed over the substeps, so that
-the velocity with which a solid touches the materials changes gradually.
+The solver of the other materials stores and moves freely moving solids. The liquid uses copies of
+the solids with positions that are half a step ahead. The impulse of the pressure is distributed
+over the substeps, so that the velocity with which a solid touches the materials changes gradually.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -14,7 +15,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import rotation_matrices
+from phy124.kernels.liquid.bodies import MOMENTS, make_moments
 from phy124.kernels.liquid.solids import make_push
+from phy124.kernels.reduction import shared_out
 from phy124.mpm import FreeBodies, Grid, Model, Stage
 from phy124.mpm.tracks import Tracks
 
@@ -47,6 +50,30 @@ class Motion(NamedTuple):
         # The second term is the angular momentum of the particles' C.
         inertia = (np.trace(moments) + m * dx**2 / 2) * np.eye(3) - moments
         return cls(m, x, momentum, angular - np.cross(x, momentum), np.linalg.inv(inertia))
+
+
+class Moments:
+    """Sums over the particles of several bodies, from which the rigid motions follow."""
+
+    def __init__(self, model: Model, runs: Sequence[slice]) -> None:
+        """Allocate one row of sums per body; `runs` are the particles of each body."""
+        self._model, self._runs = model, list(runs)
+        shape = (len(self._runs), MOMENTS)
+        self._rows = wp.zeros(shape, dtype=wp.float64, device=model.device)
+
+    def read(self, x: wp.array, v: wp.array, C: wp.array) -> list[Motion]:
+        """Return the rigid motion of each body with this state of the particles."""
+        model = self._model
+        self._rows.zero_()
+        for index, run in enumerate(self._runs):
+            count = run.stop - run.start
+            threads, *fraction = shared_out(count, model.device)
+            inputs = [*fraction, count, model.dx, model.mass[run], x[run], v[run], C[run]]
+            outputs = [cast("wp.array", self._rows[index])]
+            kernel = make_moments(model.real)
+            wp.launch(kernel, threads, inputs=inputs, outputs=outputs, device=model.device)
+        rows = np.array(self._rows.numpy(), np.float64)
+        return [Motion.of(row, model.dx) for row in rows]
 
 
 class FreeSolids:

@@ -141,8 +141,10 @@ class LiquidSolver:
         )
         self.runner = Runner(count, self._run_task, self.timings)
         self.clock.diffuse(self._phases.fastest_diffusion)
-        self._kick = 0.0
+        self.kick = 0.0
         """Duration over which the current pressure acted [s]."""
+        self.follower: Callable[[], None] | None = None
+        """Called after each step, before the function that `advance` receives."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
         """Largest mean excess of the liquid's density that lasted for two frames, and excess at the
@@ -240,8 +242,8 @@ class LiquidSolver:
         with self.runner.on_threads():
             while self.clock.time < until:
                 self._stable_step(until)
-                if after is not None:
-                    run_timed(self.timings, FOLLOW, after)
+                for follow in filter(None, (self.follower, after)):
+                    run_timed(self.timings, FOLLOW, follow)
         filled = self.cells.hats.numpy()[self.cells.liquid.numpy() == 1]
         if len(filled):
             excess = float(np.maximum(filled - 1, 0).mean())
@@ -323,7 +325,7 @@ class LiquidSolver:
             "clock": self.clock.snapshot(),
             "repair": self.repair.snapshot(),
             "cells": self.cells.snapshot(),
-            "kick": self._kick,
+            "kick": self.kick,
             "crowding": [self.crowding, self._excess],
             **({"free": self.free.snapshot()} if self.free.all else {}),
             **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
@@ -339,7 +341,7 @@ class LiquidSolver:
         self.repair.restore(snapshot["repair"])
         self._phases.stray.zero_()
         self._missed.zero_()
-        self._kick = snapshot["kick"]
+        self.kick = snapshot["kick"]
         self.crowding, self._excess = snapshot["crowding"]
         self.free.restore(snapshot.get("free", {}))
         if self._bodies is not None:
@@ -386,9 +388,9 @@ class LiquidSolver:
         Args:
             kick: Time over which the step changes the velocities [s].
         """
-        scale = kick / self._kick if self._kick > 0 else 0.0
+        scale = kick / self.kick if self.kick > 0 else 0.0
         self._phases.carry.fill_(scale)
-        self._kick = kick
+        self.kick = kick
 
     def _solve(self, name: str, tolerance: float) -> None:
         self.projection.solve(self.runner.run, self._phases.group(name)[0], tolerance)

@@ -26,6 +26,7 @@ from phy124.monitor.lattice import (
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.liquid import LiquidDissipation
 from phy124.monitor.observer import Observer
+from phy124.monitor.pool_work import PoolWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening
 from phy124.monitor.tearing import Tearing
@@ -55,6 +56,10 @@ LIQUID_OBSERVERS: tuple[type[Observer], ...] = tuple(
     MeanWork if observer is ExternalWork else observer for observer in OBSERVERS
 )
 """Observers of a projected liquid without other bodies."""
+MIXED_OBSERVERS: tuple[type[Observer], ...] = tuple(
+    PoolWork if observer is ExternalWork else observer for observer in OBSERVERS
+)
+"""Observers of a projected liquid that contains particle bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
     LatticePairs,
@@ -98,6 +103,6 @@ def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
         return IMMERSED_OBSERVERS
     if scene.couples:
         return COUPLED_OBSERVERS
-    if scene.projects and not scene.mixes:
-        return LIQUID_OBSERVERS
+    if scene.projects:
+        return MIXED_OBSERVERS if scene.mixes else LIQUID_OBSERVERS
     return LATTICE_OBSERVERS if scene.on_lattice else OBSERVERS

@@ -199,10 +199,6 @@ class ExternalWork(Observer):
         values: NDArray[Any] = self._tracks.values.numpy()
         a = values[0, :3].astype(np.float64)
         if self.by_momentum:
-            # The sums include the bodies' last kick half a substep ago; the time lag of a liquid is
-            # larger.
-            late = self._model.total_mass * (clock.behind - clock.last_dt / 2)
-            total[IMPULSES] -= late * a
             total[kernels.WORK] += clock.uniform_work(momentum)
         else:
             impulse = self._model.total_mass * a * (clock.time - clock.behind - self._opened)

@@ -6,7 +6,7 @@ The kernel of the contact between a body and a wall sums the wall's impulse
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,27 +14,22 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.lattice.contact import MOMENT
-from phy124.kernels.work import WORK, make_uniform_sums
+from phy124.kernels.work import WORK
 from phy124.monitor.coupled import CoupledPairs, elastic_names
 from phy124.monitor.external_work import MEAN_PUSH, PUSH, ROOM, MeanWork
 from phy124.monitor.lattice import LatticeWrenches
 from phy124.monitor.observer import Effect, Observer, Subject
+from phy124.monitor.pool_work import PoolWork
 from phy124.scene import Scene
 
 BODIES = MEAN_PUSH
 """Cause of the work of walls on lattices. The work of forces on points has the cause `PUSH`."""
 
 
-class ImmersedWork(MeanWork):
+class ImmersedWork(PoolWork, MeanWork):
     """Computes the external impulse and work, on lattices and on the liquid, from the sums for
     walls.
     """
-
-    @classmethod
-    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that sums the work of a uniform acceleration, if needed."""
-        if subject.changes:
-            yield make_uniform_sums(real)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, in order to read the sums of walls on the liquid and on lattices."""
@@ -44,6 +39,7 @@ class ImmersedWork(MeanWork):
         self._device[PUSH] = sums
         solver.keep_pushes(sums[: counts[0]], sums[counts[0] :])
         self._read_impulses()
+        self.follow_steps(solver)
 
     def change(self, scene: Scene) -> None:
         """Keep the sums of the previous walls, and read the sums of the new walls from now on."""

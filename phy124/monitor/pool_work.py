@@ -1,0 +1,109 @@
+"""PoolWork: sums the work of a uniform acceleration on a liquid and on the bodies in the liquid.
+
+During a step of the liquid, the bodies take many substeps. The impulse of walls on the liquid is
+known only at the end of the step. A sum over substeps would therefore count the weight of the
+liquid as if nothing carried the liquid. The work is summed once per step of the liquid instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
+from phy124.liquid.rigid import Moments
+from phy124.monitor.external_work import UNIFORM, Exchange, ExternalWork
+from phy124.monitor.observer import Observer
+from phy124.mpm import Clock, Model, Stage, State
+from phy124.mpm.tracks import Tracks
+
+
+class Measured(NamedTuple):
+    """The liquid and the bodies after a step of the liquid."""
+
+    momentum: NDArray[np.float64]
+    """Momentum of the liquid [3], kg m/s."""
+    wet: NDArray[np.float64]
+    """Sum of mass times position over the liquid [3], kg m."""
+    dry: NDArray[np.float64]
+    """Sum of mass times position over the bodies [3], kg m."""
+    pull: NDArray[np.float64]
+    """Uniform acceleration of the liquid in the step [3], m/s^2."""
+
+
+class PoolWork(ExternalWork):
+    """Sums the external impulse and work on a liquid and on the bodies in the liquid."""
+
+    def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
+        """Return no stage, because nothing is summed in substeps."""
+        super().attach(model, state, tracks)
+        return []
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver; after each step of the liquid, its motion is measured."""
+        super().bind(solver, observers)
+        self.follow_steps(solver)
+
+    def follow_steps(self, solver: Any) -> None:
+        """From now on, sum impulse and work after each step of the liquid."""
+        self._pool = solver
+        self._wet = Moments(solver.liquid.model, [slice(0, len(solver.liquid.model))])
+        solver.liquid.follower = self._add_step
+
+    def begin(self, momentum: NDArray[np.float64]) -> None:
+        """Start a frame: measure the liquid and the bodies."""
+        del momentum
+        if self.by_momentum:
+            self._before = self._measure()
+
+    def total(
+        self, clock: Clock, way: NDArray[np.float64], momentum: NDArray[np.float64]
+    ) -> Exchange:
+        """Return the impulse and the work since the start, as in `ExternalWork`."""
+        total = super().total(clock, way, momentum)
+        if not self.by_momentum:
+            return total
+        # The sums reach the time of the positions; the bodies' velocities are half a substep older.
+        mass = self._model.total_mass - self._pool.liquid.model.total_mass
+        late = clock.last_dt / 2 * mass * self._acceleration()
+        return total._replace(impulse=total.impulse - late)
+
+    def _add_step(self) -> None:
+        """Add impulse and work of a step of the liquid.
+
+        For a constant acceleration, the work is the product of acceleration and displacement, as in
+        runs without changes.
+        """
+        if not self.by_momentum:
+            return
+        liquid, before, now = self._pool.liquid, self._before, self._measure()
+        kick, drift, a = liquid.kick, liquid.clock.last_dt, now.pull
+        # The energy at the time of the positions follows from the last acceleration. If it changes,
+        # so does the energy.
+        changed = (kick - drift / 2) * float((a - before.pull) @ before.momentum)
+        wet = float(a @ (now.wet - before.wet)) + changed
+        # For the bodies, the acceleration is the mean over the step.
+        mean = (a + self._acceleration()) / 2
+        work = float(mean @ (now.dry - before.dry))
+        mass = liquid.model.total_mass
+        bodies = drift * (self._model.total_mass - mass) * mean
+        sums = self._closed[UNIFORM].copy()
+        for impulse, done in ((kick * mass * a, wet), (bodies, work)):
+            sums[IMPULSE : IMPULSE + 3] += impulse
+            sums[[WORK, MOVED, TURNED]] += np.array([done, np.linalg.norm(impulse), abs(done)])
+        self._closed[UNIFORM], self._before = sums, now
+
+    def _measure(self) -> Measured:
+        """Measure the liquid and the bodies."""
+        liquid, bodies = self._pool.liquid, self._pool.bodies.motions()
+        (wet,) = self._wet.read(liquid.state.x, liquid.state.v, liquid.state.C)
+        dry = sum((body.mass * body.centre for body in bodies), np.zeros(3))
+        return Measured(wet.momentum, wet.mass * wet.centre, dry, liquid.clock.pull)
+
+    def _acceleration(self) -> NDArray[np.float64]:
+        """Return the uniform acceleration [3] in the last substep of the bodies, m/s^2."""
+        values: NDArray[Any] = self._tracks.values.numpy()
+        return values[0, :3].astype(np.float64)
