@@ -15,7 +15,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.schema.region import Region
 from phy124.simulation import Simulation, prepare
-from support.liquids import DENSITY, TANK, G, block, liquid, run
+from support.liquids import DENSITY, TANK, G, block, liquid, pool, run
 from support.runs import resumed
 from support.shapes import ball
 
@@ -190,3 +190,35 @@ def test_gravity_that_varies_gives_the_same_balance():
 def test_bodies_in_a_liquid_have_no_split():
     with pytest.raises(InputError, match=r"checks\.energy = true: it does not support objects"):
         basin(objects=[{"name": "duck"}])
+
+
+STEADY = {"kind": "keyframes", "times": [0.0, 0.01], "factors": [0.9999999, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("solver", "profile", "live"), [("mpm", None, True), ("lattice", STEADY, False)]
+)
+def test_pool_has_the_balance_of_a_steady_run(solver, profile, live):
+    """In a live run or with gravity that varies, the floor carries the liquid in every step."""
+    start = {"time": {"frames": 5, "fps": 24}}
+    varied = [{"kind": "gravity", **({"profile": profile} if profile else {})}]
+    gains = []
+    for changes, forces in ((False, [{"kind": "gravity"}]), (live, varied)):
+        scene = pool(**start, forces=forces).replaced({"accuracy.solver": solver})
+        setup = prepare(ball(), scene, RunContext(threads=1), changes=changes)
+        gains.append(Simulation(setup).run().report["balance"]["energy_gain"])
+    assert gains[0] < -0.1, "the impact loses energy"
+    assert gains[1] == pytest.approx(gains[0], abs=2e-3)
+
+
+def test_gravity_that_jumps_works_on_a_falling_pool():
+    start = {"time": {"frames": 5, "fps": 24}, "object": {"lift": 1.0}, "boundaries": []}
+    scene = pool(**start).replaced({"accuracy.solver": "mpm"})
+    falling = Simulation(prepare(ball(), scene, RunContext(threads=1), changes=True))
+    for g in (9.81, 9.81, 9.81, -5.0, 9.81):
+        falling.change(scene.replaced({"forces": [{"kind": "gravity", "g": (0, 0, -g)}]}))
+        falling.step()
+    balance = falling.report()["balance"]
+    # The first half step of the liquid and half substeps of the ball cost 3 %.
+    assert abs(balance["energy_gain"]) < 0.05
+    assert balance["momentum_gain"] < 1e-3
