@@ -184,6 +184,8 @@ def _processor() -> str:
 class Stress:
     """Run the hard cases; print the bound, the measured value and the verdict of each case."""
 
+    cases: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Numbers of the cases to run, or words from their names; by default, all cases are run."""
     all: bool = False
     """Run the cases at full length, which takes minutes instead of seconds."""
     device: Device | None = None
@@ -196,13 +198,14 @@ class Stress:
         """Run the cases and print the table; return status 1 if a case fails.
 
         Raises:
-            InputError: This machine does not have the requested device.
+            InputError: No case has this name, or this machine does not have the requested device.
         """
+        cases = stress.find_cases(self.cases)
         device = None if self.device is None else pick_device(self.device)
         settings, rows = stress.settings(device, long=self.all), []
-        total = len(stress.CASES) * len(settings)
+        total = len(cases) * len(settings)
         with Bars(quiet=self.json, keeps=True) as bars, bars.keeping():
-            for row in stress.run(settings):
+            for row in stress.run(settings, cases):
                 rows.append(row)
                 bars("stress", len(rows), total)
         if self.json:

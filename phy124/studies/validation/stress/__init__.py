@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import warp as wp
 
+from phy124.errors import InputError
 from phy124.studies.validation.stress import (
     advice,
     conserve,
@@ -58,10 +59,11 @@ CASES = (
     Case(34, "tips, edges and hairs on another body", tips.tips_on_body),
     Case(35, "liquids in tanks that move, blow and shrink", liquids.tanks),
     Case(36, "light, soft and heavy bodies in a liquid", liquids.bodies),
+    Case(37, "such bodies on lattices in a liquid", liquids.bodies_on_lattices),
 )
 """All cases, by number."""
 
-__all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "run", "settings"]
+__all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "find_cases", "run", "settings"]
 
 
 def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
@@ -75,8 +77,28 @@ def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
     return [Setting(d, p, long) for d in devices for p in ("float32", "float64")]
 
 
-def run(settings: Sequence[Setting]) -> Iterator[Row]:
-    """Run all cases in each setting, and yield the rows of the table."""
-    for case in CASES:
+def find_cases(names: Sequence[str]) -> list[Case]:
+    """Return the cases with these names, by number; all cases if there are no names.
+
+    Args:
+        names: For each case its number, or words from its name.
+
+    Raises:
+        InputError: A name fits no case.
+    """
+    for name in names:
+        if not any(_is_called(case, name) for case in CASES):
+            known = "; ".join(f"{case.number} {case.name}" for case in CASES)
+            raise InputError("cases", name, "no case has this number or name.", f"Use: {known}.")
+    return [case for case in CASES if not names or any(_is_called(case, name) for name in names)]
+
+
+def run(settings: Sequence[Setting], cases: Sequence[Case] = CASES) -> Iterator[Row]:
+    """Run cases in each setting, and yield the rows of the table."""
+    for case in cases:
         for setting in settings:
             yield examine(case, setting)[0]
+
+
+def _is_called(case: Case, name: str) -> bool:
+    return str(case.number) == name if name.isdigit() else name.lower() in case.name.lower()

@@ -3,25 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from phy124.boundaries import Boundary, Container, HalfSpace, Path
 from phy124.forces import Gravity, ZoneForce
+from phy124.liquid.immersed import ImmersedSolver
 from phy124.liquid.mixed import MixedSolver
 from phy124.liquid.solver import LiquidSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.monitor.external_work import MeanWork
 from phy124.mpm import Model, State
+from phy124.particles.lattice import lattice_of
+from phy124.particles.solid import Solid
 from phy124.schema.region import Region
 from phy124.studies.validation.bodies import lattice
 from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
+if TYPE_CHECKING:
+    from phy124.liquid import AnySolver
+
 DX = 0.125
 """Grid spacing [m]."""
+G = 9.81
+"""Acceleration of gravity [m/s^2]."""
+SIDE = 0.5
+"""Side of the cubes that fall into a pool [m]."""
+BODIES = (
+    ("sponge", 100.0, 3e3),
+    ("a hundredth of the density", 10.0, 1e3),
+    ("stone", 2500.0, 1e5),
+)
+"""Name, density [kg/m^3] and Young's modulus [Pa] of each cube."""
 TANK = Container(inside=Region(lower=(0, 0, 0), upper=(1, 1, 1e9)), contact="slip")
 WATER = Fluid(density=1000.0)
 
@@ -61,11 +78,7 @@ def tanks(setting: Setting) -> list[Check]:
 def bodies(setting: Setting) -> list[Check]:
     """Check that light, soft and heavy bodies neither explode nor sink into the liquid."""
     checks = []
-    for name, density, E in (
-        ("sponge", 100.0, 3e3),
-        ("a hundredth of the density", 10.0, 1e3),
-        ("stone", 2500.0, 1e5),
-    ):
+    for name, density, E in BODIES:
         x, body = _block((0, 0, 0), (1, 1, 0.375)), _block((0.25, 0.25, 0.5), (0.75, 0.75, 1))
         solver = _join(setting, x, body, NeoHookean(density=density, E=E, nu=0.3, damping=5.0))
         energy = _energy(solver)
@@ -76,6 +89,32 @@ def bodies(setting: Setting) -> list[Check]:
             at_most(f"{name}: energy over that at the start", _energy(solver) / energy, 1.0),
             at_most(f"{name}: sunk too deep [cells]", (max(bottom, 0) - z.min()) / DX, 1.5),
         ]
+    return checks
+
+
+def bodies_on_lattices(setting: Setting) -> list[Check]:
+    """Check the same bodies on lattices, and that a stone on the floor is as light as it should be.
+
+    The energy is compared in every frame. Without damping, the body of a hundredth of the density
+    would be simulated by MPM (`phy124.scene.lattices`).
+    """
+    checks = []
+    for name, density, E in BODIES:
+        solver = _immerse(setting, NeoHookean(density=density, E=E, nu=0.3, damping=5.0))
+        start, energies = _energy(solver), [0.0]
+        measure = partial(lambda solver, sums: sums.append(_energy(solver)), solver, energies)
+        _advance(solver, 6.0 if setting.long else 1.5, measure)
+        mine = solver.model.particles(1)
+        x, bottom = host(solver.state.x)[mine], 0.375 - density / 1000 * SIDE * (1 - SIDE**2)
+        checks += [
+            at_most(f"{name}: largest energy over that at the start", max(energies) / start, 1.0),
+            at_most(f"{name}: sunk too deep [cells]", (max(bottom, 0) - x[:, 2].min()) / DX, 0.5),
+        ]
+        if density > WATER.density:
+            solver.pairs.begin()
+            _advance(solver, 1.0)
+            lift = solver.pairs.wrenches(1.0)[0, 1].force[2] / (WATER.density * G * SIDE**3)
+            checks.append(at_most(f"{name}: error of the mean buoyancy", abs(lift - 1), 0.1))
     return checks
 
 
@@ -116,7 +155,7 @@ class Balance(MeanWork):
         """Compare the current state with the first state."""
         now, first = diagnose(self._solver), self._first
         exchange = self.total(self._solver.clock, now.middle - first.middle, now.momentum)
-        lift = 0.5 * 9.81 * self._solver.model.total_mass
+        lift = 0.5 * G * self._solver.model.total_mass
         gain = now.energy - first.energy - exchange.work
         missing = float(np.linalg.norm(now.momentum - exchange.impulse))
         self.energy = max(self.energy, gain / lift)
@@ -143,22 +182,37 @@ def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> 
     return MixedSolver(model, State.of(model), **options, threads=1)
 
 
-def _advance(
-    solver: LiquidSolver | MixedSolver, time: float, after: Callable[[], None] = lambda: None
-) -> float:
+def _immerse(setting: Setting, material: NeoHookean) -> ImmersedSolver:
+    """Return the solver of a cube on its lattice above a pool."""
+    solid = Solid(np.array([4, 4, 8]), DX / 2, np.ones((8, 8, 8), np.float32))
+    cube = lattice_of(solid, density=material.density, dx=DX)
+    assert cube.surface is not None
+    water = _block((0, 0, 0), (1, 1, 0.375))
+    number = np.repeat([0, 1], [len(water), len(cube)])
+    volume = np.concatenate([np.full(len(water), DX**3 / 8), cube.volume])
+    named = {"material": number, "body": number, "wet": [0], "names": ("water", "body")}
+    x = np.concatenate([water, cube.x.astype(float)])
+    model = Model.of(x, volume, [WATER, material], dx=DX, **named, **setting.options)
+    surface = cube.surface + np.array([0, 0, 0, 0, 0, 0, 1])
+    walls = {"boundaries": [TANK], "walls": [("tank", TANK)]}
+    options = {"forces": [Gravity()], **walls, "copies": cube.copies, "threads": 1}
+    return ImmersedSolver(model, surface, State.of(model), **options)
+
+
+def _advance(solver: AnySolver, time: float, after: Callable[[], object] = lambda: None) -> float:
     """Simulate a duration [s], call a function after each frame, and return the largest speed in
     the last quarter [m/s].
     """
-    fastest, frames = 0.0, round(24 * time)
+    fastest, frames, start = 0.0, round(24 * time), solver.clock.time
     for frame in range(frames):
-        solver.advance((frame + 1) / 24)
+        solver.advance(start + (frame + 1) / 24)
         after()
         if frame >= 3 * frames // 4:
             fastest = max(fastest, float(np.linalg.norm(host(solver.state.v), axis=1).max()))
     return fastest
 
 
-def _energy(solver: MixedSolver) -> float:
+def _energy(solver: AnySolver) -> float:
     """Return the kinetic energy, and the potential energy relative to the floor [J]."""
     mass, x, v = (host(a) for a in (solver.model.mass, solver.state.x, solver.state.v))
-    return float(mass @ (9.81 * x[:, 2] + (v**2).sum(axis=1) / 2))
+    return float(mass @ (G * x[:, 2] + (v**2).sum(axis=1) / 2))
