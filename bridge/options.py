@@ -120,8 +120,8 @@ class Options(Section):
                 " ".join(f"{a:.6g}" for a in angles(*q)) for q in ((x, y, z, w), (y, z, w, x))
             )
             raise ValueError(
-                "The order is x y z w. Earlier versions had w x y z, and these four numbers are "
-                "valid in both. "
+                "The order is x y z w. Earlier versions had w x y z. These four numbers are valid "
+                "in both orders. "
                 f"Give roll pitch yaw: {now} if it is x y z w, {before} if it is w x y z."
             )
         return x, y, z, w

@@ -324,7 +324,8 @@ class _Seen:
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 
     def _edges(self, halves: Values) -> Values:
-        """Return the distances [T,2,2] m at which the sample of each frame is inside the edges.
+        """Return the camera distances [T,2,2] m from which the sample of each frame is inside the
+        edges.
 
         The edges are ordered as right and left, bottom and top.
         """
