@@ -1,8 +1,8 @@
 """Limits: measures the limits of a lattice's substep, and decides when to measure them again.
 
 The largest speed and strain rate, the largest frequency, and the distances of points from walls are
-measured only every few substeps. The next measurement is due when upper bounds of the strain or of
-the displacements since the last one become too large.
+measured only every few substeps. The next measurement is due when the strain or the displacements
+since the last measurement may have become too large.
 """
 
 from __future__ import annotations

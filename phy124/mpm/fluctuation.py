@@ -80,7 +80,7 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a transfer to the grid: of the particles' motion first, of the remainder in later
+        """Record a transfer of the particles' motion to the grid, or of the remainder in later
         passes.
         """
         model, run = self.model, part.particles

@@ -84,7 +84,7 @@ def make_yield(real: Any):
     `free` is the number of rigid solids, which are numbered before the first body; `scale` is rho
     dx^3 [kg]. `present` contains the rigid motions of all solids at the start of the step, and
     `x_guess` the last solution. In a step of length dt, a surface responds to a change of the
-    pressure like a mass that is the surface's mass plus `stiffness` dt^2 [kg].
+    pressure like a layer of mass. This mass is the surface's mass plus `stiffness` dt^2 [kg].
     """
     t = types(real)
 
