@@ -293,7 +293,7 @@ def test_crowded_liquid_rises_before_the_first_step():
     x = block((0, 0, 0), (1, 1, 0.5), 8)
     x[:, 2] *= 0.97
     solver = liquid(x, 8, [TANK])
-    solver.settle()
+    solver.start()
     settled = solver.state.x.numpy()[:, 2].mean()
     assert settled == pytest.approx(0.25, abs=0.01 / 8)
     assert not solver.state.v.numpy().any()

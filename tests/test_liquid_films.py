@@ -80,7 +80,7 @@ def test_walls_take_only_the_energy_of_a_fall_from_drops(height, tilt, fall):
     solver = liquid(x, 8, [HalfSpace(point=(0, 0, 0), normal=normal, contact="slip")])
     for array in (solver.model.volume, solver.model.mass):
         array.assign(array.numpy() / 10)
-    solver.settle()
+    solver.start()
     assert (solver.state.x.numpy() @ normal).min() > 0.019 / 8
     run(solver, 12)
     work = solver.impulses.total.numpy()[0, WORK]

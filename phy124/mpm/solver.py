@@ -195,6 +195,9 @@ class Solver:
         """Seconds and number of launches of each stage in the first thread."""
         return self.workers[0].timings
 
+    def start(self) -> None:
+        """Do nothing; called once before the first step, after all observers have been bound."""
+
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:

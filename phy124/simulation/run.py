@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,9 +80,7 @@ class Simulation:
             self.solver = make_solver(setup, self.observers)
             for observer in self.observers:
                 observer.bind(self.solver, self.observers)
-            if self.scene.projects and not self.scene.mixes:
-                # After binding: the first window records the sums of all observers.
-                cast("Any", self.solver).settle()
+            self.solver.start()
             self.spent = Spent(self.solver.runner.team, self.device)
         self.count = 0
         """Number of frames computed so far."""
