@@ -166,6 +166,11 @@ class Scene(Section):
             "stiffness_profile": self.stiffness_profile is not None,
         }
         end = f", unless all objects are on lattices; here they are not: {why}"
+        if self.projects:
+            end = (
+                " in a liquid, because the work of the liquid's pressure on them is not summed as "
+                "a cause; balance.energy_gain in the report contains the sum of all losses"
+            )
         check_energy(
             self.checks,
             {
