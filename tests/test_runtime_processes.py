@@ -2,12 +2,13 @@
 
 import multiprocessing
 import os
+import signal
 import time
 
 import pytest
 
 from phy124.errors import Cancelled
-from phy124.runtime.processes import as_done, processes
+from phy124.runtime.processes import as_done, explain_end, processes
 from support.processes import until
 
 
@@ -49,7 +50,31 @@ def exists(process: int) -> bool:
     return True
 
 
+ENDS = [
+    ({-signal.SIGTERM, -signal.SIGKILL, 0}, OSError, "killed (SIGKILL), most likely because the m"),
+    ({-signal.SIGTERM, -signal.SIGSEGV}, RuntimeError, "crashed in native code (SIGSEGV)"),
+    ({-signal.SIGTERM, -signal.SIGABRT}, RuntimeError, "crashed in native code (SIGABRT)"),
+    ({-signal.SIGTERM}, OSError, "ended from outside (SIGTERM)"),
+    ({-signal.SIGTERM, 9}, OSError, "ended with status 9"),
+]
+
+
+@pytest.mark.parametrize(("codes", "kind", "words"), ENDS)
+def test_the_end_of_a_worker_is_explained_by_its_cause(codes, kind, words):
+    explained = explain_end(codes)
+    assert type(explained) is kind and words in str(explained)
+
+
 @pytest.mark.slow
-def test_killed_worker_is_reported():
-    with processes(2) as pool, pytest.raises(OSError, match="a worker process was killed"):
-        list(as_done(pool, os._exit, [9], lambda: None))
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM])
+def test_signal_that_ended_a_worker_is_reported(number):
+    with processes(2) as pool, pytest.raises((OSError, RuntimeError), match=number.name):
+        list(as_done(pool, signal.raise_signal, [number], lambda: None))
+
+
+@pytest.mark.slow
+def test_pool_that_broke_before_a_task_is_reported():
+    with processes(2) as pool:
+        for _ in range(2):
+            with pytest.raises(OSError, match="ended with status 9"):
+                list(as_done(pool, os._exit, [9, 9], lambda: None))

@@ -15,6 +15,14 @@ from phy124.runtime.startup import start
 
 BEAT = 0.2
 """Longest time between two calls of the function `beat` [s]."""
+LEFT = 5.0
+"""Longest wait for the exit codes of ended workers [s]."""
+CRASHES = {
+    getattr(signal, name)
+    for name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
+    if hasattr(signal, name)
+}
+"""Signals that a fault of native code sends to its own process."""
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -55,23 +63,50 @@ def as_done(
             no pool; it may raise Cancelled.
 
     Raises:
-        OSError: A worker process was killed, most likely because of a lack of memory.
+        OSError: A worker process was killed or ended before its task.
+        RuntimeError: A worker process crashed in native code.
     """
     if pool is None:
         for task in tasks:
             beat()
             yield task, work(task)
         return
-    waiting = {pool.submit(work, task): task for task in tasks}
-    while waiting:
-        done, _ = wait(waiting, BEAT, FIRST_COMPLETED)
-        try:
+    try:
+        waiting = {pool.submit(work, task): task for task in tasks}
+        while waiting:
+            done, _ = wait(waiting, BEAT, FIRST_COMPLETED)
             for future in done:
                 yield waiting.pop(future), future.result()
-        except BrokenProcessPool:
-            text = "a worker process was killed; run the same command with fewer workers"
-            raise OSError(text) from None
-        beat()
+            beat()
+    except BrokenProcessPool:
+        raise explain_end(_exit_codes(pool)) from None
+
+
+def _exit_codes(pool: ProcessPoolExecutor) -> set[int]:
+    """Return the exit codes of a broken pool's workers; a signal is a negative number."""
+    workers = [*(pool._processes or {}).values()]  # no public attribute has them
+    for worker in workers:
+        worker.join(LEFT)
+    return {worker.exitcode for worker in workers if worker.exitcode is not None}
+
+
+def explain_end(codes: set[int]) -> Exception:
+    """Return the exception for a pool whose workers ended with these exit codes.
+
+    If one worker ends, the pool ends the others by SIGTERM.
+    """
+    code = min(codes - {0, -signal.SIGTERM}, default=-signal.SIGTERM)
+    if code > 0:
+        return OSError(f"a worker process ended with status {code}; repeat the command")
+    name = signal.Signals(-code).name
+    if -code in CRASHES:
+        return RuntimeError(f"a worker process crashed in native code ({name})")
+    if name == "SIGKILL":
+        return OSError(
+            "a worker process was killed (SIGKILL), most likely because the memory was full; "
+            "repeat the command with fewer processes (--jobs or --workers)"
+        )
+    return OSError(f"a worker process was ended from outside ({name}); repeat the command")
 
 
 def _begin() -> None:
