@@ -68,7 +68,29 @@ def test_gentler_push_halves_speeds_forces_and_press():
     assert changed.object.velocity == (0, 1, 0)
     assert changed.forces[0].g[2] == scene.forces[0].g[2] / 2
     press, before = (next(w for w in s.boundaries if w.kind == "press") for s in (changed, scene))
-    assert press.down == 2 * before.down
+    assert (press.down, press.up) == (2 * before.down, 2 * before.up)
+
+
+def test_gentler_push_halves_speeds_of_walls_and_objects():
+    path = {"kind": "path", "times": [0, 0.5], "points": [[0, 0, 0], [0, 1, 0]]}
+    swing = {"kind": "swing", "frequency": 4.0}
+    other = {"name": "other", "shape": "sphere", "velocity": [0, 2, 0], "place": [0, 3]}
+    moved = {"name": "moved", "shape": "sphere", "motion": path, "place": [0, -3]}
+    scene = Scene.from_data(
+        {
+            "forces": [
+                {"kind": "wind", "v": [0, 6, 0]},
+                {"kind": "set_velocity", "spin": [0, 0, 8]},
+            ],
+            "boundaries": [{"kind": "ground", "motion": path}, {"kind": "foot", "motion": swing}],
+            "objects": [other, moved],
+        }
+    )
+    (gentler,) = find_remedies(["push"], scene)
+    changed = scene.replaced(gentler.changes)
+    assert changed.forces[0].v == (0, 3, 0) and changed.forces[1].spin == (0, 0, 4)
+    assert changed.boundaries[0].motion.times == (0, 1) == changed.objects[1].motion.times
+    assert changed.boundaries[1].motion.frequency == 2 and changed.objects[0].velocity == (0, 1, 0)
 
 
 def test_inapplicable_remedies_are_left_out():

@@ -343,6 +343,11 @@ class Movable(Boundary):
         """Return the displacement over time [m], or None if the boundary never moves."""
         return None if self.motion is None else self.motion.track()
 
+    def gentler(self) -> dict[str, Any]:
+        """Return new values of the fields that halve the speed of the motion."""
+        slower = {} if self.motion is None else self.motion.gentler()
+        return {f"motion.{name}": value for name, value in slower.items()}
+
 
 def lightest(model: Model) -> float:
     """Return the mass [kg] of a full node in the lightest material; infinite for elastic materials.

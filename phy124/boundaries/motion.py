@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -26,6 +26,10 @@ class Motion(Section):
 
     def track(self) -> Track:
         """Return the displacement [m] over time; its derivative is the wall's velocity [m/s]."""
+        raise NotImplementedError
+
+    def gentler(self) -> dict[str, Any]:
+        """Return new values of the fields that halve the speed of the motion."""
         raise NotImplementedError
 
 
@@ -64,6 +68,10 @@ class Path(Motion):
         period = self.times[-1] if self.repeat else 0.0
         return Track(to_keys(times, points), origin=self.start, period=period)
 
+    def gentler(self) -> dict[str, Any]:
+        """Return new values of the fields that double the time of the path."""
+        return {"times": [2 * time for time in self.times]}
+
 
 class Swing(Motion):
     """A sinusoidal displacement, for example of a shaking base."""
@@ -81,6 +89,10 @@ class Swing(Motion):
         return Track(
             to_keys(times, np.outer(factors, self.amplitude)), origin=self.start, period=sine.period
         )
+
+    def gentler(self) -> dict[str, Any]:
+        """Return new values of the fields that halve the frequency."""
+        return {"frequency": self.frequency / 2}
 
 
 class Free(Section):

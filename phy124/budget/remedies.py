@@ -76,10 +76,15 @@ def change_field(field: str, value: Any) -> Remedy:
 def _halve_push(scene: Scene) -> Remedy | None:
     """Return the remedy that halves all speeds and forces, including gravity."""
     changes: dict[str, Any] = {}
-    for name in ("velocity", "spin"):
-        value = getattr(scene.object, name)
-        if any(value):
-            changes[f"object.{name}"] = [x / 2 for x in value]
+    others = [(f"objects.{index}", other) for index, other in enumerate(scene.objects)]
+    for path, body in (("object", scene.object), *others):
+        for name in ("velocity", "spin"):
+            value = getattr(body, name)
+            if any(value):
+                changes[f"{path}.{name}"] = [x / 2 for x in value]
+    for path, other in others:
+        slower = {} if other.path is None else other.path.gentler()
+        changes |= {f"{path}.motion.{name}": value for name, value in slower.items()}
     for index, force in enumerate(scene.forces):
         changes |= {f"forces.{index}.{name}": value for name, value in force.gentler().items()}
     for index, wall in enumerate(scene.boundaries):

@@ -28,6 +28,8 @@ class Force(Section):
     """Whether the track is a force on each particle [N] instead of an acceleration [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that determine the strength of the force."""
+    speeds: ClassVar[tuple[str, ...]] = ()
+    """Names of the fields that prescribe a velocity."""
     totals: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that are sums over all particles on which the force acts."""
     joins: ClassVar[bool] = False
@@ -75,8 +77,8 @@ class Force(Section):
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the force's strength."""
-        values = {name: getattr(self, name) for name in self.strengths}
+        """Return new values of the fields that halve the force's strength or prescribed speed."""
+        values = {name: getattr(self, name) for name in (*self.strengths, *self.speeds)}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2
             for name, value in values.items()

@@ -38,6 +38,7 @@ class Wind(Force):
     """A stream of air or water that carries particles along: a = rate (wind - v)."""
 
     kind: Literal["wind"] = "wind"
+    speeds: ClassVar[tuple[str, ...]] = ("v",)
     v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
     rate: float = Field(
         default=1.0,
@@ -142,6 +143,7 @@ class SetVelocity(Force):
 
     kind: Literal["set_velocity"] = "set_velocity"
     sudden: ClassVar[bool] = True
+    speeds: ClassVar[tuple[str, ...]] = ("v", "spin")
     v: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
     spin: Velocity = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
     centre: Position = Field(
