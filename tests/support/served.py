@@ -49,9 +49,10 @@ class Server:
 
     def files(self) -> list[Path]:
         """Return the files of visitors, without uploads that no visitor has claimed yet."""
-        visitors = self.folder / "visitors"
-        result = (path for path in visitors.rglob("*") if path.parent.name != "arrivals")
-        return [path for path in result if path.is_file()]
+        # The server may remove a folder at any moment; `os.walk` skips it, and `rglob` does not.
+        walk = os.walk(self.folder / "visitors")
+        inside = ((Path(folder), names) for folder, _, names in walk)
+        return [path / name for path, names in inside if path.name != "arrivals" for name in names]
 
     def peak_memory(self) -> int:
         """Return the largest resident size so far [bytes]."""
