@@ -238,13 +238,14 @@ class Clip:
         sentences = []
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
+            if all(np.isfinite(array).all() for array in arrays):
+                continue  # The usual case; the search along rows takes twenty times as long.
             bad = ~np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
-            if bad.any():
-                count = np.count_nonzero(bad)
-                sentences.append(
-                    f"Frame {index}: {count} of {len(bad)} Gaussians have NaN or infinite values "
-                    "and are not shown."
-                )
+            count = np.count_nonzero(bad)
+            sentences.append(
+                f"Frame {index}: {count} of {len(bad)} Gaussians have NaN or infinite values "
+                "and are not shown."
+            )
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
