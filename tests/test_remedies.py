@@ -24,7 +24,8 @@ def test_every_remedy_can_be_followed(name):
 
 
 def test_each_makes_its_cause_less():
-    scene = Scene.named("press").replaced({"material.law": "hencky", "material.E": 1e6})
+    law_and_solver = {"material.law": "hencky", "accuracy": {"cells": 32, "solver": "mpm"}}
+    scene = Scene.named("press").replaced({**law_and_solver, "material.E": 1e6})
     (law,), (shorter,), (coarser,), (softer,) = (
         find_remedies([cause], scene) for cause in ("law", "substep", "cells", "softer")
     )
@@ -43,6 +44,14 @@ def test_damping_is_a_remedy_on_the_lattice_only():
     (damped,) = find_remedies(["damping"], scene)
     assert scene.replaced(damped.changes).material.damping > 100
     assert find_remedies(["damping"], scene.replaced(damped.changes)) == ()
+
+
+def test_remedies_that_do_not_help_on_lattices_are_left_out():
+    """A quarter of the substep, and more damping for bodies that are damped."""
+    scene = Scene.named("press").replaced({"accuracy": {"cells": 32, "solver": "lattice"}})
+    slightly = scene.replaced({"material.damping": 35.0})
+    assert find_remedies(["substep", "damping"], slightly) == ()
+    assert find_remedies(["substep"], scene.replaced({"accuracy.solver": "mpm"}))
 
 
 def test_particles_are_a_remedy_on_the_lattice_only():

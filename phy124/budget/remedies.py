@@ -17,6 +17,8 @@ DAMPING = 0.04
 """Damping with which a compressed body does not become inverted when it is suddenly released. The
 unit is density times speed of sound times size.
 """
+ALMOST_NONE = 0.1
+"""Fraction of this damping below which a body counts as undamped."""
 SOFTER = 16.0
 """Factor by which a remedy divides Young's modulus E, so that the longest stable substep becomes
 four times as long.
@@ -109,13 +111,17 @@ def _end_motion(scene: Scene, time: float) -> Remedy | None:
 
 
 def _damp(scene: Scene) -> Remedy | None:
-    """Return the remedy that damps a body on a lattice until the body recovers from compression."""
+    """Return the remedy that damps a body on a lattice until the body recovers from compression.
+
+    It helped undamped bodies only: with an eighth of this damping, 3 of 3 random scenes still
+    stopped.
+    """
     material = scene.material
     damping = getattr(material, "damping", None)
     if not scene.on_lattice or damping is None or scene.properties is not None:
         return None
     enough = DAMPING * material.density * material.sound_speed() * scene.object.size
-    if damping >= 0.9 * enough:
+    if damping >= ALMOST_NONE * enough:
         return None
     return change_field("material.damping", float(f"{enough:.2g}"))
 
@@ -134,8 +140,13 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
     return Remedy(f"material.law = {law}", {"material": {"law": law, **parameters}})
 
 
-def _shorten_substep(scene: Scene) -> Remedy:
-    """Return the remedy that divides the substep by four; half the substep has already failed."""
+def _shorten_substep(scene: Scene) -> Remedy | None:
+    """Return the remedy that divides the substep by four; half the substep has already failed.
+
+    On lattices, a quarter of the substep helped in none of three random scenes.
+    """
+    if scene.on_lattice:
+        return None
     return change_accuracy(scene, cfl=scene.resolution.cfl / 4)
 
 
