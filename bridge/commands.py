@@ -268,7 +268,7 @@ class Steer:
         checked_duration("oldest_stamp", self.oldest_stamp)
         if self.frames is not None and self.frames < 1:
             limit = "it must be at least 1."
-            raise InputError("frames", self.frames, limit, "Remove the option to set no limit.")
+            raise InputError("frames", self.frames, limit, "Leave it out for no limit.")
         if self.session is not None:
             refuse_unwritable(self.session)
         backend = choose(self.backend)

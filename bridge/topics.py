@@ -1,4 +1,4 @@
-"""Topics of the bridge with their quality of service, and types of a node's services.
+"""Topics of the bridge, their quality of service (QoS), and the services of its nodes.
 
 Topics are reliable and transient local by default, as recommended in REP-2003 for sensor data.
 Every subscriber is therefore compatible, and a late subscriber gets the last messages. To add a

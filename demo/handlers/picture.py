@@ -187,6 +187,6 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Answer an event with the name of its option, so that the panel can ignore old answers."""
+    """Answer an event. The answer names the option, so that the panel can ignore old answers."""
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

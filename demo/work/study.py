@@ -19,7 +19,7 @@ from .others import with_crops
 
 
 def measure(order: Order, limits: Limits) -> Measured:
-    """Simulate the scene of an order on several grids, and store the errors.
+    """Simulate the scene that a visitor ordered on several grids, and store the errors.
 
     Raises:
         InputError: Too few grids were finished within the time limit.

@@ -2,7 +2,7 @@
 
 The initial labels depend on the colour difference from the image border and on the distance from
 the centre. After GrabCut, small separate pieces are removed, small holes are closed, and the mask's
-edge is softened along the edges of the image.
+edge is softened where it follows an edge in the photograph.
 """
 
 from __future__ import annotations

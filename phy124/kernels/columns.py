@@ -89,8 +89,9 @@ wall. The body's nearest particles are a quarter of a cell in front of the wall.
 
 @wp.func
 def coverage(u: Any):
-    """Return the fraction of a quadratic B-spline's integral beyond a plane u cells before the
-    spline's centre.
+    """Return the part of a quadratic B-spline's integral that lies beyond a plane.
+
+    The plane lies u cells before the spline's centre.
     """
     unit = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)

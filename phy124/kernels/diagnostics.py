@@ -67,8 +67,8 @@ def make_totals(law: Law, real: Any, on_lattice: bool = False):
     the power is corrected accordingly.
 
     The power is the rate at which kinetic energy becomes elastic energy. `counts_out` receives the
-    number of invalid particles of each kind, and `first_out` the lowest index of each kind. Each
-    thread sums `each` particles before it writes, as in `make_measure`.
+    number of invalid particles of each kind, and `first_out` the lowest index of each kind. A
+    thread sums several particles (`each`) before it writes, as in `make_measure`.
     """
     energy, stress = law.energy, law.stress
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))

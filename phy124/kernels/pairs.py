@@ -6,14 +6,14 @@ computed from the gradients of both bodies' volumes (Nairn 2013), so both bodies
 normal.
 
 Two bodies have common nodes before they touch, so contact needs another criterion. The weights of a
-quadratic B-spline have the variance dx^2 / 4 along every direction. In any direction, the volume
-fraction of a body around a node therefore determines the distance of the body's surface from the
-node. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance by a
-regression over the particles.) The fraction is the ratio of the body's mass at the node to its mass
-in the interior; this accounts for the body's edges, density and compression. Three nodes in a row,
-along the axis closest to the normal, are either all in contact or all not in contact. The node with
-the largest overlap of both bodies decides for all three. At the rim of a contact, where the gap is
-curved, the mean of the gap around a node is larger than the gap at the node.
+quadratic B-spline have the variance dx^2 / 4 along every direction. The volume fraction of a body
+around a node therefore determines how far the body's surface is from the node, whatever the
+direction. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance
+by a regression over the particles.) The fraction is the ratio of the body's mass at the node to its
+mass in the interior; this accounts for the body's edges, density and compression. Three nodes in a
+row, along the axis closest to the normal, are either all in contact or all not in contact. The node
+with the largest overlap of both bodies decides for all three. At the rim of a contact, where the
+gap is curved, the mean of the gap around a node is larger than the gap at the node.
 """
 
 from typing import Any

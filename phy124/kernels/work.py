@@ -234,7 +234,7 @@ of sums.
 def make_dissipation(law: Law, real: Any):
     """Kernel: adds the work of the stress to the `LOST` sums; must run right after a gather.
 
-    Each thread sums `each` particles before it writes, as in `make_measure`.
+    A thread sums several particles (`each`) before it writes, as in `make_measure`.
     """
     stress, exact = law.stress, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None

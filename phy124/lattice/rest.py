@@ -319,7 +319,7 @@ class RestLattice:
 
 
 def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
-    """Return the copies that the cells of a body use; None if nodes have no copies.
+    """Return the copies of nodes that the cells of a body use, or None if no node has a copy.
 
     Args:
         copies: Copies of all bodies [C,27].

@@ -205,8 +205,9 @@ def _nearest_in_cells(
 def _extrapolate(
     index: NDArray[np.int64], light: NDArray, donors: NDArray, distance: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the weights of the donors [T,K], and whether the donors determine linear functions
-    [T].
+    """Return the weights of the donors [T,K], and a mask [T].
+
+    The mask is true where a linear function is known from its values at the donors.
 
     Args:
         index: Indices of the nodes [N,3].

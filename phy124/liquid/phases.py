@@ -266,8 +266,9 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return a worker's launches of forces; the first worker gets all if a launch cannot be
-        divided.
+        """Return the launches that compute forces on a worker.
+
+        The first worker gets all launches if a launch cannot be divided between workers.
         """
         if all(stage.by_run for stage in stages):
             with grid.only(None, worker, len(self._workers)):

@@ -169,8 +169,9 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return a worker's launches of forces; if a force cannot be divided, the first worker gets
-        all forces.
+        """Return the launches that compute forces on a worker.
+
+        The first worker gets all launches if a force cannot be divided between workers.
         """
         if all(stage.by_run for stage in stages):
             with self._grid.only(None, worker, len(self.workers)):

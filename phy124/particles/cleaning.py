@@ -290,7 +290,7 @@ def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction
 
 
 def _lowest_height(gaussians: Gaussians) -> float:
-    """Return the height of the lowest point within one standard deviation of visible Gaussians."""
+    """Return the lowest height that any visible Gaussian reaches at one standard deviation."""
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)

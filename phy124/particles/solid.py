@@ -91,7 +91,7 @@ class Solid:
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return the mask of points [M,3], m, that are outside or in parts thinner than `width`."""
+        """Return which points [M,3] (in m) are outside or in parts thinner than `width`."""
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)

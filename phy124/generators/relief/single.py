@@ -237,7 +237,10 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return points of the walls and then of the caps, with normals and spacing, and the caps."""
+    """Return the points, normals and spacing of the walls, followed by those of the caps.
+
+    The last value is the list of the caps.
+    """
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

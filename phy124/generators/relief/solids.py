@@ -154,7 +154,7 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
     """Return a smooth field of the squared half thickness, close to `wanted` and 0 on the rim.
 
     The solution u of -Laplace(u) = 4 is smooth, and 0 on the rim. For a disc, u describes a ball.
-    The result is u times the smoothed ratio of the desired squared half thickness to u.
+    The result is u times a smoothed ratio: `wanted` divided by u.
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)

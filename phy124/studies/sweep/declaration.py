@@ -161,7 +161,7 @@ def _kind(data: Any) -> str:
 
 
 def parse_axis(data: Any) -> Any:
-    """Convert a list or a single value to the plain data of an axis; return other data unchanged.
+    """Return an axis as plain data, also if it is written as a list or as a single value.
 
     Raises:
         ValueError: The data contains no values.

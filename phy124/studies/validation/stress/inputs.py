@@ -43,12 +43,12 @@ def broken_numbers(setting: Setting) -> list[Check]:
     clip = Simulation(prepare(gaussians, quick(setting), RunContext(device=setting.device))).run()
     return [
         at_most(
-            "files with one corrupt number that are read as invalid Gaussians",
+            "files that are read although one number in them makes a Gaussian invalid",
             unsound,
             0,
         ),
         equal("all rows with NaN were dropped and counted", dropped == len(names)),
-        equal("complete clip from a file with many bad numbers", clip.report["complete"]),
+        equal("a file with many bad numbers gives a complete clip", clip.report["complete"]),
         equal("its numbers finite", bool(np.isfinite(clip.means).all())),
     ]
 
