@@ -123,8 +123,7 @@ class ImmersedSolver:
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
             advance_bodies=self._advance_bodies, whole=model,
         )  # fmt: skip
-        self.clock.liquid = self.liquid.clock
-        self.clock.share = self.liquid.model.total_mass / model.total_mass
+        self.clock.follow(self.liquid, model.total_mass)
         self._after: Callable[[], None] | None = None
         self._pushed: wp.array | None = None
 

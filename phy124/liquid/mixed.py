@@ -16,6 +16,7 @@ from phy124.boundaries import Boundary
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.impulses import WallImpulses
+from phy124.liquid.rigid import Moments, Motion
 from phy124.liquid.solver import LiquidSolver
 from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, State
 from phy124.mpm.free import Plane
@@ -32,6 +33,16 @@ class MixedClock(Clock):
     share = 0.0
     """Mass of the liquid divided by the total mass."""
 
+    def follow(self, solver: LiquidSolver, total: float) -> None:
+        """Connect the clock with the solver of the liquid; `total` is the mass of everything [kg]."""
+        self.liquid, self.share = solver.clock, solver.model.total_mass / total
+        self._state = solver.state
+        self._moments = Moments(solver.model, [slice(0, len(solver.model))])
+
+    def wet(self) -> Motion:
+        """Return the rigid motion of the liquid."""
+        return self._moments.read(self._state.x, self._state.v, self._state.C)[0]
+
     @property
     def behind(self) -> float:
         """Time by which velocities lag behind positions [s]: mass-weighted mean over liquid and
@@ -43,7 +54,7 @@ class MixedClock(Clock):
         """Return the change of kinetic energy [J] from the time of the velocities to that of the
         positions.
         """
-        return super().lag(power, momentum) + self.liquid.lag(0.0, self.share * momentum)
+        return super().lag(power, momentum) + self.liquid.lag(0.0, self.wet().momentum)
 
 
 class MixedSolver(Solver):
@@ -103,8 +114,7 @@ class MixedSolver(Solver):
             advance_bodies=self._advance_bodies, whole=model,
         )  # fmt: skip
         assert isinstance(self.clock, MixedClock)
-        self.clock.liquid = self._liquid.clock
-        self.clock.share = part.total_mass / model.total_mass
+        self.clock.follow(self._liquid, model.total_mass)
         self._after: Callable[[], None] | None = None
         self._each = False
         super().bind([*forces, self.bodies], boundaries, accumulators, planes)

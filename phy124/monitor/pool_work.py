@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
-from phy124.liquid.rigid import Moments
 from phy124.monitor.external_work import UNIFORM, Exchange, ExternalWork
 from phy124.monitor.observer import Observer
 from phy124.mpm import Clock, Model, Stage, State
@@ -50,7 +49,6 @@ class PoolWork(ExternalWork):
     def follow_steps(self, solver: Any) -> None:
         """From now on, sum impulse and work after each step of the liquid."""
         self._pool = solver
-        self._wet = Moments(solver.liquid.model, [slice(0, len(solver.liquid.model))])
         solver.liquid.follower = self._add_step
 
     def begin(self, momentum: NDArray[np.float64]) -> None:
@@ -99,7 +97,7 @@ class PoolWork(ExternalWork):
     def _measure(self) -> Measured:
         """Measure the liquid and the bodies."""
         liquid, bodies = self._pool.liquid, self._pool.bodies.motions()
-        (wet,) = self._wet.read(liquid.state.x, liquid.state.v, liquid.state.C)
+        wet = self._pool.clock.wet()
         dry = sum((body.mass * body.centre for body in bodies), np.zeros(3))
         return Measured(wet.momentum, wet.mass * wet.centre, dry, liquid.clock.pull)
 
