@@ -122,6 +122,17 @@ def test_block_receives_exactly_the_impulse_of_the_liquid():
     np.testing.assert_allclose(change[1], torque, atol=3e-3 * abs(change[1]).max())
 
 
+def test_energy_contains_the_momentum_of_the_liquid_alone():
+    """The block falls towards the water; its momentum is not the liquid's."""
+    solver = run(immersed((5, 5, 9), (4, 4, 4), v=(0, 0, -1)), 1)
+    water, clock = solver.liquid, solver.liquid.clock
+    momentum = water.model.mass.numpy().astype(float) @ water.state.v.numpy()
+    block = motion(solver)[0]
+    assert abs(block[2]) > 10 * abs(momentum[2])
+    lag = clock.last_dt / 2 * clock.pull @ momentum
+    assert solver.clock.lag(0.0, momentum + block) == pytest.approx(lag, rel=1e-3)
+
+
 def test_held_block_is_lifted_by_the_water_it_displaces():
     solver = run(immersed((5, 5, 3), (6, 6, 6), density=DENSITY, held=[1]), 12)
     np.testing.assert_array_equal(rise(solver), 0)

@@ -34,7 +34,7 @@ class MixedClock(Clock):
     """Mass of the liquid divided by the total mass."""
 
     def follow(self, solver: LiquidSolver, total: float) -> None:
-        """Connect the clock with the solver of the liquid; `total` is the mass of everything [kg]."""
+        """Connect the clock with the liquid's solver; `total` is the mass of all particles [kg]."""
         self.liquid, self.share = solver.clock, solver.model.total_mass / total
         self._state = solver.state
         self._moments = Moments(solver.model, [slice(0, len(solver.model))])
