@@ -66,6 +66,14 @@ def test_the_filter_equals_the_one_of_scipy(sigma):
     np.testing.assert_allclose(blur(values, sigma), wanted, atol=1e-6)
 
 
+def test_light_has_no_blocks_of_cells(heap):
+    """Otherwise snow looks like a pile of cubes: all grains of a cell would have one light."""
+    x, y, z = heap.T
+    side = (np.abs(y) < 0.01) & (np.abs(z - 0.3) < 0.01) & (x > 0)
+    light = light_on(heap)[side, 0][np.argsort(x[side])]
+    assert len(np.unique(light)) > 0.9 * len(light) > 10
+
+
 def test_a_white_tint_keeps_the_contrast_of_bright_parts():
     """Otherwise the bright half of a white object would be a white spot without any shape."""
     body, rgb = ball(300), np.linspace([0.5] * 3, [1.0] * 3, 300)

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate
+from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 
 PATCH, LARGEST = 0.7, 1 / 48
 """Size of a patch [cells], and the largest size relative to the longest side of the solid: on
@@ -94,7 +94,8 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
     The normals point in the direction in which the density of the object, with its interior,
     decreases.
     """
-    _, flat, size = locate(x, cell)
+    _, place, size = locate(x, cell)
+    flat = number(np.rint(place), size)
     filled = np.zeros(size, bool)
     filled.reshape(-1)[flat] = True
     parts, _ = scipy.ndimage.label(~filled)

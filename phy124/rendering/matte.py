@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import cv2
@@ -60,14 +61,20 @@ class Matte:
 
         `lamp` [3] is the unit vector towards the lamp.
         """
-        cell, cells, size = locate(x, self._cell)
-        total = np.bincount(cells, self._volumes, minlength=math.prod(size))
-        # The light is computed only in cells that contain grains.
-        used = np.flatnonzero(total)
+        cell, place, size = locate(x, self._cell)
+        low = np.floor(place)
+        corner, nearest = number(low, size), number(np.rint(place), size)
+        total = np.bincount(nearest, self._volumes, minlength=math.prod(size))
+        steps = size[1] * size[2], size[2], 1
+        # The light is computed only in the eight cells around each grain.
+        around = np.zeros(len(total), bool)
+        around[corner] = True
+        for step in steps:
+            around[step:] |= around[:-step]
+        used = np.flatnonzero(around)
         phi = blur(np.minimum(total / cell**3, 1).reshape(size), SMOOTH)
         wide = blur(phi, WIDE).reshape(-1)[used]
         phi = phi.reshape(-1)
-        steps = size[1] * size[2], size[2], 1
         slopes = [(phi[used + step] - phi[used - step]) / 2 for step in steps]
         steep = np.sqrt(sum(slope * slope for slope in slopes))
         along = sum(slope * part for slope, part in zip(slopes, lamp.tolist(), strict=True))
@@ -75,10 +82,14 @@ class Matte:
         certain = np.minimum(steep / CERTAIN, 1)
         lit = EVEN + certain * (((1 + facing) / 2) ** 1.2 - EVEN)
         hidden = np.clip((wide - HOLLOW) / (DEEP - HOLLOW), 0, 1)
-        light = (SKY + LAMP_LIGHT * lit[:, None]) * (1 - (1 - DARKEST) * hidden[:, None])
-        row = np.empty(len(total), np.int32)
-        row[used] = np.arange(len(used))
-        return light.astype(np.float32)[row[cells]]
+        # Without interpolation, the surface would show the cells as blocks.
+        shares = (place - low).astype(np.float32)
+        lit, hidden = (
+            interpolate(values, used, len(total), corner, shares, steps) for values in (lit, hidden)
+        )
+        open_sky = 1 - (1 - DARKEST) * hidden
+        channels = zip(SKY, LAMP_LIGHT, strict=True)
+        return np.stack([(sky + bright * lit) * open_sky for sky, bright in channels], axis=1)
 
 
 def find_matte(rows: Sequence[dict[str, Any]], cell: float) -> list[Matte]:
@@ -106,21 +117,53 @@ def illuminate(sh: NDArray, light: NDArray) -> NDArray:
     return lit
 
 
-def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.intp], tuple[int, int, int]]:
-    """Return the cell size [m], the index of the cell of each point [n], and the number of cells
-    per axis.
+def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.float64], tuple[int, int, int]]:
+    """Return the cell size [m], the places of points [3,n], and the number of cells per axis.
 
-    Points far away from all others are placed near the boundary. The outermost cells are empty.
+    The centres of cells are at whole numbers. Points far away from all others are placed near the
+    boundary. The outermost cells are empty.
     """
     low, high = np.percentile(x[:: 1 + len(x) // 8192], [0.1, 99.9], axis=0)
     cell = max(cell, float(np.prod(high - low + 2 * SPARE * cell) / MOST) ** (1 / 3))
     across, along, up = (np.ceil((high - low) / cell).astype(int) + 2 * SPARE).tolist()
-    index = np.zeros(len(x), np.intp)
-    for coordinates, start, count in zip(x.T, low, (across, along, up), strict=True):
-        place = np.rint((coordinates - start) / cell) + SPARE
-        index *= count
-        index += np.clip(place, 1, count - 2).astype(np.intp)
-    return cell, index, (across, along, up)
+    place = np.empty((3, len(x)))
+    for row, coordinates, start, count in zip(place, x.T, low, (across, along, up), strict=True):
+        np.clip((coordinates - start) / cell + SPARE, 1, count - 2.001, out=row)
+    return cell, place, (across, along, up)
+
+
+def number(place: NDArray[np.float64], size: tuple[int, int, int]) -> NDArray[np.intp]:
+    """Return the numbers of the cells [n] at places [3,n] that are whole numbers."""
+    return ((place[0] * size[1] + place[1]) * size[2] + place[2]).astype(np.intp)
+
+
+def interpolate(
+    values: NDArray[np.float32],
+    cells: NDArray[np.intp],
+    count: int,
+    corner: NDArray[np.intp],
+    shares: NDArray[np.float32],
+    steps: tuple[int, int, int],
+) -> NDArray[np.float32]:
+    """Return values at points [n], interpolated linearly between the eight cells around each point.
+
+    Args:
+        values: Values of some cells [m].
+        cells: Numbers of these cells [m].
+        count: Number of all cells.
+        corner: Number of the lowest of the eight cells [n].
+        shares: Distance from the centre of this cell along each axis [3,n], in cells.
+        steps: Difference of the numbers of neighbouring cells along each axis.
+    """
+    every = np.zeros(count, np.float32)
+    every[cells] = values
+    # Along each axis, the number of values is halved.
+    offsets = [sum(offset) for offset in product(*((0, step) for step in steps))]
+    ends = [every[offset:].take(corner) for offset in offsets]
+    for share in shares:
+        half = len(ends) // 2
+        ends = [a + share * (b - a) for a, b in zip(ends[:half], ends[half:], strict=True)]
+    return ends[0]
 
 
 def blur(values: NDArray, sigma: float) -> NDArray[np.float32]:
