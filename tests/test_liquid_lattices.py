@@ -270,9 +270,12 @@ def test_body_can_be_moved_at_once_in_a_live_run():
     np.testing.assert_allclose(live.centres["object"], to.place, atol=0.05)
 
 
-@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_run_on_lattices_resumes_bit_for_bit(threads, tmp_path):
-    setup = prepare(ball(), on_lattice(), RunContext(threads=threads))
+@pytest.mark.parametrize(
+    ("threads", "viscosity"), [(1, 0.0), (1, 1000.0), pytest.param(2, 0.0, marks=pytest.mark.slow)]
+)
+def test_run_on_lattices_resumes_bit_for_bit(threads, viscosity, tmp_path):
+    scene = on_lattice().replaced({"objects.0.material.viscosity": viscosity})
+    setup = prepare(ball(), scene, RunContext(threads=threads))
     first = Simulation(setup)
     for _ in range(5):
         first.step()

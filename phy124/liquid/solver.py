@@ -327,6 +327,8 @@ class LiquidSolver:
             "repair": self.repair.snapshot(),
             "cells": self.cells.snapshot(),
             "kick": self.kick,
+            # In the next step, viscosity acts before the pressure renews the motions of bodies.
+            "motions": wp.clone(self.walls.motions),
             "crowding": [self.crowding, self._excess],
             **({"free": self.free.snapshot()} if self.free.all else {}),
             **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
@@ -343,6 +345,7 @@ class LiquidSolver:
         self._phases.stray.zero_()
         self._missed.zero_()
         self.kick = snapshot["kick"]
+        self.walls.motions.assign(snapshot["motions"])
         self.crowding, self._excess = snapshot["crowding"]
         self.free.restore(snapshot.get("free", {}))
         if self._bodies is not None:

@@ -31,7 +31,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
-FORMAT = "phy124-pause-12"
+FORMAT = "phy124-pause-13"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
