@@ -160,9 +160,10 @@ class Shown:
     def weights(self, points: Field, normals: Field, distance: float) -> Field:
         """Return the weight of the image's colour for each point [N]."""
         facing = np.maximum(normals @ self.towards, 0.0) ** FACING
-        return self.weight * facing * np.where(self._seen(points, distance), 1.0, HIDDEN) + 1e-6
+        return self.weight * facing * np.where(self.sees(points, distance), 1.0, HIDDEN) + 1e-6
 
-    def _seen(self, points: Field, distance: float) -> NDArray[np.bool_]:
+    def sees(self, points: Field, distance: float) -> NDArray[np.bool_]:
+        """Return whether no other point hides a point [N,3] from a camera at `distance` [N]."""
         cells = np.floor(self._places(points, distance) / CELL).astype(int)
         cells -= cells.min(axis=1, keepdims=True)
         nearest = np.full(cells.max(axis=1) + 1, -np.inf)

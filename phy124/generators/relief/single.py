@@ -15,6 +15,7 @@ from phy124.generators.relief.back import (
     choose_look,
     plain_back,
 )
+from phy124.generators.relief.boards import board_shell
 from phy124.generators.relief.boxes import Cuboid, find_box
 from phy124.generators.relief.caps import Cap, colour_cap, make_cap
 from phy124.generators.relief.colours import (
@@ -41,6 +42,7 @@ from phy124.generators.relief.solids import (
     make_slab,
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
+from phy124.generators.relief.table_fit import find_table
 from phy124.generators.relief.vessel import vessel_shell
 
 CARD = 0.12
@@ -70,7 +72,8 @@ def from_front(
     shape: Shape,
     elevation: float | None,
 ) -> Shell:
-    """Build the upright shell of the object: a ring, a vessel, a box, or the inflated silhouette.
+    """Build the upright shell of the object: a ring, a vessel, a box, a table, or the inflated
+    silhouette.
 
     Args:
         picture: Image of the front.
@@ -95,6 +98,8 @@ def from_front(
             shell = vessel_shell(rgba, view, count, rng, elevation, always=shape == "upright")
         if shell is None and shape == "auto" and (box := find_box(rgba[..., 3] > 0.5, view)):
             shell = _box_shell(box, clean_picture(rgba), count, elevation)
+        if shell is None and shape == "auto":
+            shell = _table_shell(rgba, view, count, rng, elevation)
         if shell is not None:
             step(1)
             return shell
@@ -186,6 +191,15 @@ def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) ->
     middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
     ring = find_ring(rgba[..., 3] > 0.5, middle, view.distance, radians)
     return ring and ring.shell(count, clean_picture(rgba), middle)
+
+
+def _table_shell(
+    rgba: Field, view: View, count: int, rng: np.random.Generator, elevation: float | None
+) -> Shell | None:
+    """Return the shell of a table, a stool or a chair; None if the image [H,W,4] shows none."""
+    middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
+    table = find_table(rgba[..., 3] > 0.5, middle, view.distance, radians)
+    return table and board_shell(table.boards(), rgba, middle, table.camera, count, rng)
 
 
 def _box_shell(box: Cuboid, front: Field, count: int, elevation: float | None) -> Shell:
