@@ -91,6 +91,6 @@ def test_a_chair_has_a_seat_as_deep_as_wide_and_an_open_backrest():
 def test_view_rays_enter_and_leave_a_board():
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)], float)
     board = Board(corners, "top", np.eye(3))
-    enter, leave = board.cut(np.array([0.0, 0, 9]), np.array([[0.0, 0, -1], [3.0, 0, -1]]))
+    enter, leave = board.intersect(np.array([0.0, 0, 9]), np.array([[0.0, 0, -1], [3.0, 0, -1]]))
     assert (enter[0], leave[0]) == (pytest.approx(6), pytest.approx(12))
     assert enter[1] > leave[1]

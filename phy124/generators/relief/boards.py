@@ -59,7 +59,7 @@ class Board:
         planes = self.hull.equations
         return (points @ planes[:, :3].T + planes[:, 3]).max(axis=1)
 
-    def cut(self, eye: Field, rays: Field) -> tuple[Field, Field]:
+    def intersect(self, eye: Field, rays: Field) -> tuple[Field, Field]:
         """Return where rays [N,3] from the eye enter and leave the board [N], as multiples of them.
 
         For a ray that misses the board, the first value is larger than the second.
@@ -70,7 +70,7 @@ class Board:
         enter = np.where(speed < 0, cross, -np.inf).max(axis=1)
         return enter, np.where(speed > 0, cross, np.inf).min(axis=1)
 
-    def folded(self, points: Field) -> Field:
+    def fold(self, points: Field) -> Field:
         """Return positions [N,3] relative to the axis, the same on the left and on the right.
 
         The same holds for front and back. In flat boards, it also holds for above and below.
@@ -154,7 +154,7 @@ def _cut_walls(
 ) -> tuple[Field, Field]:
     """Return points and normals [M,3] of the faces along which rays [N,3] cut a board."""
     eye = camera.distance * camera.turn[2]
-    enter, leave = board.cut(eye, rays)
+    enter, leave = board.intersect(eye, rays)
     numbers = np.ceil((leave - enter) * camera.distance / pitch).clip(0).astype(int)
     ray = np.repeat(np.arange(len(rays)), numbers)
     place = np.arange(len(ray)) - np.repeat(np.cumsum(numbers) - numbers, numbers) + 0.5
@@ -184,7 +184,7 @@ def _colours(
         same = [k for k, board in enumerate(boards) if board.kind == kind]
         numbers = [np.flatnonzero(owner == k) for k in same]
         places = np.concatenate(
-            [boards[k].folded(points[number]) for k, number in zip(same, numbers, strict=True)]
+            [boards[k].fold(points[number]) for k, number in zip(same, numbers, strict=True)]
         )
         number = np.concatenate(numbers)
         known = seen[number]

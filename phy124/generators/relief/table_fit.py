@@ -40,7 +40,7 @@ BLUR = 1.5
 """Blur of these images, as a standard deviation [pixels]."""
 TRIED = 4
 """Number of coarse drawings of each item of `SEEN` from which fits start."""
-ROUNDS, PATIENCE, DONE = 12, 4, 1e-3
+ROUNDS, ATTEMPTS, DONE = 12, 4, 1e-3
 """Largest number of rounds of a fit, and of attempts in a round with shorter and shorter steps.
 
 A fit ends if the error decreases by less than the third number, relative to the error.
@@ -178,7 +178,7 @@ class Goal:
         for _ in range(ROUNDS):
             slopes = np.stack([errors(values + step) - error for step in steps])
             matrix, slope, before = slopes @ slopes.T, slopes @ error, error @ error
-            for _ in range(PATIENCE):
+            for _ in range(ATTEMPTS):
                 damped = matrix + damping * np.diag(np.diag(matrix) + 1e-6)
                 moved = np.clip(values - np.linalg.solve(damped, slope) @ steps, LEAST, most)
                 after = errors(moved)
@@ -229,12 +229,12 @@ def _tables(
     backs = (0.6, 1.1) if kind.backed else (0.0,)
     raised = ELEVATIONS.tolist() if elevation is None else [elevation]
     return [
-        _sized(Table(kind, Sizes(up, yaw, *USUAL[2:]), distance), goal, deep, back)
+        _match_extent(Table(kind, Sizes(up, yaw, *USUAL[2:]), distance), goal, deep, back)
         for up, yaw, deep, back in product(raised, yaws, depths, backs)
     ]
 
 
-def _sized(table: Table, goal: Goal, deep: float, back: float) -> Table:
+def _match_extent(table: Table, goal: Goal, deep: float, back: float) -> Table:
     """Scale and move a table so that its image is as wide and as high as the silhouette.
 
     Args:
@@ -247,11 +247,11 @@ def _sized(table: Table, goal: Goal, deep: float, back: float) -> Table:
     half, high, up = width / 2.5, height / 2, table.sizes.elevation
     for _ in range(4):
         lengths = {name: half * getattr(USUAL, name) for name in ("half", "thick", "leg", "wide")}
-        table = table.resized(**lengths, deep=deep * half, high=high, back=back * high + 4.0)
+        table = table.resize(**lengths, deep=deep * half, high=high, back=back * high + 4.0)
         size = np.ptp(table.places, axis=0)
         half *= width / size[0]
         missing = height - size[1] * width / size[0]
         high = max(0.3 * half, high + missing / np.cos(up) / (1 + back))
     places = table.places
     right, down = centre - (places.min(axis=0) + places.max(axis=0)) / 2
-    return table.resized(right=right, down=down / np.cos(up))
+    return table.resize(right=right, down=down / np.cos(up))

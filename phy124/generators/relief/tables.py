@@ -121,7 +121,7 @@ class Table:
         """Places of all corners in the image, relative to its centre [C,2], pixels."""
         return self.camera.pixels(np.concatenate(self.parts))
 
-    def resized(self, **sizes: float) -> Table:
+    def resize(self, **sizes: float) -> Table:
         """Return the table with other values of `Sizes`."""
         return replace(self, sizes=self.sizes._replace(**sizes))
 
