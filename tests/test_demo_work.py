@@ -1,5 +1,6 @@
 """The work behind the page: stages that run only when needed, and stop when asked."""
 
+import gc
 import json
 import threading
 import time
@@ -18,6 +19,7 @@ from demo.work.limits import Limits, easier
 from demo.work.motion import Watching
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
+from phy124.mpm.runner import Runner
 from phy124.scene import Scene
 from support.orders import small_order
 
@@ -62,6 +64,18 @@ def test_everything_is_made(order):
     }
     assert len(Clip.load(done.clip / "clip.safetensors")) == 3
     assert not order.stop.exists() and not DEVICE.locked()
+
+
+def test_finished_runs_are_freed_at_once(order):
+    """Otherwise a page with many runs keeps several solvers until Python looks for cycles."""
+    gc.disable()
+    try:
+        before = [each for each in gc.get_objects() if isinstance(each, Runner)]
+        _run(order)
+        after = [each for each in gc.get_objects() if isinstance(each, Runner)]
+    finally:
+        gc.enable()
+    assert {id(each) for each in after} <= {id(each) for each in before}
 
 
 def test_promise_is_worded_as_on_the_command_line(order):
