@@ -30,8 +30,10 @@ Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 OVERLAP = 0.85
 """Smallest overlap (IoU) of the silhouette with the image of the table."""
-MORE = 0.05
-"""Largest amount by which the overlap is assumed to increase in the last fit."""
+FIRST, MORE = 0.55, 0.05
+"""Smallest overlap of a coarse drawing, and largest amount by which the overlap is assumed to
+increase in the last fit. Before fits, drawings of tables overlap by 0.65 or more, of dogs by 0.5.
+"""
 SIMPLER = 0.01
 """Increase of the overlap that corners, a backrest, or a view from behind must bring."""
 COARSE, FINE = 4, 2
@@ -94,9 +96,12 @@ def find_table(
     if not has_legs(object_mask):
         return None
     goal, fits, fixed = Goal.of(object_mask, middle), [], elevation is not None
-    for kind, yaws in SEEN:
-        tables = _tables(kind, yaws, goal, distance, elevation)
+    drawn = [_tables(kind, yaws, goal, distance, elevation) for kind, yaws in SEEN]
+    for tables in drawn:
         tables.sort(key=goal.overlap, reverse=True)
+    if max(goal.overlap(tables[0]) for tables in drawn) < FIRST:
+        return None
+    for tables in drawn:
         coarse = [goal.fit(table, COARSE, fixed) for table in tables[:TRIED]]
         fits.append(max(coarse, key=goal.overlap))
     if max(map(goal.overlap, fits)) < OVERLAP - MORE:
