@@ -335,7 +335,7 @@ def test_only_empty_folders_of_the_run_are_removed(tmp_path):
 
 
 def test_stress_tells_of_the_cases_it_has_run(monkeypatch, capsys):
-    def rows(settings):
+    def rows(settings, cases):
         for _ in range(3):
             yield stress.Row("a case", "-", "-", "pass")
             signal.raise_signal(signal.SIGINT)
@@ -348,7 +348,7 @@ def test_stress_tells_of_the_cases_it_has_run(monkeypatch, capsys):
 
 
 def test_checks_that_were_made_are_shown_if_a_later_one_fails(monkeypatch, capsys):
-    def rows(settings):
+    def rows(settings, cases):
         yield stress.Row("a case", "-", "-", "pass")
         raise MemoryError
 

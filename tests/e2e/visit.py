@@ -158,6 +158,15 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
     return -10 * np.log10(((a - b) ** 2).mean() / 255**2)
 
 
+STATE = """() => {
+    const player = globalThis.player, app = player?.stage.app, device = app?.graphicsDevice;
+    return player && { time: player.time, reads: !!player.waiting, loaded: player.pack.loaded,
+        drawn: app.frame, asked: app.renderNextFrame, lost: device.contextLost, gone: player.gone,
+        hidden: document.hidden };
+}"""
+"""State of the player that explains why a picture is not drawn."""
+
+
 def drawn(page, good, complaint: str) -> np.ndarray:
     """The viewer's picture once it is as it should be; software WebGL takes its time."""
     for _ in range(LONG // 200):
@@ -165,4 +174,4 @@ def drawn(page, good, complaint: str) -> np.ndarray:
         if good(picture):
             return picture
         page.wait_for_timeout(200)
-    raise AssertionError(complaint)
+    raise AssertionError(f"{complaint}; the player: {page.evaluate(STATE)}")
