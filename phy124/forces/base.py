@@ -131,7 +131,7 @@ class Force(Section):
     def in_part(self, part: Model, whole: Model) -> Force | None:
         """Return the force for a part of a model, or None if the force does not act in this part.
 
-        Sums over particles are divided in proportion to the masses in the part and in the model.
+        The part gets a share of each sum over particles: its mass divided by the mass of the model.
         """
         total = self.mass_in(whole)
         share = self.mass_in(part) / total if total > 0 else 1.0

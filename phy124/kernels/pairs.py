@@ -236,11 +236,11 @@ def make_pair(real: Any):
     """Kernel over the common nodes of two bodies: applies equal and opposite impulses to the
     bodies.
 
-    `low` is the first of the common nodes, and `fill` the volume fraction per mass of each body.
-    `yields` is 1 for a body that can move and 0 for a body that never moves. A sticky pair has one
-    velocity at each node at which both bodies have mass. `sums_out` sums the impulses of the first
-    body on the second, and their moments about the origin of the world. A thread reads only the
-    masses of neighbouring nodes, which no thread changes.
+    `low` is the first of the common nodes. `fill` contains a factor for each body, by which a mass
+    is multiplied to get a volume fraction. `yields` is 1 for a body that can move and 0 for a body
+    that never moves. A sticky pair has one velocity at each node at which both bodies have mass.
+    `sums_out` sums the impulses of the first body on the second, and their moments about the origin
+    of the world. A thread reads only the masses of neighbouring nodes, which no thread changes.
     """
     t = types(real)
 

@@ -26,7 +26,7 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene requests the liquid's lost energy by cause."""
+        """Return whether the scene asks why a liquid loses energy."""
         return subject.scene.checks.energy and subject.scene.projects
 
     @classmethod
