@@ -47,13 +47,7 @@ STEEPEST = 4.0
 
 
 def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
-    """Estimate the depth [H,W] with Depth Anything V2; larger values are nearer.
-
-    Args:
-        rgb: The image [H,W,3].
-        solid: Mask of the object [H,W]; not used.
-        path: The ONNX file.
-    """
+    """Estimate the depth [H,W] with Depth Anything V2; larger values are nearer."""
     del solid
     (depth,) = OnnxNetwork(path, ["pixel_values"], ["predicted_depth"])(prepare_patches(rgb))
     # As in the original program, the centres of the corner pixels are aligned.
@@ -85,14 +79,9 @@ def whole_patches(length: float) -> int:
 
 
 def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
-    """Estimate the depth [H,W] with the points and normals of MoGe-2; larger values are nearer.
+    """Estimate the depth [H,W] of the masked object with MoGe-2; larger values are nearer.
 
     The points of MoGe-2 have an unknown offset along the view direction, which has no effect here.
-
-    Args:
-        rgb: The image [H,W,3].
-        solid: The object's mask [H,W].
-        path: The ONNX file.
     """
     height, width = rgb.shape[:2]
     scale = min(1.0, LONGEST / max(height, width))

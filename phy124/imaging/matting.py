@@ -25,15 +25,11 @@ The unit is pixels at `SIDE`.
 
 
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
-    """Fit a coarse mask to the edges of an image; return the alpha [H,W].
+    """Fit a coarse mask to the edges of an image [H,W,3]; return the alpha [H,W].
 
-    The method is a guided filter: within each window, alpha is a linear function of the colours
-    (He, Sun, Tang 2013). The coefficients of this function are computed on the reduced image (He,
-    Sun 2015).
-
-    Args:
-        rgb: The image [H,W,3].
-        coarse: Probability of the object [h,w], 0..1, at any resolution.
+    The mask [h,w] holds probabilities, at any resolution. The method is a guided filter: within
+    each window, alpha is a linear function of the colours (He, Sun, Tang 2013). The coefficients of
+    this function are computed on the reduced image (He, Sun 2015).
     """
     height, width = rgb.shape[:2]
     scale = min(1.0, SIDE / max(height, width))
@@ -79,10 +75,6 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
     Half-transparent pixels get the colour of the nearest opaque pixel that is slightly inside the
     object. Where the object is too thin, the colours on its centre line are used.
-
-    Args:
-        rgb: The image [H,W,3].
-        alpha: Alpha of the image [H,W].
     """
     soft = (alpha > 0) & (alpha < OPAQUE)
     trusted = _find_trusted(alpha)

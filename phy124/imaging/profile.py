@@ -18,11 +18,7 @@ READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:
-    """Convert an image to sRGB, mode RGBA; the alpha of the image is unchanged.
-
-    Args:
-        picture: The image, in mode RGBA, LA, L or CMYK.
-        profile: The bytes of its ICC profile.
+    """Convert an image in mode RGBA, LA, L or CMYK to sRGB, mode RGBA; its alpha is unchanged.
 
     Raises:
         ValueError: If the profile is damaged, or does not apply to the image's mode.

@@ -60,13 +60,9 @@ def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) ->
 
 
 def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] | None:
-    """Split touching objects, and return masks [H,W] of two parts.
+    """Split touching objects, and return masks [H,W] of two parts; None for a single object.
 
-    Return None if there is a single object.
-
-    Args:
-        rgb: The image [H,W,3].
-        alpha: Alpha of one connected piece of a cut-out [H,W].
+    The alpha [H,W] must be one connected piece of a cut-out.
     """
     rows, columns = np.nonzero(alpha > 127)
     if not len(rows):

@@ -204,11 +204,7 @@ class Clip:
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def rows_of(self, chosen: NDArray) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield the means, quats and scales of some Gaussians in each frame.
-
-        Args:
-            chosen: Indices of the Gaussians.
-        """
+        """Yield the means, quats and scales of the Gaussians with these indices, in each frame."""
         arrays: Any = self.means, self.quats, self.scales
         if all(isinstance(a, Computed) and a.columns is None for a in arrays):
             for row in arrays[0].recorded.rows_of(chosen):

@@ -84,10 +84,10 @@ class Content(NamedTuple):
         return self._replace(gaussians=moved, origin=(0.0, 0.0, 0.0))
 
     def remarks(self, chosen: Gaussians | None = None) -> list[str]:
-        """Return the notes on the file, and a warning if the precision of its positions is too low.
+        """Return the notes, and a warning if the precision of the positions that are used is too
+        low.
 
-        Args:
-            chosen: The Gaussians that are used; None means all Gaussians.
+        By default, all Gaussians are used.
         """
         means = (self.gaussians if chosen is None else chosen).means
         coarse = describe_coarseness(means, self.step)
@@ -111,10 +111,8 @@ class Malformed(ValueError):
 
 
 def name_fault(error: Exception) -> str:
-    """Return a clause that describes the fault of a file, without Python's wording.
-
-    Args:
-        error: The exception that the file caused in a reader.
+    """Return a clause that describes the fault of a file, without the wording of Python's
+    exception.
     """
     if isinstance(error, Malformed):
         return str(error)

@@ -111,10 +111,7 @@ def check_names(path: Path, header: Header) -> None:
 def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
     """Return the decoded columns by the field names of `Gaussians`, and notes about the columns.
 
-    Args:
-        path: The file.
-        table: The rows of element `vertex`; `check_names` must have accepted the names of their
-            columns.
+    `check_names` must have accepted the names of the columns of the table, the rows of `vertex`.
 
     Raises:
         InputError: If the number of harmonics belongs to no degree from 0 to 4.

@@ -42,13 +42,10 @@ class Dents:
     """The light on the Gaussians of one solid."""
 
     def __init__(self, which: NDArray[np.int64], x: NDArray, cell: float, lamp: NDArray) -> None:
-        """Measure the solid at rest.
+        """Measure the Gaussians with indices `which` [n] of a solid at rest, at x [n,3] m.
 
-        Args:
-            which: Indices of the solid's Gaussians [n].
-            x: Positions of these Gaussians at rest [n,3], m.
-            cell: Cell size of the simulation's grid, m.
-            lamp: Unit vector towards the lamp [3].
+        `cell` is the cell size of the simulation's grid [m], and `lamp` the unit vector to the
+        lamp.
         """
         self.which, self._lamp = which, lamp.astype(np.float32)
         outward = _outward(x, cell)

@@ -130,25 +130,10 @@ def _encode_sides(
     images: Iterator[Picture],
     context: RunContext,
 ) -> dict[tuple[str, str], Path]:
-    """Encode pictures in all formats at the same time.
+    """Encode pictures, ordered by frame and then by side, in all formats at the same time.
 
-    The pictures are ordered by frame and then by side.
-
-    If an encoder fails, its exception is raised after the other videos are complete.
-
-    Args:
-        clip: The clip.
-        view: The view.
-        loop: Order of the pictures, and fading at the end.
-        first: Index of `sides[0]` among all sides of the view.
-        sides: Sides that are drawn together.
-        formats: Formats that are made from pictures.
-        folder: The folder to write.
-        images: The pictures to encode.
-        context: Stopwatch and progress function.
-
-    Returns:
-        The file or folder of each format and side.
+    If an encoder fails, its exception is raised after the other videos are complete. `first` is the
+    index of `sides[0]` among all sides of the view.
     """
     watch, fps = context.watch, playback(rate(clip), view)
     before, total = first * len(loop.order), len(view.sides) * len(loop.order)

@@ -95,12 +95,9 @@ class Field:
         self.open, self._room = self._before(planes, corner)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell that lies in front of all walls, before and after
-        smoothing.
+        """Return the fraction of each cell in front of all walls, before and after smoothing.
 
-        Args:
-            planes: The walls.
-            corner: Centre of the first cell [3], m.
+        `corner` is the centre of the first cell [3], m.
         """
         shares: tuple[Any, Any] = 1.0, 1.0
         axes = [corner[a] + self.cell * np.arange(self.size[a]) for a in range(3)]

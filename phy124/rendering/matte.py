@@ -47,12 +47,8 @@ class Matte:
     """The light on the grains of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], volumes: NDArray, cell: float) -> None:
-        """Set the grains.
-
-        Args:
-            which: Indices of the material's Gaussians [n].
-            volumes: Volumes of these Gaussians [n], m^3.
-            cell: Cell size of the simulation's grid, m.
+        """Set the grains: indices [n] and volumes [n] m^3 of Gaussians, and the grid's cell size
+        [m].
         """
         self.which, self._volumes, self._cell = which, volumes, cell
 

@@ -33,11 +33,7 @@ MAX_PIXELS = 1 << 26
 
 
 def make_view(camera: Camera, filter: Filter) -> Any:
-    """Return a camera with an anti-aliasing filter, as a `screen.View`.
-
-    Args:
-        camera: The camera.
-        filter: One of the values of `FILTERS`.
+    """Return a camera with an anti-aliasing filter (a value of `FILTERS`), as a `screen.View`.
 
     Raises:
         InputError: The camera or the size of its image cannot be used.

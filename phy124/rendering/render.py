@@ -418,10 +418,7 @@ class Renderer:
     def _upload(self, array: NDArray, dtype: Any, name: str | None = None) -> wp.array:
         """Wrap a NumPy array as a Warp array: shared on a CPU, copied to a GPU.
 
-        Args:
-            array: The array.
-            dtype: Warp's type of its items.
-            name: Name of the buffer that receives the copy. If None, new memory is used.
+        The copy uses the buffer of this name, or new memory without a name.
         """
         if name is None or not self.device.is_cuda:
             return wp.array(array, dtype=dtype, device=self.device, copy=False)

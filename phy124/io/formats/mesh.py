@@ -56,11 +56,8 @@ class Surface:
 def find_surface(gaussians: Gaussians, cells: int = CELLS, blur: float = BLUR) -> Surface:
     """Return the surface at which the density of Gaussians is 1/2.
 
-    Args:
-        gaussians: The Gaussians.
-        cells: Number of cells along the longest side of the object.
-        blur: Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are
-            widened.
+    The grid has `cells` cells along the object's longest side. Gaussians with a standard deviation
+    below `blur` cells are widened.
 
     Raises:
         InputError: scikit-image is not installed, or the density is below 1/2 everywhere.
@@ -90,13 +87,8 @@ def sample_density(
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Return the density of Gaussians at the nodes of a grid [X,Y,Z], and the first node [3], m.
 
-    The outermost two layers of nodes are zero.
-
-    Args:
-        gaussians: The Gaussians.
-        cell: Distance between nodes [m].
-        blur: Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are
-            widened.
+    The outermost two layers of nodes are zero. Nodes are `cell` apart [m]. Gaussians with a
+    standard deviation below `blur` cells are widened.
     """
     turns = rotation_matrices(gaussians.quats)
     spread = np.maximum(gaussians.scales / cell, blur)
@@ -171,12 +163,7 @@ def _colours(gaussians: Gaussians, points: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def to_trimesh(surface: Surface, *, linear: bool = False) -> Any:
-    """Return a surface as a mesh of the package trimesh.
-
-    Args:
-        surface: The surface.
-        linear: Whether colours are linear, as required by glTF, instead of sRGB.
-    """
+    """Return a surface as a mesh of trimesh; glTF needs `linear` colours instead of sRGB."""
     import trimesh
 
     rgb = surface.rgb
@@ -192,12 +179,9 @@ def to_trimesh(surface: Surface, *, linear: bool = False) -> Any:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False, kind: str = "glb") -> bytes:
-    """Return the surface of Gaussians as the bytes of a file.
+    """Return the surface of Gaussians as the bytes of a file: glb, obj or ply.
 
-    Args:
-        gaussians: The Gaussians, in the axes of the file.
-        antialiased: Ignored, because a mesh has no such property.
-        kind: glb, obj or ply.
+    A mesh has no property for `antialiased`.
 
     Raises:
         InputError: For the reasons listed at `find_surface`.

@@ -96,10 +96,8 @@ def write_moved(
 def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> list[Any]:
     """Scale and shift meshes to match the object of a clip in its first frame, and return them.
 
-    Args:
-        pieces: Meshes of the package trimesh, in the axes and unit of their file.
-        clip: A clip of the object; the object was made from the meshes.
-        axes: Up and front directions of the file.
+    The object was made from these meshes of the package trimesh, whose file has these `axes` (up
+    and front directions).
     """
     turn = orientation(*axes)
     placed = [piece.copy() for piece in pieces]
@@ -114,12 +112,7 @@ def fit_to_clip(pieces: list[Any], clip: Clip, axes: tuple[str, str | None]) -> 
 
 
 def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield, for each frame, the positions [V,3] of points that move with the Gaussians.
-
-    Args:
-        clip: The clip whose Gaussians the points follow.
-        points: Positions in the first frame [V,3], m.
-    """
+    """Yield the positions [V,3], m, of points that move with a clip's Gaussians, for each frame."""
     from scipy.spatial import KDTree
 
     mask = clip.object_mask

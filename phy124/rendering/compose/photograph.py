@@ -253,9 +253,7 @@ def _near(photograph: Photograph) -> NDArray[np.uint8]:
 def photograph_of(picture: str | os.PathLike[str], folder: Path) -> Photograph:
     """Return the photograph from which a clip was made, with the object's outline.
 
-    Args:
-        picture: The photograph.
-        folder: The folder of the clip's run, which contains the cut-out.
+    The outline is that of the cut-out in the folder of the clip's run.
 
     Raises:
         InputError: The photograph or its cut-out cannot be opened, or there is no cut-out.

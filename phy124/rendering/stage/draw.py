@@ -58,10 +58,7 @@ class Surroundings:
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
         """Upload a stage; sort its solids into those in front of, between and behind the Gaussians.
 
-        Args:
-            shown: The stage of a frame.
-            view: The camera, as a `screen.View`.
-            means: Positions of the Gaussians [N,3], m.
+        The Gaussians are at `means` [N,3] m; the camera is a `screen.View`.
         """
         count, uploaded = len(shown.solids), self._uploaded.get(shown)
         if uploaded is None:

@@ -100,10 +100,7 @@ class Caster:
     def shade(self, gaussians: Gaussians, floor: float, glass: Iterable[Glass] = ()) -> Array:
         """Return the fraction of light that the shadow removes [CELLS,CELLS]; the axes are x and y.
 
-        Args:
-            gaussians: The Gaussians that cast the shadow.
-            floor: Height of the floor, m.
-            glass: Optical depths of the boundaries.
+        The floor is at a height [m]; the optical depths of the boundaries are added.
         """
         depth = self._depth(gaussians, floor)
         for cells, dark in glass:

@@ -75,14 +75,10 @@ class Outlook:
         return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
 
     def refuse(self, seconds: float) -> None:
-        """Refuse a time budget that is too small for the fit.
-
-        Args:
-            seconds: The time budget [s].
+        """Refuse a time budget [s] that is too small for the fit.
 
         Raises:
-            InputError: The budget is shorter than a fit with the smallest useful number of
-                generations.
+            InputError: The budget is shorter than a fit with the fewest useful generations.
         """
         least = self.wall(FEWEST)
         if seconds < least:

@@ -56,24 +56,17 @@ class Estimate:
     def on(self, cells: float) -> tuple[Values, Values]:
         """Return the best point on a grid [P], and the half-width of its intervals [P].
 
-        The values are extrapolated to a grid with this number of cells; infinity means a grid
-        without error. The uncertainty of an extrapolated value is assumed to equal the shift by the
-        extrapolation, but to be at least `model`. This systematic error is added to the error from
-        the measurements.
-
-        Args:
-            cells: Number of cells across the object; may be infinite.
+        The values are extrapolated to a grid with `cells` cells across the object; infinity means a
+        grid without error. The uncertainty of an extrapolated value is assumed to equal the shift
+        by the extrapolation, but to be at least `model`. This systematic error is added to the
+        error from the measurements.
         """
         place, shift = extrapolate(self.grids, self.places, cells)
         return place, self.sampling + np.maximum(self.model, shift)
 
 
 def estimate(problem: Problem, *, seed: int = 0) -> Estimate:
-    """Fit the values to the measurements.
-
-    Args:
-        problem: The measurements and their prediction.
-        seed: Seed of all random numbers.
+    """Fit the values to the measurements; `seed` is the seed of all random numbers.
 
     Raises:
         InputError: Some values cannot be determined, or runs of the simulation fail.

@@ -88,12 +88,10 @@ def extrapolate(
     Args:
         grids: Numbers of cells across the object, from coarse to fine.
         places: The fitted point on each grid [P].
-        cells: Number of cells across the object on the new grid; infinity means a grid without
-            error.
+        cells: Number of cells across the object on the new grid; infinity means no error.
 
     Returns:
-        The extrapolated point [P], and the distance of each value from the value on the finest grid
-        [P].
+        The extrapolated point, and the distance of each value from that on the finest grid [P].
     """
     finest = places[-1]
     if len(places) < 2:
@@ -109,13 +107,8 @@ def find_unexplained(
     """Return the error of the finest grid for each kind of measurement, relative to the misfit.
 
     The model of a misfit m is `m^2 = a^2 + (c h)^2`. The error of the measurements, a, is the same
-    on all grids. The error of the grid, c h, is proportional to the spacing h. The misfits on two
-    grids determine c.
-
-    Args:
-        grids: Numbers of cells across the object, from coarse to fine.
-        coarse: RMS misfit of each kind of measurement on the second-finest grid.
-        fine: RMS misfit of each kind of measurement on the finest grid.
+    on all grids. The error of the grid, c h, is proportional to the spacing h. The RMS misfits on
+    the two finest of the `grids` (`coarse` and `fine`, one per kind) determine c.
     """
     more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
     return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))
@@ -195,11 +188,8 @@ class Undecided(InputError):
     """An error: the measurements do not determine some values; `limit` states the reason."""
 
     def __init__(self, names: Sequence[str], why: str) -> None:
-        """Suggest an experiment that determines the values.
-
-        Args:
-            names: Names of the values.
-            why: The reason why they are undetermined.
+        """Suggest an experiment that determines the named values; `why` says why they are
+        undetermined.
         """
         self.names, self.tell = tuple(names), suggest_experiment(names)
         """Names of the values, and description of an experiment that would determine them."""
@@ -227,11 +217,8 @@ def suggest_experiment(names: Sequence[str]) -> str:
 def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Undecided | None:
     """Return an error if exact measurements cannot determine all values, otherwise None.
 
-    Args:
-        names: Names of the values [P].
-        jacobian: Derivatives of the weighted prediction with respect to the values, as fractions of
-            their ranges [M,P].
-        spread: Norm of the vector of weighted measurements.
+    The weighted Jacobian [M,P] refers to fractions of the values' ranges. `spread` is the norm of
+    the vector of weighted measurements.
     """
     effects = np.linalg.norm(jacobian, axis=0)
     for name, effect in zip(names, effects, strict=True):

@@ -135,18 +135,10 @@ class Observations:
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Interpolate values between the times at which they are known.
+    """Interpolate values [T,...] between their times [T] to the wanted times [R]; return [R,...].
 
-    If all requested times coincide with frames, the values of these frames are returned; otherwise
-    a spline is used.
-
-    Args:
-        times: Times of the values [T], s.
-        values: The values [T,...].
-        wanted: The times at which values are requested [R], s.
-
-    Returns:
-        The values at the requested times [R,...].
+    If all wanted times coincide with frames, the values of these frames are returned; otherwise a
+    spline is used.
     """
     nearest = np.abs(times[None] - wanted[:, None]).argmin(1)
     if np.allclose(times[nearest], wanted, atol=ROUNDED / 10):
@@ -188,11 +180,7 @@ class Forces:
     name, unit = "forces", "N"
 
     def __init__(self, table: Table, walls: tuple[str, ...]) -> None:
-        """Match the names in the table with the walls of the scene.
-
-        Args:
-            table: Times, names of walls, and forces.
-            walls: Names of the scene's walls.
+        """Match the names in a table of forces with the names of the scene's walls.
 
         Raises:
             InputError: The table names a wall that the scene does not have.

@@ -54,10 +54,8 @@ Phy124Compare(document.querySelector('.compare'));</script>
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
     """Write an HTML file that contains the comparison video, for browsers without a network.
 
-    Args:
-        path: The HTML file.
-        report: The report of a fit whose target is a video.
-        film: The MP4 that shows the video, the fitted scene and their difference.
+    The target of the reported fit must be a video. `film` is an MP4 of the video, the fitted scene
+    and their difference.
     """
     data = base64.b64encode(film.read_bytes()).decode()
     page = PAGE.format(
@@ -74,9 +72,7 @@ def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
 def figure(report: dict[str, Any], film: str) -> str:
     """Return HTML with the comparison video, its slider, and the curves; all text is escaped.
 
-    Args:
-        report: The report of a fit whose target is a video.
-        film: Address of the MP4 that shows the video, the fitted scene and their difference.
+    The target of the reported fit must be a video; `film` is the address of the comparison video.
     """
     shown = report["pictures"]
     times = " ".join(f"{time:g}" for time in shown["times"])
@@ -186,12 +182,7 @@ class Comparison:
         Image.fromarray(np.concatenate([*self._rows(shown)])).save(path)
 
     def write_film(self, path: Path, fps: float) -> None:
-        """Write an MP4 that shows target, fitted scene and difference side by side.
-
-        Args:
-            path: The MP4 file.
-            fps: Number of frames per second.
-        """
+        """Write an MP4 that shows target, fitted scene and difference side by side."""
         write_mp4(path, self._rows(range(len(self.times))), fps=fps)
 
     def _rows(self, shown: Iterable[int]) -> Iterator[NDArray[np.uint8]]:

@@ -31,13 +31,11 @@ class Points:
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
-        """Attach the points to the object's Gaussians.
+        """Attach the measured points (x, y, z in metres, or u, v in pixels) to the object's
+        Gaussians.
 
-        Args:
-            table: Measured positions of the points: x, y, z in metres, or u, v in pixels.
-            rest: Centres of the object's Gaussians in the first frame [N,3], m.
-            cameras: Camera of each frame, if positions are in pixels; None if positions are in
-                metres.
+        `rest` [N,3] are the Gaussians' centres in the first frame [m]. Positions in pixels need a
+        camera for each frame.
 
         Raises:
             InputError: A point is missing at the first time, or is not on the object.

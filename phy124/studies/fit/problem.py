@@ -43,11 +43,9 @@ class Problem(Protocol):
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for each point; the result is None if the run stopped early.
+        """Predict the measurements [M] for points of the unit cube, on the grid with index `level`.
 
-        Args:
-            places: Points in the unit cube.
-            level: Index of the grid on which to simulate.
+        A prediction is None if its run stopped early.
         """
         ...
 
@@ -64,12 +62,9 @@ class Distance:
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """Compute the weights of the measurements.
+        """Compute the weights of the measurements from the scale of each kind.
 
-        Args:
-            problem: The measurements.
-            scales: Scale of each kind of measurement; if None, the RMS of the measured values of
-                this kind.
+        By default, the scale is the RMS of the measured values of the kind.
         """
         self.measured, self.kinds = problem.measured, tuple(problem.kinds)
         spreads = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]

@@ -63,12 +63,9 @@ def make_report(
 
 
 def report_pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
-    """Return the misfit of the silhouette in each video frame, before and after the fit.
+    """Return the misfit of the silhouette in each frame of a video, before and after the fit.
 
-    Args:
-        target: The inputs of the fit; the measurements must be a video.
-        runs: The runs of the fit.
-        clip: The clip of the scene with the fitted values, simulated on the scene's grid.
+    The clip is that of the fitted scene, simulated on the scene's grid.
     """
     (seen,) = (part for part in target.observations.parts if isinstance(part, Silhouettes))
     assert target.film is not None

@@ -81,18 +81,12 @@ class Runs:
     def __init__(
         self, target: Target, folder: Path, budget: Budget, progress: Progress = silent
     ) -> None:
-        """Prepare the runs of a fit.
+        """Prepare the runs of a fit; predictions are stored in the subfolder `FOLDER`.
 
-        Args:
-            target: The inputs of the fit: measurements, object and scene.
-            folder: Folder of the fit; predictions are stored in its subfolder `FOLDER`.
-            budget: The time budget of the fit.
-            progress: Function that is called with ("fit", runs made, runs expected); it may raise
-                Cancelled.
+        `progress` is called with ("fit", runs made, runs expected) and may raise Cancelled.
 
         Raises:
-            InputError: A path does not exist in the scene, or a range is not within the allowed
-                values.
+            InputError: A path does not exist in the scene, or a range exceeds the allowed values.
         """
         declared, seen = target.declared, target.observations
         self.names, self._ranges = tuple(declared.find), tuple(declared.find.values())
@@ -120,11 +114,9 @@ class Runs:
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for each point; the result is None if the run stopped early.
+        """Predict the measurements [M] for points of the unit cube, on the grid with index `level`.
 
-        Args:
-            places: Points in the unit cube.
-            level: Index of the grid on which to simulate.
+        A prediction is None if its run stopped early.
         """
         scenes = [self.scene_at(place, level).data() for place in places]
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]

@@ -43,10 +43,8 @@ class Silhouettes:
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
         """Compute the silhouettes of a video at a reduced resolution.
 
-        Args:
-            film: The video.
-            times: Times of the video's frames [T], s.
-            cameras: Camera of each frame of the scene.
+        `times` [T] are those of the video's frames [s]; there is a camera for each frame of the
+        scene.
 
         Raises:
             InputError: The aspect ratio of the video differs from that of the camera.
@@ -126,15 +124,9 @@ class Laid(NamedTuple):
 
 
 def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
-    """Align a video with the view of the scene's camera.
+    """Align a video with the view of the scene's camera; return the new video and the alignment.
 
-    Args:
-        film: The video, whose first frame must show the object at rest.
-        gaussians: The object at rest.
-        camera: The camera of the scene.
-
-    Returns:
-        The transformed video, and the alignment.
+    The video's first frame must show the object at rest, as the Gaussians do.
 
     Raises:
         InputError: The video's silhouette cannot be aligned with that of the object.

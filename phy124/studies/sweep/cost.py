@@ -118,13 +118,10 @@ class Remaining:
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """Compute the work of a sample of the clips.
+        """Compute the work of a sample of the clips that this run makes (`numbers` are their
+        indices).
 
-        Args:
-            plan: The sweep.
-            numbers: Indices of the clips that this run makes.
-            clock: Function that returns the current time [s], on the same clock as `written` in the
-                rows.
+        The clock returns the current time [s], as `written` in the rows.
         """
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None
@@ -178,16 +175,11 @@ def work_of(scene: Scene, *, films: bool) -> float:
 
 
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
-    """Fit a line to seconds over work by least squares, with non-negative intercept and slope.
+    """Fit seconds over work by least squares; return the intercept [s] and the slope [s per work].
 
-    If all clips have equal work, the data determine only the ratio of seconds to work. A small
-    penalty on the intercept makes the fit unique in this case.
-
-    Args:
-        moments: Sums over clips of 1, work, seconds, work squared, and work times seconds.
-
-    Returns:
-        The intercept [s], and the slope [s per work].
+    Both are non-negative. If all clips have equal work, the data determine only the ratio of
+    seconds to work. A small penalty on the intercept makes the fit unique in this case. The moments
+    are sums over clips of 1, work, seconds, work squared, and work times seconds.
     """
     count, work, seconds, squared, both = moments.tolist()
     normal = [[(1 + ORIGIN) * count, work], [work, squared]]

@@ -34,10 +34,8 @@ class Dataset:
     """
 
     def __init__(self, folder: str) -> None:
-        """Read the manifest.
-
-        Args:
-            folder: The folder of the sweep's results, or the fsspec address of this folder.
+        """Read the manifest in the folder of a sweep's results, or at the fsspec address of this
+        folder.
 
         Raises:
             InputError: The folder contains no results of a sweep.
@@ -78,14 +76,7 @@ def pack(storage: Storage, per_file: int) -> int:
     """Write all complete clips to tar files, in the order of the clips' indices.
 
     Each clip is stored as two files: KEY.clip.safetensors, and KEY.json with its row of the
-    manifest.
-
-    Args:
-        storage: The sweep's folder.
-        per_file: Number of clips per tar file.
-
-    Returns:
-        The number of tar files that were written.
+    manifest. Return the number of tar files, each of which holds at most `per_file` clips.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]

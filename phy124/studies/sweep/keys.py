@@ -57,12 +57,9 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return the key of a request for a clip; an invalid request also has a key.
+    """Return the key of a request for a clip, which may be invalid.
 
-    Args:
-        picture: Address of the picture.
-        generator: Name of the generator.
-        changes: Values by their dotted paths in the scene.
+    `picture` is an address; `changes` maps dotted paths in the scene to values.
     """
     return _digest_of([picture, generator, changes])
 

@@ -175,9 +175,7 @@ def _mute(ray: Any) -> None:
 def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Row]:
     """Make clips in this process, and yield the row of each clip as soon as the clip is finished.
 
-    Args:
-        orders: The clips to make.
-        beat: Function that is called whenever a clip makes progress; it may raise Cancelled.
+    `beat` is called whenever a clip makes progress.
 
     Raises:
         OSError: The storage is full.

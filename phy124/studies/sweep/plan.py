@@ -103,11 +103,8 @@ class Plan:
         return self.scene.replaced(item.changes)
 
     def share(self, part: int, parts: int) -> range:
-        """Return the indices of the clips in a shard.
-
-        Args:
-            part: Number of the shard, from 1.
-            parts: Number of shards.
+        """Return the indices of the clips in shard number `part`, counted from 1, of `parts`
+        shards.
         """
         return range(part - 1, len(self), parts)
 

@@ -79,10 +79,8 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder, from which files can be moved to the storage at any time.
-
-        Args:
-            folder: Name of the folder in the storage.
+        """Provide a local folder, from which files can be moved to a folder of the storage at any
+        time.
         """
         if self.here is not None:
             with staging(self.here / folder) as place:

@@ -59,10 +59,7 @@ class Needs(NamedTuple):
 def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
     """Estimate the resources for the clip of a scene before its Gaussians are made.
 
-    Args:
-        scene: The scene.
-        gaussians: Maximum number of Gaussians; None: no limit.
-        gpu_memory: Memory of a GPU [bytes]; None if the task runs on a CPU.
+    None means no limit on the number of Gaussians, or no GPU. `gpu_memory` is in bytes.
     """
     count = min(gaussians or GAUSSIANS, GAUSSIANS)
     particles, nodes = count_particles(scene, count), count_nodes(scene)
@@ -186,12 +183,7 @@ def make_static(
 
 
 def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
-    """Make a clip, store it, and write its row.
-
-    Args:
-        order: The clip to make.
-        source: The clip's Gaussians.
-        progress: Function that is called while the clip is made; it may raise Cancelled.
+    """Make a clip from its Gaussians, store it, and write its row; `progress` may raise Cancelled.
 
     Raises:
         OSError: The operating system reports an error, such as a full disk.
@@ -237,12 +229,7 @@ def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Ro
 
 
 def write_failed(order: Order, sentence: str) -> Row:
-    """Write the row of a clip that failed; the next run makes this clip again.
-
-    Args:
-        order: The order for the clip.
-        sentence: Reason why the clip failed.
-    """
+    """Write the row of a clip that failed and the reason; the next run makes this clip again."""
     first, *_ = sentence.strip().splitlines() or ["no reason given"]
     result = {"status": "failed", "sentence": first}
     return write_row(Storage(order.out), order.key, order, result)
@@ -286,11 +273,7 @@ def _simulate(
 ) -> tuple[Clip, Recording]:
     """Simulate a clip; if an earlier run of the clip was killed, continue that run.
 
-    Args:
-        source: The Gaussians.
-        scene: The scene.
-        folder: The clip's folder if the folder is on this machine; otherwise None.
-        context: Device, threads, progress and stopwatch.
+    `folder` is the clip's folder if it is on this machine; otherwise None.
     """
     assert source.gaussians is not None and source.crop is not None
     run, recording = take_up(folder, context)
@@ -309,15 +292,7 @@ def _simulate(
 def _store(
     clip: Clip, scene: Scene, order: Order, filling: Filling, context: RunContext
 ) -> tuple[dict[str, Any], int]:
-    """Store a clip and then its videos; return the report and the total size of the files [bytes].
-
-    Args:
-        clip: The clip.
-        scene: The clip's scene.
-        order: The order for the clip.
-        filling: The clip's folder.
-        context: Device, threads, progress and stopwatch.
-    """
+    """Store a clip and then its videos; return the report and the size of all files [bytes]."""
     watch = context.watch
     # Durations are removed, because they differ from run to run, but equal orders must give equal
     # files.

@@ -30,12 +30,10 @@ MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 
 
 def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the positions of particles [P,3], m, at the centres of cubes that fill a box.
+    """Return the centres [P,3], m, of cubes that fill a box, counted along each axis by `counts`
+    [3].
 
-    Args:
-        counts: Number of cubes along each axis [3].
-        spacing: Edge length of the cubes [m].
-        corner: Lowest corner of the box [m].
+    The cubes have edges of length `spacing` [m]; `corner` is the lowest corner of the box [m].
     """
     lines = [(np.arange(count) + 0.5) * spacing for count in counts]
     x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -43,12 +41,8 @@ def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0,
 
 
 def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the positions of particles [P,3], m, that fill a cube.
-
-    Args:
-        per_axis: Number of particles along each axis.
-        size: Edge length of the cube [m].
-        middle: Centre of the cube [m].
+    """Return the positions [P,3], m, of `per_axis`^3 particles that fill a cube with edge `size`
+    [m].
     """
     return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
 
@@ -56,11 +50,8 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
     """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
 
-    The particles lie on concentric shells, so that the ball's surface is smooth.
-
-    Args:
-        radius: Radius of the ball [m].
-        spacing: Approximate distance between neighbouring particles [m].
+    The particles lie on concentric shells, about `spacing` apart [m], so that the surface is
+    smooth.
     """
     count, rng = round(radius / spacing), np.random.default_rng(0)
     step, x, volume = radius / count, [], []
@@ -75,15 +66,9 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
 
 
 def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array]:
-    """Return the particles of `ball_of_shells` with positive coordinates on the first axes.
+    """Return the particles of `ball_of_shells` with positive coordinates on the first `cuts` axes.
 
-    The particles are sorted by x. The particles' volumes add up to the volume of this part of the
-    ball.
-
-    Args:
-        radius: Radius of the ball [m].
-        spacing: Approximate distance between neighbouring particles [m].
-        cuts: Number of axes.
+    The particles are sorted by x. Their volumes add up to the volume of this part of the ball.
     """
     x, volume = ball_of_shells(radius, spacing)
     part = (x[:, :cuts] > 0).all(axis=1)
@@ -94,12 +79,7 @@ def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array
 
 
 def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Return flat Gaussians on a sphere; their colours depend on the direction from the centre.
-
-    Args:
-        count: Number of Gaussians.
-        radius: Radius of the sphere [m].
-    """
+    """Return flat Gaussians on a sphere; their colours depend on the direction from the centre."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     along = np.cross(normals, helper)
@@ -194,12 +174,9 @@ FAR = 1e3
 
 
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the positions [P,3], m, of particles in a single layer that is normal to y.
+    """Return the positions [P,3], m, of particles in a single layer in the plane y = corner[1].
 
-    Args:
-        counts: Number of particles along x and z [2].
-        spacing: Distance between neighbouring particles [m].
-        corner: Lowest corner of the sheet [m]; the sheet lies in the plane y = corner[1].
+    The layer has `counts` [2] particles along x and z, `spacing` apart [m].
     """
     x = lattice((counts[0], 1, counts[1]), spacing) * [1.0, 0.0, 1.0]
     return np.asarray(x + np.asarray(corner), float)
@@ -222,12 +199,7 @@ def mirrors(*axes: int) -> list[HalfSpace]:
 
 
 def connected_end(x: NDArray[Any], gap: float) -> float:
-    """Return the largest coordinate before the first gap between neighbouring particles [m].
-
-    Args:
-        x: Coordinates of particles along an axis [P], m.
-        gap: Smallest distance between neighbours that counts as a gap [m].
-    """
+    """Return the largest coordinate before the first two neighbours more than `gap` apart [m]."""
     x = np.sort(x.astype(float))
     gaps = np.flatnonzero(np.diff(x) > gap)
     return float(x[gaps[0]] if len(gaps) else x[-1])
@@ -252,13 +224,7 @@ def record(
 
 
 def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -> float:
-    """Return the mass-weighted mean of a component of `x` or `v` over all particles.
-
-    Args:
-        solver: The solver.
-        of: Name of the vector in the solver's state, "x" or "v".
-        axis: Unit vector in the direction of the component [3].
-    """
+    """Return the mass-weighted mean of `x` or `v` (named by `of`) along a unit vector [3]."""
     mass = host(solver.model.mass)
     return float(mass @ (host(getattr(solver.state, of)) @ np.array(axis, float)) / mass.sum())
 

@@ -83,12 +83,7 @@ class Spin:
 
 
 def spin(turns: float, *, precision: str = "float64") -> Spin:
-    """Simulate a stiff cube that rotates freely, and measure the changes of conserved quantities.
-
-    Args:
-        turns: Number of rotations.
-        precision: float32 or float64.
-    """
+    """Simulate a stiff cube for several rotations, and measure changes of conserved quantities."""
     dx, omega = 0.1, 9.0
     x = block(8, 4 * dx)
     gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
@@ -121,11 +116,7 @@ def bar_frequency(E: float, density: float, length: float) -> float:
 def vibrating_bar(cells: int) -> float:
     """Simulate about one period of a free bar's first longitudinal mode.
 
-    Args:
-        cells: Number of cells along the bar.
-
-    Returns:
-        The signed relative error of the frequency.
+    Return the signed relative error of the frequency, for a bar that is `cells` cells long.
     """
     E, density, length, strain = 1e4, 1000.0, 1.0, 1e-6
     dx = length / cells
@@ -181,11 +172,8 @@ class Vortex:
     material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
 
     def angle(self, radius: Array, time: float) -> Array:
-        """Return the exact angle [rad] by which each circle has rotated.
-
-        Args:
-            radius: Radii of the circles [m].
-            time: Time [s].
+        """Return the exact angle [rad] by which circles with these radii [m] have rotated at a time
+        [s].
         """
         s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)
         rise = self.amplitude * (1 - math.cos(2 * math.pi * time)) / 2
@@ -262,11 +250,9 @@ class Column:
 def hydrostatic_column(cells: int) -> Column:
     """Simulate a column of liquid until it is at rest, and measure the errors of its pressure.
 
-    The sides of the column are fixed. The floor lies between two planes of nodes, so it cuts off a
-    part of the lowest particles' kernels. Kinetic damping brings the column to rest.
-
-    Args:
-        cells: Number of cells along the column's height.
+    The column is `cells` cells high, and its sides are fixed. The floor lies between two planes of
+    nodes, so it cuts off a part of the lowest particles' kernels. Kinetic damping brings the column
+    to rest.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
@@ -330,11 +316,8 @@ class Bounce:
         return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
 
     def run(self, cells: int, spacing: float) -> Array:
-        """Simulate the ball, and return the positions of its particles [T,P,3], m.
-
-        Args:
-            cells: Number of cells across the diameter.
-            spacing: Distance between neighbouring particles [m], which is equal on all grids.
+        """Simulate the ball, with `cells` cells across it; return its particles' positions [T,P,3],
+        m.
         """
         x, dx = self.particles(spacing), self.diameter / cells
         world = {"forces": [Gravity()], "boundaries": [Ground(friction=0.0)]}
@@ -345,12 +328,9 @@ class Bounce:
 
 
 def bouncing_ball(cells: Sequence[int]) -> list[Array]:
-    """Simulate the ball on several grids, and return the positions [T,P,3], m, on each grid.
+    """Return the positions [T,P,3], m, of the ball for each number of cells across its diameter.
 
     The particles are the same on all grids: two per cell along each axis on the finest grid.
-
-    Args:
-        cells: Number of cells across the diameter on each grid.
     """
     problem = Bounce()
     spacing = problem.diameter / (2 * max(cells))

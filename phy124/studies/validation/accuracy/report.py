@@ -123,17 +123,13 @@ class Report:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on any grid, derived from the errors of a study's levels.
+    """Return the error on a grid with `cells` cells across the object, from the errors of the
+    levels.
 
     On a grid between two levels, the error is assumed to be that of the coarser level. On grids
     finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`). If no
-    order was observed, the error is constant there. On grids coarser than all levels, the error is
-    unknown (None).
-
-    Args:
-        cells: Number of cells across the object on the grid.
-        errors: Cells across the object on a level -> the level's error.
-        order: The observed order; None if no order was observed.
+    order was observed (None), the error is constant there. On grids coarser than all levels, the
+    error is unknown (None).
     """
     within = [level for level in errors if level <= cells]
     if not within:
@@ -147,11 +143,8 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
     """Recommend a level in a sentence that also compares it with the next finer level.
 
-    Args:
-        rows: The settings that were run.
-        convergence: The convergence of the levels.
-        known: Number of frames after the first whose errors are known, and total number of frames
-            after the first.
+    `known` are the number of frames after the first whose errors are known, and the number of all
+    frames after the first.
     """
     levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
     no = "No setting can be recommended by its error"

@@ -280,14 +280,8 @@ class Study:
     ) -> Row:
         """Add to a row its difference from the finest level and its error, and return the new row.
 
-        If the object is torn, its row is returned unchanged.
-
-        Args:
-            row: The row to complete.
-            levels: Clips of the levels, from coarse to fine.
-            convergence: Convergence of the levels.
-            known: Name of a level -> its error.
-            frames: Number of frames from the start for which these errors are valid.
+        If the object is torn, its row is returned unchanged. The `known` errors of the levels are
+        valid for the first `frames` frames of their clips, which are sorted from coarse to fine.
         """
         if row.torn:
             return row

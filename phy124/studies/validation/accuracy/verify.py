@@ -50,11 +50,7 @@ class Verdict:
 
 
 def verify(*, fine: bool = True) -> Iterator[Verdict]:
-    """Run all checks, and yield their results.
-
-    Args:
-        fine: Whether to use fine grids, on which the checks take about half a minute in total.
-    """
+    """Run all checks, and yield their results; on fine grids, they take half a minute in total."""
     for check in CHECKS:
         start = time.process_time()
         for verdict in check(fine):

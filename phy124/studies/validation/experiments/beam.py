@@ -71,12 +71,9 @@ OWN_LOADS = (2.0, 8.0, 20.0)
 
 
 def elastica_drop(load: float) -> float:
-    """Return the tip deflection divided by the beam's length, for a weight at the tip.
+    """Return the tip deflection / length for a weight at the tip, P L^2 / E I.
 
     The deflection is computed with elliptic integrals (Bisshopp and Drucker 1945).
-
-    Args:
-        load: P L^2 / E I.
     """
     from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -91,12 +88,9 @@ def elastica_drop(load: float) -> float:
 
 
 def heavy_elastica_drop(load: float) -> float:
-    """Return the tip deflection divided by the beam's length, for a beam under its own weight.
+    """Return the tip deflection / length for a beam under its own weight, rho g A L^3 / E I.
 
     The equation `theta'' = -load (1 - s) cos theta` is solved by the shooting method.
-
-    Args:
-        load: rho g A L^3 / E I.
     """
     from scipy.integrate import solve_ivp
 
@@ -111,25 +105,15 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return a load P at the beam's tip; the factors of the profile are `P L^2 / (E I)`.
-
-    Args:
-        width: Width of the beam [m].
-        profile: Factors over time.
-        end: Region of the beam's tip.
+    """Return a load P at the tip of a beam of a width [m]; the profile's factors are `P L^2 / (E
+    I)`.
     """
     unit = STIFFNESS * width / LENGTH**2
     return TotalForce(f=(0, 0, -unit), region=end, profile=profile)
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return gravity on the whole beam; the factors of the profile are `rho g A L^3 / (E I)`.
-
-    Args:
-        width: Not used.
-        profile: Factors over time.
-        end: Not used.
-    """
+    """Return gravity on the whole beam; the factors of the profile are `rho g A L^3 / (E I)`."""
     del width, end
     unit = STIFFNESS / (DENSITY * THICKNESS * LENGTH**3)
     return Gravity(g=(0, 0, -unit), profile=profile)

@@ -70,12 +70,9 @@ PASTE = 630.0
 
 
 def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
-    """Return two mean speeds dZ/dT of the front: between the positions in `PASSAGE`, and during
-    `PERIOD`.
+    """Return mean speeds dZ/dT of the front: between the positions in `PASSAGE`, and in `PERIOD`.
 
-    Args:
-        time: Times T = t sqrt(2 g / a).
-        front: Increasing positions Z of the front / a at these times.
+    The front is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
     """
     start, end = np.interp(PASSAGE, front, time)
     low, high = np.interp(PERIOD, time, front)
@@ -108,14 +105,10 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def release(cells: int, viscosity: float) -> Values:
-    """Simulate the collapse of a column in a smooth channel, and measure the column's front and
-    height.
+    """Simulate the collapse of a column in a smooth channel, and measure its front and height.
 
-    The column is 1 m wide (a = 1 m) and 2 m high.
-
-    Args:
-        cells: Cells across the column's width.
-        viscosity: Dynamic viscosity [Pa s].
+    The column is 1 m wide (a = 1 m), which is divided into `cells` cells, and 2 m high. The
+    viscosity is dynamic [Pa s].
     """
     width, unit = 2 / cells, math.sqrt(1 / (2 * GRAVITY))
     x = fill((1, width, 2), cells)

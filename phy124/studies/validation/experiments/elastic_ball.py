@@ -61,10 +61,8 @@ class Law:
 def fit_law(nu: float, *, whole: bool) -> Law:
     """Fit a contact-force law to finite-element results for a neo-Hookean ball.
 
-    Args:
-        nu: Poisson's ratio.
-        whole: True for a ball on one plate, pressed against the plate by its inertia; False for a
-            ball between two plates.
+    A `whole` ball lies on one plate, pressed against the plate by its inertia; otherwise, the ball
+    is between two plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]
@@ -90,9 +88,8 @@ class Mesh:
 def make_mesh(fine: int, *, whole: bool) -> Mesh:
     """Divide the ball's cross-section into quadrilaterals along circles and rays.
 
-    Args:
-        fine: Number of elements along the radius.
-        whole: True for the whole ball; False for its upper half, with z = 0 as symmetry plane.
+    There are `fine` elements along the radius. Without `whole`, the mesh is the upper half of the
+    ball, with z = 0 as symmetry plane.
     """
     many = (3 if whole else 2) * fine
     turn = _towards_zero(many) * math.pi / (1 if whole else 2)
@@ -146,15 +143,11 @@ class Elements:
         return cls(gradient.reshape(*r.shape, 5, 8), volume, dofs, weights)
 
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
-        """Return the internal forces for the displacements u, and the element stiffness matrices.
+        """Return the forces [2N] of displacements u, and the stiffness matrices of the elements
+        [M,8,8].
 
-        Args:
-            u: Displacements [2N], optionally followed by other unknowns.
-            mu: Shear modulus mu, divided by E.
-            lam: Lame parameter lambda, divided by E.
-
-        Returns:
-            The forces [2N], and the derivatives of each element's forces [M,8,8].
+        The displacements [2N] may be followed by other unknowns. The Lame parameters mu and lam are
+        divided by E.
         """
         F = np.zeros((*self.volume.shape, 3, 3))
         i, j = PAIRS

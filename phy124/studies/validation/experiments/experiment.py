@@ -79,13 +79,7 @@ class Experiment:
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of a function in an interval; the function must change its sign there.
-
-    Args:
-        function: Function of one number.
-        low: Lower end of the interval.
-        high: Upper end of the interval.
-    """
+    """Return the zero of a function between `low` and `high`, where its signs must differ."""
     from scipy.optimize import brentq
 
     return float(brentq(function, low, high))  # pyright: ignore[reportArgumentType]

@@ -85,12 +85,7 @@ def turning_time(of: Law) -> float:
 
 
 def measure(cells: int, *, stiffer: float = 1.0) -> Values:
-    """Measure the forces and the turning time, relative to Hertz's theory.
-
-    Args:
-        cells: Cells across the radius.
-        stiffer: Factor on E, for the control.
-    """
+    """Measure the forces and the turning time, relative to Hertz's theory; `stiffer` scales E."""
     time = (
         restitution.bounce(cells, 0.0, restitution.SHALLOW, stiffer=stiffer).turning
         / restitution.solve_theory(0.0, restitution.SHALLOW, Law(0.0)).turning

@@ -34,12 +34,7 @@ SIMILARITY = (1024 / (81 * np.pi**3)) ** 0.125
 
 
 def fill(size: tuple[float, float, float], cells: int) -> NDArray[Any]:
-    """Return positions [P,3], m, of eight particles per cell in a box with a corner at the origin.
-
-    Args:
-        size: Sides of the box [m].
-        cells: Cells per metre.
-    """
+    """Return positions [P,3], m, of eight particles per cell in a box from the origin to `size`."""
     step = 0.5 / cells
     return lattice([round(side / step) for side in size], step)
 
@@ -72,11 +67,9 @@ def frequency() -> float:
 
 
 def slosh(cells: int, depth: float) -> Values:
-    """Excite the first mode in a tank 1 m long, and measure its frequency and the final height.
+    """Excite the first mode of water of a depth [m] in a tank 1 m long.
 
-    Args:
-        cells: Cells across the tank's length.
-        depth: Depth of the water [m].
+    Return the frequency [Hz], and the final height of the centre of mass / depth.
     """
     width = 4 / cells
     x = fill((1, width, depth), cells)
@@ -97,12 +90,9 @@ def slosh(cells: int, depth: float) -> Values:
 
 
 def fall(cells: int, viscosity: float) -> Values:
-    """Let a liquid slab fall between no-slip plates; measure its speed in the middle and near a
-    plate.
+    """Let a liquid slab fall between no-slip plates, with `cells` cells across the gap.
 
-    Args:
-        cells: Cells across the gap.
-        viscosity: Dynamic viscosity [Pa s].
+    Return its speeds in the middle and across the gap [m/s]. The viscosity is dynamic [Pa s].
     """
     fine, width = round(cells / GAP), 4 * GAP / cells
     plates = [
@@ -133,14 +123,10 @@ def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
     """Let a heap spread on a no-slip floor; return the prefactor and the exponent of its radius.
 
     The heap starts at time t0 from the similarity solution, with the height `(1 - r^2 /
-    R^2)^(1/3)`. The heap's radius is sqrt(7/3) times the root mean square of the particles'
-    distances from the axis. This is exact for the similarity solution. One quarter of the heap is
-    simulated.
-
-    Args:
-        cells: Cells across the height at the start.
-        viscosity: Kinematic viscosity [m^2/s].
-        longer: Ratio of the last time to t0.
+    R^2)^(1/3)`, and spreads until `longer` times t0. The heap's radius is sqrt(7/3) times the root
+    mean square of the particles' distances from the axis. This is exact for the similarity
+    solution. One quarter of the heap is simulated, with `cells` cells across its initial height.
+    The viscosity is kinematic [m^2/s].
     """
     x = fill((RADIUS, RADIUS, 1.0), cells)
     x = x[x[:, 2] ** 3 < 1 - (x[:, 0] ** 2 + x[:, 1] ** 2) / RADIUS**2]

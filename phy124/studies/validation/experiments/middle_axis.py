@@ -33,16 +33,10 @@ def moments(edges: Sequence[float]) -> NDArray[np.float64]:
 
 
 def find_turns(times: NDArray, spins: NDArray) -> Values:
-    """Return the times of the first two flips [s].
+    """Return the times of the first two flips [s]; NaN for a flip that does not occur.
 
-    At a flip, the spin about the axis of intermediate inertia is zero.
-
-    Args:
-        times: Times of the samples [T], s.
-        spins: Angular velocities about the body's axis of intermediate inertia [T], rad/s.
-
-    Returns:
-        Two times; NaN for a flip that does not occur.
+    At a flip, the spin about the body's axis of intermediate inertia is zero. The spins [T] are
+    sampled at `times` [T], s.
     """
     turns = find_zeros(times, spins)[:2]
     return (*turns.tolist(), *[float("nan")] * (2 - len(turns)))
@@ -75,12 +69,7 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def tumble(cells: int, edges: Sequence[float]) -> Values:
-    """Simulate the body, and measure its flips and the conservation of energy and momentum.
-
-    Args:
-        cells: Cells across the shortest edge.
-        edges: Edges of the body [m].
-    """
+    """Simulate a body with these edges [m]; `cells` is the number of cells across `EDGES[2]`."""
     dx = EDGES[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
     x = lattice(counts, dx / 2, [-n * dx / 4 for n in counts])

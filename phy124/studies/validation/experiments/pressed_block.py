@@ -32,10 +32,7 @@ PRESS, HOLD = 0.5, 1.0
 def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
     """Return the axial and the lateral Cauchy stress of a neo-Hookean block, divided by E.
 
-    Args:
-        axial: Stretch along the axis.
-        lateral: Stretch normal to the axis.
-        nu: Poisson's ratio.
+    `axial` and `lateral` are the stretches along the axis and normal to it.
     """
     mu, lam = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
     J = axial * lateral**2

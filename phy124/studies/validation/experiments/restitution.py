@@ -86,10 +86,8 @@ def duration(depth: float) -> float:
 def solve_theory(loss: float, depth: float, law: Law) -> Bounce:
     """Integrate the motion of a ball under the contact force `max(0, F + loss dF/dt)`.
 
-    Args:
-        loss: damping / mu, in units of Hertz's contact time.
-        depth: Maximum depth by Hertz's law without loss, relative to the radius.
-        law: The force F.
+    `loss` is damping / mu, in units of Hertz's contact time. `depth` is the maximum depth by
+    Hertz's law without loss, relative to the radius. `law` is the force F.
     """
     from scipy.integrate import solve_ivp
 

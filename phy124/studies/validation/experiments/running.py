@@ -57,10 +57,8 @@ def run_all(
 ) -> Iterator[Outcome]:
     """Run experiments, and yield the outcome of each experiment as soon as it is complete.
 
-    Args:
-        experiments: The experiments to run.
-        jobs: Number of processes; 1: all runs are executed in this process.
-        progress: Called with ("validate", finished runs, all runs); may raise Cancelled.
+    With one job, all runs are executed in this process. `progress` is called with ("validate",
+    finished runs, all runs) and may raise Cancelled.
     """
     longest = sorted(experiments, key=lambda experiment: -experiment.seconds)
     todo = [run for experiment in longest for run in list_runs(experiment)]
@@ -79,12 +77,7 @@ def run_all(
 
 
 def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
-    """Return the outcome of an experiment from the results of its runs.
-
-    Args:
-        experiment: The experiment.
-        measured: The results of all runs of the experiment, in any order.
-    """
+    """Return the outcome of an experiment from the results of all its runs, in any order."""
     seconds = sum(result.seconds for result in measured)
     failures = tuple(result.failure for result in measured if result.failure)
     if failures:

@@ -38,26 +38,19 @@ DURATION = 6.0
 
 
 def plane_strain(angle: float) -> float:
-    """Convert a Mohr-Coulomb angle of friction in plane strain to `friction_angle` of `sand`.
+    """Convert a Mohr-Coulomb angle of friction in plane strain to `friction_angle` of `sand`
+    [degrees].
 
     The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two principal stresses are equal.
     In plane strain, the middle principal stress is the mean of the two others. For such stresses
     `sin(angle) = 2 sqrt(3) s / (3 - s)`, where s is the sine of `friction_angle`.
-
-    Args:
-        angle: Angle of friction in plane strain [degrees].
     """
     sine = math.sin(math.radians(angle))
     return math.degrees(math.asin(3 * sine / (2 * math.sqrt(3) + sine)))
 
 
 def run_out(aspect: float, law: tuple[float, float, float]) -> float:
-    """Return the experimental run-out of a column, relative to its width.
-
-    Args:
-        aspect: Initial height / width.
-        law: Coefficients (l1, l2, a0) of the run-out law.
-    """
+    """Return a column's run-out / width by a law (l1, l2, a0); `aspect` is its height / width."""
     linear, power, change = law
     return linear * aspect if aspect < change else power * aspect ** (2 / 3)
 
@@ -72,12 +65,9 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def collapse(cells: int, aspect: float, angle: float) -> float:
-    """Measure the run-out of a column, relative to its width.
+    """Measure the run-out of a column, relative to its width, for sand with a `friction_angle`.
 
-    Args:
-        cells: Cells across a square with the column's area.
-        aspect: Initial height / width.
-        angle: `friction_angle` of the sand [degrees].
+    `cells` is the number of cells across a square with the column's area.
     """
     across, height = round(2 * cells / math.sqrt(aspect)), aspect * WIDTH
     dx = 2 * WIDTH / across

@@ -23,14 +23,9 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def strike(cells: int, copper: Metal) -> Values:
-    """Simulate a quarter of the bar, and measure its length and impact face after the impact.
+    """Simulate a quarter of the bar, with `cells` cells across its radius.
 
-    Args:
-        cells: Cells across the radius.
-        copper: Material of the bar.
-
-    Returns:
-        The length of the bar, and the radius of its impact face [mm].
+    Return the length of the bar, and the radius of its impact face after the impact [mm].
     """
     dx = RADIUS / cells
     count = round(2 * LENGTH / dx)

@@ -24,8 +24,7 @@ LIMIT = STREAM - GRAVITY / RATE
 def way(time: float) -> float:
     """Return the exact upward displacement [m]: `(u - g / rate) (t - (1 - exp(-rate t)) / rate)`.
 
-    Args:
-        time: Time in units of 1 / rate.
+    The time t is in units of 1 / rate.
     """
     return LIMIT / RATE * (time - 1 + math.exp(-time))
 
@@ -40,14 +39,9 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def blow(cells: int, rate: float) -> Values:
-    """Simulate the falling block, and measure its displacements and final velocity.
+    """Simulate the falling block, with `cells` cells across it and a rate of drag [1/s].
 
-    Args:
-        cells: Cells across the block.
-        rate: Rate of the drag [1/s].
-
-    Returns:
-        The upward displacement at each time [m], and the final upward velocity [m/s].
+    Return the upward displacement at each time [m], and the final upward velocity [m/s].
     """
     dx = 0.4 / cells
     x = lattice((2 * cells,) * 3, dx / 2)

@@ -61,11 +61,8 @@ def exact_period() -> float:
 
 
 def roll(cells: int, gravity: float) -> float:
-    """Measure a ball's acceleration down a slope, relative to standard gravity.
-
-    Args:
-        cells: Cells across the ball.
-        gravity: Strength of gravity [m/s^2].
+    """Measure a ball's acceleration down a slope, with `cells` cells across it, in standard
+    gravity.
     """
     dx, angle = 2 * RADIUS / cells, math.atan(SLOPE)
     centre = np.array([0.0, 0.0, RADIUS])
@@ -84,12 +81,7 @@ def roll(cells: int, gravity: float) -> float:
 
 
 def swing(cells: int, gravity: float) -> float:
-    """Measure the period of a plate that hangs from a hinge [s].
-
-    Args:
-        cells: Cells along the plate.
-        gravity: Strength of gravity [m/s^2].
-    """
+    """Measure the period of a plate [s], `cells` cells long, that hangs from a hinge."""
     dx, edges = PLATE[0] / cells, np.array(PLATE)
 
     def distance(x: NDArray) -> NDArray[np.float64]:

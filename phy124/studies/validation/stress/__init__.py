@@ -67,21 +67,13 @@ __all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "find_cases", 
 
 
 def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
-    """Return a setting for each precision and device.
-
-    Args:
-        device: Warp's name of one device; None: the CPU and all CUDA devices.
-        long: Whether the cases run at full length.
-    """
+    """Return a setting for each precision on a device; if None, on the CPU and on each GPU."""
     devices = [device] if device else ["cpu", *map(str, wp.get_cuda_devices())]
     return [Setting(d, p, long) for d in devices for p in ("float32", "float64")]
 
 
 def find_cases(names: Sequence[str]) -> list[Case]:
-    """Return the cases with these names, by number; all cases if there are no names.
-
-    Args:
-        names: For each case its number, or words from its name.
+    """Return the cases with these numbers, or these words in their names; all cases without names.
 
     Raises:
         InputError: A name fits no case.

@@ -42,24 +42,14 @@ def body(
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a rotation about the body's centre.
-
-    Args:
-        x: Positions [P,3], m.
-        omega: Angular velocity [3], rad/s.
-    """
+    """Return v [P,3] and C [P,3,3] of a rotation `omega` [3], rad/s, about the mean of x [P,3]."""
     wx, wy, wz = omega
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a uniform, volume-preserving extension along x.
-
-    Args:
-        x: Positions [P,3], m.
-        strain_rate: Strain rate along x [1/s].
-    """
+    """Return v [P,3] and C [P,3,3] of a volume-preserving extension along x; its rate is in 1/s."""
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
@@ -93,15 +83,10 @@ def stable_dt(solver: Solver) -> float:
 
 
 def steps(solver: Solver, count: int, dt: float) -> None:
-    """Take substeps of fixed length.
+    """Take `count` substeps of length `dt` [s].
 
     The first substep of a run advances velocities by half a substep, as leapfrog integration
     requires.
-
-    Args:
-        solver: The solver to advance.
-        count: Number of substeps.
-        dt: Length of a substep [s].
     """
     for k in range(count):
         solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)

@@ -41,10 +41,7 @@ class Impact(NamedTuple):
 def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
     """Simulate the impact of a cube, face-on, on a frictionless floor.
 
-    Args:
-        mach: Speed of the cube divided by its speed of sound.
-        material: Material of the cube.
-        setting: Device and precision.
+    The cube's speed is `mach` times its speed of sound.
     """
     mu, lam = material.lame
     sound = math.sqrt((lam + 2 * mu) / material.density)

@@ -40,13 +40,7 @@ IMPOSSIBLE = {
 
 
 def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array, Array]:
-    """Return the stress [N,3,3], the modulus [N] and the projected F [N,3,3] of a material.
-
-    Args:
-        material: The material.
-        F: Deformation gradients [N,3,3].
-        setting: Device and precision.
-    """
+    """Return the stress [N,3,3], the modulus [N] and the projected F [N,3,3] of a material."""
     real, law = PRECISIONS[setting.precision], material.device_law
     t, n = types(real), len(F)
 

@@ -186,13 +186,7 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """Simulate a block that rests on a lighter block.
-
-    Args:
-        ratio: Ratio of the upper block's mass to the lower block's mass.
-        setting: Device and precision.
-        until: Duration [s].
-    """
+    """Simulate, for a time [s], a block that rests on a block with a mass `ratio` times smaller."""
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
