@@ -142,13 +142,14 @@ def touched(
     everywhere = launches[0]
     if order is not None:
         launches = [(wp.vec3i(*node), (1, 1, 1)) for node in order.tolist()]
-    values = wp.zeros(1, dtype=wp.vec4d, device="cpu")
+    values = wp.array([(0, 0, 0, 1)], dtype=wp.vec4d, device="cpu")  # at rest, and active
+    rates = wp.zeros(1, dtype=wp.vec4d, device="cpu")
     shape = wp.mat33d(*np.ravel(wall.geometry(None)))
     for start, dim in launches:
         dim, each = along_rows(dim, "cpu" if rows else "cuda")
         inputs = [shape, 0.4, -0.15 * DX, 0, start, each, wp.vec2i(0, SIZE), np.inf, 0.9, -np.inf]
-        inputs += [grid.lattice, grid.window, values, values]
-        made = collide.make_contact(wall.outline(), "separate", False, wp.float64)
+        inputs += [grid.lattice, grid.window, values, rates]
+        made = collide.make_contact(wall.outline(), "separate", wp.float64)
         wp.launch(made, dim, inputs, [grid.nodes, grid.changes], device="cpu")
     settle, (start, dim) = collide.make_settle(wp.float64), everywhere
     wp.launch(settle, dim, [start, grid.window], [grid.changes, grid.nodes], device="cpu")

@@ -66,7 +66,7 @@ def test_grid_and_pushes_compile_for_cuda(tmp_path):
         "measure": measure.make_measure(NeoHookean().device_law, wp.float32),
         "timestep": timestep.make_timestep(wp.float32),
         "accelerate": forces.make_accelerate(wp.float32, True),
-        "contact": collide.make_contact("box", "separate", True, wp.float32),
+        "contact": collide.make_contact("box", "separate", wp.float32),
     }
     for name, kernel in kernels.items():
         (tmp_path / name).mkdir()

@@ -18,7 +18,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.collide import FLAT, make_collider, make_contact, make_settle
 from phy124.kernels.reduction import along_rows
 from phy124.mpm import Grid, Model, Stage, State
-from phy124.mpm.tracks import Track, Tracks
+from phy124.mpm.tracks import STILL, Track, Tracks
 from phy124.schema.bounds import Name
 from phy124.schema.region import Vector
 from phy124.schema.section import Section
@@ -146,12 +146,12 @@ class Boundary(Section):
         """Return the kernels of the boundary's walls on a grid of spacing `dx` [m]."""
         overlap = any(part.columns_overlap(dx) for part in self.parts())
         settle = [make_settle(real)] if overlap else []
-        return [part.kernel(real, dx, moving=part.tracked) for part in self.parts()] + settle
+        return [part.kernel(real, dx) for part in self.parts()] + settle
 
-    def kernel(self, real: Any, dx: float, *, moving: bool) -> Any:
+    def kernel(self, real: Any, dx: float) -> Any:
         """Return the kernel of a simple wall."""
         make = make_contact if self.at_surface(dx) else make_collider
-        return make(self.outline(), self.response(), moving, real)
+        return make(self.outline(), self.response(), real)
 
     def gentler(self) -> dict[str, Any]:
         """Return new values of the fields that halve the boundary's strength."""
@@ -204,8 +204,7 @@ class Boundary(Section):
         """
         self.refuse_thin(model)
         del state
-        track = self.track(model)
-        slot = None if track is None else tracks.add(track)
+        slot = tracks.add(self.track(model) or STILL)
         name, recorders = type(self).__name__.lower(), [self._recorder(model, tracks, slot)]
         if self.columns_overlap(model.dx):
             recorders = SWEEPS * [*recorders, self._settler(model)]
@@ -268,13 +267,13 @@ class Boundary(Section):
         bounds, track = self.bounds(model), self.track(model)
         return bounds if track is None else swept(bounds, track)
 
-    def _recorder(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
+    def _recorder(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
         """Return the function that records the wall's kernel launch; `slot` is the slot of the
         track.
         """
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
-        kernel = self.kernel(model.real, model.dx, moving=slot is not None)
+        kernel = self.kernel(model.real, model.dx)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)
@@ -291,9 +290,9 @@ class Boundary(Section):
 
         return record
 
-    def _updater(self, model: Model, tracks: Tracks, slot: int | None) -> Recorder:
+    def _updater(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
         """Return the function that records one launch for both a flat wall and the grid update."""
-        moving, bounds = slot is not None, self._swept_bounds(model)
+        bounds = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
             start, extent = grid.nodes_within(*bounds)
@@ -301,7 +300,7 @@ class Boundary(Section):
                 return None
             # The kernel is created here, since most runs on a CPU never need it.
             shape, response = self.outline(), self.response()
-            kernel = make_contact(shape, response, moving, model.real, updating=True)
+            kernel = make_contact(shape, response, model.real, updating=True)
             box = [wp.vec3i(*corner.tolist()) for corner in (start, extent)]
             inputs = [*self._wall(model, slot), *box, *_columns(model, grid), grid.lattice]
             inputs += [grid.window, tracks.clock, tracks.values, tracks.rates, grid.momenta]
@@ -310,13 +309,13 @@ class Boundary(Section):
 
         return record
 
-    def _wall(self, model: Model, slot: int | None) -> list[Any]:
+    def _wall(self, model: Model, slot: int) -> list[Any]:
         """Return the kernel inputs that describe the wall: shape, friction, reach, and the track's
         slot.
         """
         shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
         reach = self.reach(model.dx)
-        return [shape, self.friction, REACH * model.dx if reach is None else reach, slot or 0]
+        return [shape, self.friction, REACH * model.dx if reach is None else reach, slot]
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -9,7 +10,7 @@ from pydantic import Field, model_validator
 
 from phy124.boundaries.base import Contact, Corners, Movable, Rest, box_of, half_bounds, vector
 from phy124.mpm import Model
-from phy124.mpm.tracks import Track
+from phy124.mpm.tracks import STILL, Track
 from phy124.schema.bounds import LONGEST, SHORTEST, Position
 from phy124.schema.region import AxisName, Vector, cylinder
 
@@ -36,9 +37,7 @@ class Clamp(Movable):
         track = super().track(model)
         if self.end is None:
             return track
-        if track is None:
-            return Track(((0.0, (0.0, 0.0, 0.0)),), end=self.end)
-        return Track(track.keys, track.start, self.end, track.origin, track.period, track.mean)
+        return replace(track or STILL, end=self.end)
 
     @property
     def tracked(self) -> bool:

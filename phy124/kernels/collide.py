@@ -105,18 +105,18 @@ def make_settle(real: Any):
 
 
 @build_once
-def make_contact(shape: str, response: str, moving: bool, real: Any, updating: bool = False):
+def make_contact(shape: str, response: str, real: Any, updating: bool = False):
     """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
     Each thread handles `each` consecutive nodes of a row. The thread of a column's first node
     handles all three nodes of the column. A node with a signed distance below `reach` [m] responds
     alone if it lies too far behind the wall for a column, or if its column has no material in front
     of the wall. Nodes also respond alone in columns that extend beyond `span`, the layers first <=
-    i < last that this launch may change. While the track of a moving shape is active, the shape is
-    displaced by the track's value, and the wall moves at the track's rate. `lightest` is the mass
-    of a fully covered node in the lightest of several materials [kg], or infinite. `full` is the
-    fraction of the expected mass above which material counts as touching the wall. In columns that
-    the wall does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
+    i < last that this launch may change. While the track `slot` is active, the shape is displaced
+    by the track's value, and the wall moves at the track's rate. `lightest` is the mass of a fully
+    covered node in the lightest of several materials [kg], or infinite. `full` is the fraction of
+    the expected mass above which material counts as touching the wall. In columns that the wall
+    does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
     changes `grid_out`; other walls change `changes_out` (see `make_settle`).
 
     If `updating` is set, one kernel performs both a flat wall and the grid update. The kernel reads
@@ -127,7 +127,6 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     Args:
         shape: Name of a distance function.
         response: Name of a response.
-        moving: Whether the shape has a track.
         real: wp.float32 or wp.float64.
         updating: Whether the kernel includes the grid update.
     """
@@ -135,7 +134,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
     distance = SHAPES[shape]
     answer, acts, ratios, pushes, hold = RESPONSES[response]
     flat = shape in FLAT
-    name = f"phy124_contact_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
+    name = f"phy124_contact_{shape}_{response}_{real.__name__}"
     name += "_update" * updating
 
     @wp.func
@@ -309,14 +308,7 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                 here = start + node_at(wp.tid(), extent)
             elif in_box(here - start, extent):
                 return
-            moved = t.vec3()
-            wall = t.vec3()
-            active = real(1.0)
-            if wp.static(moving):
-                moved = xyz(values[slot])
-                wall = xyz(rates[slot])
-                active = values[slot][3]
-            if n < 0 and active > real(0.0):
+            if n < 0 and values[slot][3] > real(0.0):
                 respond(
                     here,
                     geometry,
@@ -326,8 +318,8 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
                     lightest,
                     full,
                     loose,
-                    moved,
-                    wall,
+                    xyz(values[slot]),
+                    xyz(rates[slot]),
                     lattice,
                     window[0],
                     size,
@@ -363,14 +355,9 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
         changes_out,
     ):
         i, j, part = wp.tid()
-        moved = t.vec3()
-        wall = t.vec3()
-        active = real(1.0)
-        if wp.static(moving):
+        if values[slot][3] > real(0.0):
             moved = xyz(values[slot])
             wall = xyz(rates[slot])
-            active = values[slot][3]
-        if active > real(0.0):
             for k in range(part * each, part * each + each):
                 respond(
                     wp.vec3i(i, j, k) + start,
@@ -397,23 +384,20 @@ def make_contact(shape: str, response: str, moving: bool, real: Any, updating: b
 
 
 @build_once
-def make_collider(shape: str, response: str, moving: bool, real: Any):
+def make_collider(shape: str, response: str, real: Any):
     """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside the wall's
     shape.
 
-    A node counts as inside if its signed distance is below `reach` [m]. While its track is active,
-    a moving shape is displaced by the value of the track. The wall of the shape moves at the rate
-    of the track.
+    A node counts as inside if its signed distance is below `reach` [m]. While the track `slot` is
+    active, the shape is displaced by the track's value, and the wall moves at the track's rate.
 
     Args:
         shape: Name of a distance function.
         response: Name of a response.
-        moving: Whether the shape has a track.
         real: wp.float32 or wp.float64.
     """
-    t = types(real)
     distance, answer = SHAPES[shape], RESPONSES[response].answer
-    name = f"phy124_collide_{shape}_{response}_{'moving' if moving else 'still'}_{real.__name__}"
+    name = f"phy124_collide_{shape}_{response}_{real.__name__}"
 
     @kernel(name, real, seconds=0.4)
     def collide(
@@ -434,16 +418,9 @@ def make_collider(shape: str, response: str, moving: bool, real: Any):
         if node[0] < size[0] and node[1] < size[1] and node[2] < size[2]:
             n = wp.dot(node, strides(size))
             q = grid_out[n]
-            x = place(lattice, window[0] + node)
-            wall = t.vec3()
-            active = real(1.0)
-            if wp.static(moving):
-                x -= xyz(values[slot])
-                wall = xyz(rates[slot])
-                active = values[slot][3]
-            s = distance(x, geometry)
-            if active > real(0.0) and q[3] > real(0.0) and s[3] < reach:
-                v = answer(xyz(q), wall, xyz(s), friction)
+            s = distance(place(lattice, window[0] + node) - xyz(values[slot]), geometry)
+            if values[slot][3] > real(0.0) and q[3] > real(0.0) and s[3] < reach:
+                v = answer(xyz(q), xyz(rates[slot]), xyz(s), friction)
                 grid_out[n] = wp.vector(v[0], v[1], v[2], q[3])
 
     return collide

@@ -21,7 +21,7 @@ from phy124.kernels.lattice.nodes import make_hold, make_pin
 from phy124.lattice.impulses import Impulses
 from phy124.lattice.rest import RestLattice, splines
 from phy124.mpm.model import Model
-from phy124.mpm.tracks import Track, Tracks
+from phy124.mpm.tracks import STILL, Tracks
 
 HELD = 0.5
 """A clamped node within this distance of the clamp's surface [cells] moves opposite to its free
@@ -32,8 +32,6 @@ INSET = 0.2
 vanishes at a surface is also flat there. A plate that is clamped at the surface would therefore be
 too short by about this depth.
 """
-STILL = Track(((0.0, (0.0, 0.0, 0.0)),))
-"""Track of walls that never move."""
 
 
 class Clamp:

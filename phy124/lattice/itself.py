@@ -153,7 +153,7 @@ class Meeting:
         )
         tail = [nodes.movable, gap, yields, clock, self._tracks.rates]
         resist = model.launch(
-            make_resist(self._response, False, real, nodes.rows),
+            make_resist(self._response, real, nodes.rows),
             1,
             [every, 0, self._restore, self._friction, 0, pairs["nodes"], pairs["weights"], *tail],
             [nodes.v, pairs["force"]],

@@ -42,7 +42,7 @@ from phy124.lattice.surface import Surface
 from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
-from phy124.mpm.tracks import Tracks
+from phy124.mpm.tracks import STILL, Tracks
 
 REACH = 0.6
 """Largest distance from a wall at which contact is computed [cells]."""
@@ -301,11 +301,11 @@ class _Contact:
         division: Division,
         sums: wp.array,
     ) -> None:
-        t, track = types(model.real), part.track(model)
+        t = types(model.real)
         self._model, self._points, self._nodes, self._tracks = model, points, nodes, tracks
-        self._part, self._sums, self._moving = part, sums, track is not None
+        self._part, self._sums = part, sums
         self._division = division
-        self._slot = 0 if track is None else tracks.add(track)
+        self._slot = tracks.add(part.track(model) or STILL)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._affected = acts_on(part, model, points.body)
@@ -343,7 +343,7 @@ class _Contact:
         points, tracks, rows = self._points, self._tracks, self._nodes.rows
         inputs = [self._shape, self._slot, points.nodes, points.weights, points.rest]
         inputs += [self._nodes.u, tracks.values]
-        kernel = make_reach(self._part.outline(), self._moving, self._model.real, rows)
+        kernel = make_reach(self._part.outline(), self._model.real, rows)
         return self._division.record(kernel, points.count, inputs, [self._gaps])
 
     def list_near(self, approach: float) -> None:
@@ -384,7 +384,7 @@ class _Contact:
             self._of_each.append(passed.of(self._list, points, self.force, self._sums))
         self._of_all = [self._touch(), self._resist()]
         if work is not None:
-            known = self._gap, self.force, self._slot if self._moving else 0
+            known = self._gap, self.force, self._slot
             self._of_all.append(work.of(WALLS, self._list, points, *known))
         (yields, *sums), (first, second, *works) = self._of_each, self._of_all
         # Responses of all points; they change only if clamps fix or release nodes.
@@ -418,7 +418,7 @@ class _Contact:
             tracks.values,
         ]  # fmt: skip
         outputs = [nodes.v, self._gap, self._place, self.force]
-        kernel = make_touch(self._part.outline(), self._moving, model.real, nodes.rows)
+        kernel = make_touch(self._part.outline(), model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
     def _resist(self) -> wp.Launch:
@@ -430,7 +430,7 @@ class _Contact:
             self._list, 0, restore, self._part.friction, self._slot, points.nodes,
             points.weights, nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
         ]  # fmt: skip
-        kernel = make_resist(response, self._moving, model.real, nodes.rows)
+        kernel = make_resist(response, model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
     def _account(self) -> wp.Launch:
@@ -457,7 +457,7 @@ def kernels(
     yield from (
         make_place(real, rows),
         make_meet(real, rows),
-        make_resist("separate", False, real, rows),
+        make_resist("separate", real, rows),
     )
     yield make_flag_simd() if rows is SIMD else make_flag(real)
     yield from (make_expose(real, rows), make_partner(real))
@@ -470,6 +470,6 @@ def kernels(
                 yield make_distances(part.outline(), real)
             else:
                 yield from (make_account(real, rows), make_yields(real, rows))
-                yield make_reach(part.outline(), part.tracked, real, rows)
-                yield make_touch(part.outline(), part.tracked, real, rows)
-                yield make_resist(part.response(), part.tracked, real, rows)
+                yield make_reach(part.outline(), real, rows)
+                yield make_touch(part.outline(), real, rows)
+                yield make_resist(part.response(), real, rows)

@@ -242,6 +242,10 @@ class Track:
         return np.stack([np.interp(since, at, column) for column in keys.T], axis=1)
 
 
+STILL = Track.constant((0.0, 0.0, 0.0))
+"""Track of a wall that never moves."""
+
+
 class Tracks:
     """All tracks of a run on one device; slot 0 is the sum of the uniform accelerations."""
 

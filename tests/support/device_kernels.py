@@ -63,7 +63,7 @@ def of_law(law: Law, real: Any = wp.float32) -> dict[str, Any]:
 
 
 def others(real: Any = wp.float32) -> Iterator[Named]:
-    """Yield the kernels for all laws, and those of moving walls."""
+    """Yield the kernels for all laws, and those of walls."""
     makers = (
         grid.make_update, grid.make_merge, grid.make_grid_speed, profile.make_sampler,
         measure.make_measure_speeds, timestep.make_timestep,
@@ -81,10 +81,10 @@ def others(real: Any = wp.float32) -> Iterator[Named]:
         yield make.__name__.removeprefix("make_"), make(real)
     yield "accelerate", forces.make_accelerate(real, True)
     for shape, response in product(collide.SHAPES, ("separate", "sticky")):
-        yield f"contact {shape}, {response}", collide.make_contact(shape, response, True, real)
+        yield f"contact {shape}, {response}", collide.make_contact(shape, response, real)
     for shape in ("box", "cylinder", "half_space"):
-        yield f"contact {shape}, held", collide.make_contact(shape, "held", True, real)
-    yield "collide box, slip", collide.make_collider("box", "slip", True, real)
+        yield f"contact {shape}, held", collide.make_contact(shape, "held", real)
+    yield "collide box, slip", collide.make_collider("box", "slip", real)
     lists = project.sum_columns, project.count_splats, project.start_lists, project.bin_parallel
     for module in (project.project, *lists, blend.blend_pixels, blend.quantise):
         yield module.key, module

@@ -48,7 +48,7 @@ phy124/kernels/work.py.
 
 
 @build_once
-def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
+def make_touch(shape: str, real: Any, rows: Rows):
     """Single-thread kernel: finds the points near a wall, and applies the impulses of the last
     substep.
 
@@ -59,7 +59,6 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
 
     Args:
         shape: Name of a distance function.
-        moving: Whether the wall has a track.
         real: wp.float32 or wp.float64.
         rows: Functions on the nodes of a point.
     """
@@ -67,13 +66,7 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
     moved_by, strike = rows.moved_by, rows.strike
     distance = SHAPES[shape]
 
-    kind = f"{shape}_{'moving' if moving else 'still'}"
-
-    @kernel(
-        f"phy124_lattice_touch_{kind}_{rows.name}{real.__name__}",
-        real,
-        seconds=0.6,
-    )
+    @kernel(f"phy124_lattice_touch_{shape}_{rows.name}{real.__name__}", real, seconds=0.6)
     def touch(
         near: Ints,
         count,
@@ -93,11 +86,8 @@ def make_touch(shape: str, moving: bool, real: Any, rows: Rows):
         place_out: t.vec3s,
         force_out: t.vec3s,
     ):
-        moved = t.vec3()
-        active = real(1.0)
-        if wp.static(moving):
-            moved = wp.vector(values[slot][0], values[slot][1], values[slot][2])
-            active = values[slot][3]
+        moved = xyz(values[slot])
+        active = values[slot][3]
         for a in range(count):
             s = near[a]
             y = rest[s] + moved_by(u, nodes, weights, s)
@@ -146,26 +136,22 @@ def make_yields(real: Any, rows: Rows):
 
 
 @build_once
-def make_resist(response: str, moving: bool, real: Any, rows: Rows):
+def make_resist(response: str, real: Any, rows: Rows):
     """Single-thread kernel: one forward and one backward projected Gauss-Seidel sweep over the
     points near a wall.
 
+    The wall moves at the rate of the track `slot`. Slot 0 has no rate, so pairs of points, for
+    which `gap` is relative to the opposite position, use slot 0.
+
     Args:
         response: separate (may leave, with friction), slip (stays without friction) or sticky.
-        moving: Whether the wall has a track.
         real: wp.float32 or wp.float64.
         rows: Functions on the nodes of a point.
     """
     t = types(real)
     moved_by, strike, limit = rows.moved_by, rows.strike, LIMITS[response]
 
-    kind = f"{response}_{'moving' if moving else 'still'}"
-
-    @kernel(
-        f"phy124_lattice_resist_{kind}_{rows.name}{real.__name__}",
-        real,
-        seconds=0.6,
-    )
+    @kernel(f"phy124_lattice_resist_{response}_{rows.name}{real.__name__}", real, seconds=0.6)
     def resist(
         near: Ints,
         count,
@@ -182,9 +168,7 @@ def make_resist(response: str, moving: bool, real: Any, rows: Rows):
         v_out: t.vec3s,
         force_out: t.vec3s,
     ):
-        wall = t.vec3()
-        if wp.static(moving):
-            wall = wp.vector(rates[slot][0], rates[slot][1], rates[slot][2])
+        wall = xyz(rates[slot])
         zero = real(0.0)
         for b in range(2 * count):
             s = near[there_and_back(b, count)]
@@ -390,13 +374,12 @@ def make_account(real: Any, rows: Rows):
 
 
 @build_once
-def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
+def make_reach(shape: str, real: Any, rows: Rows):
     """Kernel over the surface points from `start` on: computes the distance of each point from a
     wall.
 
     Args:
         shape: Name of a distance function.
-        moving: Whether the wall has a track.
         real: wp.float32 or wp.float64.
         rows: Functions on the nodes of a point.
     """
@@ -404,13 +387,7 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
     moved_by = rows.moved_by
     distance = SHAPES[shape]
 
-    kind = f"{shape}_{'moving' if moving else 'still'}"
-
-    @kernel(
-        f"phy124_lattice_reach_{kind}_{rows.name}{real.__name__}",
-        real,
-        seconds=0.4,
-    )
+    @kernel(f"phy124_lattice_reach_{shape}_{rows.name}{real.__name__}", real, seconds=0.4)
     def lattice_reach(
         start: int,
         geometry,
@@ -424,9 +401,7 @@ def make_reach(shape: str, moving: bool, real: Any, rows: Rows):
     ):
         s = start + wp.tid()
         y = rest[s] + moved_by(u, nodes, weights, s)
-        if wp.static(moving):
-            y -= wp.vector(values[slot][0], values[slot][1], values[slot][2])
-        d = distance(y, geometry)
+        d = distance(y - xyz(values[slot]), geometry)
         gap_out[s] = d[3]
 
     return lattice_reach
