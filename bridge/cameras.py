@@ -125,7 +125,6 @@ class Cameras:
         """Place the cameras of a view around a clip, and start the threads that draw their
         pictures.
         """
-        from phy124.rendering.film import rate
         from phy124.rendering.framing import cameras
         from phy124.rendering.render import Renderer
         from phy124.rendering.shine import make_shine
@@ -145,7 +144,7 @@ class Cameras:
             circles = side == "orbit" or (chosen is not None and chosen.kind == "turntable")
             place = _Place(camera_name(side), cameras(clip, view, side), circles)
             if "h264" in wanted:
-                video = H264Encoder(*view.size, rate(clip))
+                video = H264Encoder(*view.size, clip.fps)
                 place.video = self._stack.enter_context(video)
             self._places.append(place)
         count = min(cores(), len(self._draws) * len(self._places))

@@ -15,7 +15,7 @@ from phy124.errors import InputError
 from phy124.io.clip import Clip, read_shape
 from phy124.io.files import staging
 from phy124.io.formats import FORMATS, Format, written_formats
-from phy124.io.sequence import write_ply_sequence
+from phy124.io.sequence import write_sequence
 from phy124.rendering.film import write_player
 from phy124.rendering.shine import drawn_frames
 from phy124.scene import View
@@ -114,7 +114,7 @@ def _html(done: Done, path: Path) -> None:
 def _ply(done: Done, path: Path) -> None:
     clip = Clip.load(done.clip / "clip.safetensors")
     frames = drawn_frames(clip, View.model_validate(clip.scene["view"]))
-    write_ply_sequence(path, clip, name="phy124", frames=frames)
+    write_sequence(path, clip, name="phy124", frames=frames)
 
 
 def _mcap(done: Done, path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from phy124.__main__ import main
 from phy124.errors import InputError
 from phy124.io.files import move_to, replacing, staging
-from phy124.io.sequence import write_ply_sequence
+from phy124.io.sequence import write_sequence
 from support.clips import random_clip
 
 ROOT = hasattr(os, "geteuid") and os.geteuid() == 0
@@ -75,7 +75,7 @@ def test_linked_folders_are_followed(tmp_path):
 def test_an_empty_linked_folder_takes_a_sequence(tmp_path):
     (tmp_path / "disk").mkdir()
     (tmp_path / "frames").symlink_to(tmp_path / "disk")
-    write_ply_sequence(tmp_path / "frames", random_clip(2))
+    write_sequence(tmp_path / "frames", random_clip(2))
     assert (tmp_path / "frames").is_symlink() and len(names(tmp_path / "disk")) > 1
 
 

@@ -14,7 +14,7 @@ from phy124.gaussians import Frame
 from phy124.io.clip import Clip
 from phy124.io.formats.usd import write_usd
 from phy124.io.ply import read_ply
-from phy124.io.sequence import write_ply_sequence
+from phy124.io.sequence import write_sequence
 
 SUPERSPLAT = re.compile(r"(.*?)(\d+)(?:\.compressed)?\.ply$")
 """Pattern by which the SuperSplat editor recognises a sequence: equal first group, rising second
@@ -43,7 +43,7 @@ def check(names, files, clip):
 def test_a_folder_of_numbered_files(tmp_path, clip):
     messages = []
     folder = tmp_path / "out"
-    names = write_ply_sequence(folder, clip, name="duck", progress=lambda *s: messages.append(s))
+    names = write_sequence(folder, clip, name="duck", progress=lambda *s: messages.append(s))
     assert sorted(p.name for p in folder.iterdir()) == names
     check(names, [folder / n for n in names], clip)
     assert messages == [("export", i, 3) for i in (1, 2, 3)]
@@ -53,7 +53,7 @@ def test_a_folder_of_numbered_files(tmp_path, clip):
 
 def test_an_archive(tmp_path, clip):
     path = tmp_path / "duck.ZIP"
-    names = write_ply_sequence(path, clip, name="duck")
+    names = write_sequence(path, clip, name="duck")
     with zipfile.ZipFile(path) as archive:
         assert archive.namelist() == names
         archive.extractall(tmp_path / "unpacked")
@@ -64,7 +64,7 @@ def test_five_digits_for_ten_thousand_frames(tmp_path, three_gaussians, monkeypa
     g = three_gaussians.select(np.array([0]))
     many = Clip.from_frames([Frame(i, i / 24, g) for i in range(10_000)])
     monkeypatch.setattr("phy124.io.sequence.write_ply", lambda file, gaussians: None)
-    names = write_ply_sequence(tmp_path / "out", many)
+    names = write_sequence(tmp_path / "out", many)
     assert names[0] == "frame_00001.ply" and names[-1] == "frame_10000.ply"
     assert names == sorted(names)
 
@@ -76,7 +76,7 @@ def test_cancelling_leaves_nothing(tmp_path, clip, name):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        write_ply_sequence(tmp_path / name, clip, progress=stop)
+        write_sequence(tmp_path / name, clip, progress=stop)
     assert not list(tmp_path.iterdir())
 
 
@@ -91,10 +91,10 @@ def test_refusals(tmp_path, clip):
         ("file", "cannot be created"),
     ):
         with pytest.raises(InputError, match=words):
-            write_ply_sequence(tmp_path / place, clip)
+            write_sequence(tmp_path / place, clip)
     for name in ("", "a/b", "../up"):
         with pytest.raises(InputError, match="cannot begin with this text"):
-            write_ply_sequence(tmp_path / "out", clip, name=name)
+            write_sequence(tmp_path / "out", clip, name=name)
     empty = Clip(
         *(a[:0] for a in (clip.means, clip.quats, clip.scales)),
         clip.opacities,
@@ -102,10 +102,10 @@ def test_refusals(tmp_path, clip):
         clip.times[:0],
     )
     with pytest.raises(InputError, match="no frames"):
-        write_ply_sequence(tmp_path / "out", empty)
+        write_sequence(tmp_path / "out", empty)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "full"]
     (tmp_path / "empty").mkdir()
-    assert len(write_ply_sequence(tmp_path / "empty", clip)) == 3
+    assert len(write_sequence(tmp_path / "empty", clip)) == 3
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from phy124.io.files import staging, write_whole
 from phy124.io.video import Picture, refuse_missing_encoder, write_mp4
 from phy124.metrics.comparison import Likeness, Pictures, check_comparable, compare
 from phy124.progress import Progress
-from phy124.rendering.film import cameras, playback, rate
+from phy124.rendering.film import cameras, playback
 from phy124.rendering.frames import render_frames
 from phy124.runtime.device import pick_device
 from phy124.scene import Scene, View
@@ -101,5 +101,5 @@ def _film(
             measured.add(left, right)
             yield np.concatenate([left, right], axis=1)
 
-    write_mp4(folder / f"{side}.mp4", pairs(), fps=playback(rate(a), view))
+    write_mp4(folder / f"{side}.mp4", pairs(), fps=playback(a.fps, view))
     return measured.likeness(side)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Any, get_args
 
 import tyro
 
@@ -22,12 +22,12 @@ from phy124.io.formats import (
     Format,
     find_written_format,
     read_gaussians,
-    write_frames,
     write_gaussians,
     written_formats,
 )
 from phy124.io.formats.moving_mesh import fit_to_clip, write_moved
 from phy124.io.growing import write_frames_clip
+from phy124.io.sequence import write_sequence
 from phy124.particles.merging import merge_clip_to, merge_to
 from phy124.rendering.shine import drawn_frames, make_shine
 from phy124.scene import Format as Filmed
@@ -173,21 +173,19 @@ class Export:
             raise InputError("out", path, limit, "Give another name by --out.")
 
     def _write(self, clip: Clip, chosen: Format, bars: Bars) -> list[Path]:
-        moving = chosen.write_clip is not None
-        if self.frame is None and moving:
+        if self.frame is None and chosen.write_clip is not None:
             path = self.out or self.clip.with_suffix(chosen.suffix)
             if self.surface is not None:
                 pieces, axes = load_pieces(self.surface)
                 write_moved(path, clip, fit_to_clip(pieces, clip, axes), progress=bars)
                 return [path]
-            chosen.write_clip(path, clip, progress=bars)  # pyright: ignore[reportOptionalCall]
+            chosen.write_clip(path, clip, progress=bars)
             return [path]
         if self.all:
             path = self.out or self.clip.with_name(f"{self.clip.stem}-{chosen.name}")
             frames = drawn_frames(clip, View())
-            names = write_frames(
-                path, clip, chosen, name=self.clip.stem, frames=frames, progress=bars
-            )
+            form: Any = {"write": chosen.write, "suffix": chosen.suffix, "name": self.clip.stem}
+            names = write_sequence(path, clip, **form, frames=frames, progress=bars)
             return [path] if path.is_file() else [path / name for name in names]
         index = self.frame or 0
         name = f"{self.clip.stem}_{index + 1:04}{chosen.suffix}"

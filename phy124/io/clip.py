@@ -156,6 +156,21 @@ class Clip:
             object_id=first.object_id,
         )
 
+    def refuse_empty(self) -> None:
+        """Check that there is something to write.
+
+        Raises:
+            InputError: The clip has no frames, or no Gaussians.
+        """
+        if not len(self) or not self.opacities.size:
+            raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+
+    @property
+    def fps(self) -> float:
+        """Number of frames per second at which the clip plays in real time."""
+        count = len(self)
+        return float((count - 1) / (self.times[-1] - self.times[0])) if count > 1 else 24.0
+
     @property
     def object_mask(self) -> NDArray[np.bool_]:
         """Mask [N]: True for Gaussians of the object, False for surroundings such as a floor."""

@@ -85,8 +85,7 @@ def pack(
     Raises:
         InputError: If the clip is empty.
     """
-    if not len(clip) or not clip.opacities.size:
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     head = {"splats": len(clip.opacities), "times": clip.times.tolist(), **measure(clip)}
     head |= _describe(clip, camera, background, stage, shine)
     text = json.dumps(head, allow_nan=False).encode()

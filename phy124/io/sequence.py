@@ -22,39 +22,17 @@ from phy124.io.ply import write_ply
 from phy124.progress import Progress, silent
 
 
-def write_ply_sequence(
-    path: str | os.PathLike[str],
-    clip: Clip,
-    *,
-    name: str = "frame",
-    frames: Iterable[Frame] | None = None,
-    progress: Progress = silent,
-) -> list[str]:
-    """Write one 3DGS PLY per frame with `write_sequence`, and return the file names.
-
-    Args:
-        path: A new or empty folder, or a name ending in .zip.
-        clip: The clip whose frames are written.
-        name: Text with which all file names begin.
-        frames: The frames as they are rendered; if None, the clip's own frames.
-        progress: Function that is called as progress("export", frames done, total frames).
-    """
-    return write_sequence(
-        path, clip, write_ply, ".ply", name=name, frames=frames, progress=progress
-    )
-
-
 def write_sequence(
     path: str | os.PathLike[str],
     clip: Clip,
-    write: Callable[[Path, Gaussians], None],
-    suffix: str,
     *,
+    write: Callable[[Path, Gaussians], object] = write_ply,
+    suffix: str = ".ply",
     name: str = "frame",
     frames: Iterable[Frame] | None = None,
     progress: Progress = silent,
 ) -> list[str]:
-    """Write one file per frame, numbered from 1, and return the file names.
+    """Write one file per frame (by default a 3DGS PLY), numbered from 1; return the file names.
 
     The folder or archive appears only when it is complete.
 
@@ -72,8 +50,7 @@ def write_sequence(
         InputError: If the clip is empty, the name is not usable, or a file cannot be written.
     """
     path = resolve_links(Path(path))
-    if not len(clip):
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     if not name or Path(name).name != name:
         raise InputError(
             "name", name, "a file name cannot begin with this text.", "Use a word such as frame."

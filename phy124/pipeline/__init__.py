@@ -42,7 +42,6 @@ from phy124.pipeline.run_folder import view_report as view_report
 from phy124.pipeline.run_folder import write_json as write_json
 from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import film as film
-from phy124.rendering.film import rate as rate
 from phy124.rendering.film import refuse_unfilmable
 from phy124.runtime.compiling import looking_up
 from phy124.runtime.context import RunContext

@@ -36,7 +36,6 @@ from phy124.rendering.film import cameras as cameras
 from phy124.rendering.film import describe_playback, film_notes
 from phy124.rendering.film import film as film
 from phy124.rendering.film import playback as playback
-from phy124.rendering.film import rate as rate
 from phy124.rendering.framing import describe_framing
 from phy124.runtime.context import RunContext
 from phy124.runtime.failures import failure

@@ -21,7 +21,7 @@ from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.formats.usd import refuse_missing_usd, write_usd
 from phy124.io.html import write_html
-from phy124.io.sequence import write_ply_sequence
+from phy124.io.sequence import write_sequence
 from phy124.io.video import (
     FPS_RANGE,
     Picture,
@@ -135,7 +135,7 @@ def _encode_sides(
     If an encoder fails, its exception is raised after the other videos are complete. `first` is the
     index of `sides[0]` among all sides of the view.
     """
-    watch, fps = context.watch, playback(rate(clip), view)
+    watch, fps = context.watch, playback(clip.fps, view)
     before, total = first * len(loop.order), len(view.sides) * len(loop.order)
     films = {(name, side): Feed() for name in formats for side in sides}
     with watch.stage("encode"), ThreadPoolExecutor(len(films), "encode") as pool:
@@ -313,7 +313,7 @@ def _usd(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
 
 def _ply(clip: Clip, view: View, folder: Path, progress: Progress) -> Path:
     frames = drawn_frames(clip, view)
-    write_ply_sequence(folder / "clip-ply", clip, frames=frames, progress=progress)
+    write_sequence(folder / "clip-ply", clip, frames=frames, progress=progress)
     return folder / "clip-ply"
 
 
@@ -346,16 +346,14 @@ def playback(fps: float, view: View) -> float:
 
 def describe_playback(clip: Clip, view: View) -> dict[str, Any]:
     """Return the frame rate [1/s], the speed and the duration [s] of the videos, for the report."""
-    real = rate(clip)
-    shown = playback(real, view)
+    shown = playback(clip.fps, view)
     pictures = Loop.of(clip, view).pictures
-    return {"fps": shown, "speed": shown / real, "seconds": pictures / shown}
+    return {"fps": shown, "speed": shown / clip.fps, "seconds": pictures / shown}
 
 
 def film_notes(clip: Clip, view: View) -> list[str]:
     """Return notes on seamless videos, and on slow motion that has too few frames per second."""
-    real = rate(clip)
-    shown, notes = playback(real, view), Loop.of(clip, view).note(view)
+    shown, notes = playback(clip.fps, view), Loop.of(clip, view).note(view)
     if view.speed >= 1 or shown >= SMOOTH:
         return notes
     smooth = f"simulate with --fps {min(24 / view.speed, 1000):g} for smooth motion"
@@ -390,8 +388,3 @@ def refuse_missing_writers(view: View) -> None:
         refuse_missing_encoder()
     if "usd" in view.formats:
         refuse_missing_usd()
-
-
-def rate(clip: Clip) -> float:
-    """Return the number of frames per second at which a clip plays in real time."""
-    return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0

@@ -36,7 +36,6 @@ from phy124.io.formats.usd import write_usd
 from phy124.io.formats.usdz import write_usdz
 from phy124.io.opening import obstacle
 from phy124.io.plyheader import read_header
-from phy124.io.sequence import write_sequence
 from phy124.progress import Progress, silent
 from phy124.schema.plugins import list_plugins, load_plugin
 
@@ -123,7 +122,6 @@ __all__ = [
     "read_gaussians",
     "recognise",
     "rotation_of",
-    "write_frames",
     "write_gaussians",
     "written_formats",
 ]
@@ -424,27 +422,3 @@ def is_file_of_gaussians(name: str | os.PathLike[str]) -> bool:
         return recognise(path).read is not None
     except (InputError, OSError, ValueError):
         return False
-
-
-def write_frames(
-    path: Path,
-    clip: Clip,
-    chosen: Format,
-    *,
-    name: str = "frame",
-    frames: Iterable[Frame] | None = None,
-    progress: Progress = silent,
-) -> list[str]:
-    """Write one file per frame with `write_sequence`, and return the file names.
-
-    Args:
-        path: A new or empty folder, or a name ending in .zip.
-        clip: The clip whose frames are written.
-        chosen: The format of the files.
-        name: Text with which all file names begin.
-        frames: Frames that replace those of the clip, such as frames changed for rendering.
-        progress: Function that is called as progress("export", frames done, total frames).
-    """
-    return write_sequence(
-        path, clip, chosen.write, chosen.suffix, name=name, frames=frames, progress=progress
-    )

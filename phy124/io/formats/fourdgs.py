@@ -55,8 +55,7 @@ def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progres
         InputError: If fourdgs is not installed, the clip is empty, or the file cannot be written.
     """
     library = _library()
-    if not len(clip):
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     times = clip.times - clip.times[0]
     duration = float(times[-1] + (times[-1] / (len(clip) - 1) if len(clip) > 1 else STILL))
     with replacing(path) as temporary, open(temporary, "wb") as file:

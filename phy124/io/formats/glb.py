@@ -146,10 +146,15 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
         "accessors": accessors,
     }
     text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+    return pack_head(text, len(body)) + body
+
+
+def pack_head(text: bytes, length: int) -> bytes:
+    """Return the bytes of a GLB file before its buffer, which has `length` bytes."""
     text += b" " * (-len(text) % 4)
-    length = HEADER.size + 2 * CHUNK.size + len(text) + len(body)
-    head = HEADER.pack(MAGIC, 2, length) + CHUNK.pack(len(text), JSON_CHUNK)
-    return b"".join([head, text, CHUNK.pack(len(body), BIN_CHUNK), body])
+    whole = HEADER.size + 2 * CHUNK.size + len(text) + length
+    head = HEADER.pack(MAGIC, 2, whole) + CHUNK.pack(len(text), JSON_CHUNK)
+    return head + text + CHUNK.pack(length, BIN_CHUNK)
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:

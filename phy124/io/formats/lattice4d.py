@@ -40,7 +40,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
 from phy124.gaussians import rotation_matrices
 from phy124.io.axes import orientation, rotate_gaussians
 from phy124.io.clip import Clip
@@ -180,8 +179,7 @@ def encode(
     Raises:
         InputError: The clip is empty.
     """
-    if not len(clip) or not mask.any():
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     turn = orientation(*Y_DOWN).T
     first = rotate_gaussians(clip.frame(0).gaussians.select(mask), turn)
     still = sog.encode(first)

@@ -162,13 +162,16 @@ def _colours(gaussians: Gaussians, points: NDArray[np.float64]) -> NDArray[np.fl
     return np.einsum("vk,vkc->vc", weights, gaussians.rgb[index]).clip(0, 1)
 
 
+def to_linear(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convert sRGB colours to linear colours, both 0..1."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
 def to_trimesh(surface: Surface, *, linear: bool = False) -> Any:
     """Return a surface as a mesh of trimesh; glTF needs `linear` colours instead of sRGB."""
     import trimesh
 
-    rgb = surface.rgb
-    if linear:
-        rgb = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    rgb = to_linear(surface.rgb) if linear else surface.rgb
     rgba = np.concatenate([rgb, np.ones((len(rgb), 1))], axis=1)
     return trimesh.Trimesh(
         surface.vertices,

@@ -20,11 +20,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.errors import InputError
 from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
+from phy124.io.formats.glb import pack_head
 from phy124.io.formats.mesh import find_surface, to_trimesh
 from phy124.progress import Progress, silent
 
@@ -45,8 +45,7 @@ def write_moving_mesh(
     Raises:
         InputError: The clip is empty, a package is missing, or the file cannot be written.
     """
-    if not len(clip):
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     first = clip.frame(0).gaussians.select(clip.object_mask)
     piece = to_trimesh(find_surface(first, CELLS), linear=True)
     write_moved(path, clip, [piece], progress=progress)
@@ -159,11 +158,7 @@ def _join(document: dict[str, Any], buffer: BinaryIO, file: BinaryIO) -> None:
     length = _pad(buffer)
     document["buffers"] = [{"byteLength": length}]
     text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    size = 12 + 8 + len(text) + 8 + length
-    file.write(b"glTF" + (2).to_bytes(4, "little") + size.to_bytes(4, "little"))
-    file.write(len(text).to_bytes(4, "little") + b"JSON" + text)
-    file.write(length.to_bytes(4, "little") + b"BIN\0")
+    file.write(pack_head(text, length))
     buffer.seek(0)
     shutil.copyfileobj(buffer, file)
 

@@ -44,12 +44,11 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
     if Path(path).suffix.lower() not in ENDINGS:
         limit = "the name of a USD file ends in .usdc, .usda or .usd."
         raise InputError("output", path, limit, "Rename it; prefer .usdc.")
-    if not len(clip):
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     with replacing(path) as temporary:
         stage, splats = _stage(pxr, temporary, clip)
         for index, frame in enumerate(clip.frames()):
-            code = pxr.Usd.TimeCode(float(frame.time - clip.times[0]) * _rate(clip))
+            code = pxr.Usd.TimeCode(float(frame.time - clip.times[0]) * clip.fps)
             _sample(pxr, splats, frame.gaussians, code)
             if index == 0 or clip.rotations is not None:
                 _colour(pxr, splats, frame.gaussians, code if clip.rotations is not None else None)
@@ -114,10 +113,10 @@ def save_at_times(stage: Any, index: int) -> None:
 
 def set_times(stage: Any, clip: Clip) -> None:
     """State the duration of a clip in the stage; one time code is one frame."""
-    stage.SetTimeCodesPerSecond(_rate(clip))
-    stage.SetFramesPerSecond(_rate(clip))
+    stage.SetTimeCodesPerSecond(clip.fps)
+    stage.SetFramesPerSecond(clip.fps)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(float(clip.times[-1] - clip.times[0]) * _rate(clip))
+    stage.SetEndTimeCode(float(clip.times[-1] - clip.times[0]) * clip.fps)
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
@@ -139,8 +138,3 @@ def _colour(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
     flat = pxr.Vt.Vec3fArray.FromNumpy(gaussians.sh.reshape(-1, 3))
     attribute = splats.CreateRadianceSphericalHarmonicsCoefficientsAttr()
     attribute.Set(flat) if code is None else attribute.Set(flat, code)
-
-
-def _rate(clip: Clip) -> float:
-    """Return the frame rate at which the clip plays in real time [1/s]."""
-    return float((len(clip) - 1) / (clip.times[-1] - clip.times[0])) if len(clip) > 1 else 24.0

@@ -22,7 +22,7 @@ from phy124.io.axes import orientation
 from phy124.io.clip import Clip
 from phy124.io.content import Y_UP
 from phy124.io.files import replacing
-from phy124.io.formats.mesh import find_surface
+from phy124.io.formats.mesh import find_surface, to_linear
 from phy124.io.formats.moving_mesh import CELLS, follow
 from phy124.io.formats.usd import refuse_missing_usd, save_at_times, set_times
 from phy124.progress import Progress, silent
@@ -35,8 +35,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
         InputError: The clip is empty, a package is missing, or the file cannot be written.
     """
     refuse_missing_usd()
-    if not len(clip):
-        raise InputError("clip", "empty", "it has no frames.", "Simulate one frame or more.")
+    clip.refuse_empty()
     names = ("Sdf", "Usd", "UsdGeom", "UsdUtils", "Vt")
     Sdf, Usd, UsdGeom, UsdUtils, Vt = (import_module(f"pxr.{name}") for name in names)
 
@@ -56,10 +55,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
         mesh.CreateFaceVertexCountsAttr(Vt.IntArray(len(corners), 3))
         mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
         colours = mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex)
-        linear = np.where(
-            surface.rgb <= 0.04045, surface.rgb / 12.92, ((surface.rgb + 0.055) / 1.055) ** 2.4
-        )
-        colours.Set(Vt.Vec3fArray.FromNumpy(linear.astype(np.float32)))
+        colours.Set(Vt.Vec3fArray.FromNumpy(to_linear(surface.rgb).astype(np.float32)))
         for index, places in enumerate(follow(clip, surface.vertices)):
             points = (places @ turn.T).astype(np.float32)
             code = Usd.TimeCode(index)

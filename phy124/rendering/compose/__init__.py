@@ -18,7 +18,7 @@ from phy124.rendering.compose.colours import match_colours
 from phy124.rendering.compose.photograph import Photograph as Photograph
 from phy124.rendering.compose.photograph import match
 from phy124.rendering.compose.photograph import photograph_of as photograph_of
-from phy124.rendering.film import playback, rate
+from phy124.rendering.film import playback
 from phy124.rendering.frames import render_frames
 from phy124.rendering.render import BLACK
 from phy124.rendering.stage.build import make_stage
@@ -79,5 +79,5 @@ def compose(
         progress=lambda _, done, total: progress("compose", done, total),
     )
     path = Path(folder) / "composed.mp4"
-    write_mp4(path, images, fps=playback(rate(clip), view))
+    write_mp4(path, images, fps=playback(clip.fps, view))
     return path, {"psnr": round(better.psnr, 2), "psnr_before": round(before, 2)}
