@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.generators import is_present
@@ -20,7 +20,7 @@ from phy124.generators.ply_file import Reading
 from phy124.imaging.cutout import cut_out as open_view
 from phy124.io.axes import orientation
 from phy124.runtime.isolated import Deadline
-from phy124.schema.refusals import explain
+from phy124.schema.refusals import validate
 from phy124.schema.section import Section
 
 from .pictures import check_picture, cut_out, cutout_file, viewable
@@ -176,21 +176,21 @@ def extras_of(visitors: Visitors, settings: Settings, name: str, values: Any) ->
     depth = {option: rest.pop(option) for option in DepthMap.model_fields if option in rest}
     axes = {option: rest.pop(option) for option in AXES if option in rest}
     film = {option: rest.pop(option) for option in Photographed.model_fields if option in rest}
-    making = _validate(Making, {o: rest.pop(o) for o in Making.model_fields if o in rest})
+    making = validate(Making, {o: rest.pop(o) for o in Making.model_fields if o in rest}, "known")
     if making != NOT_CHOSEN and not is_present(making.generator):
         limit = "This server does not have the generator's weights."
         raise InputError("generator", making.generator, limit, "Remove `generator`.")
     if "depth" in sent:
         depth["depth"] = str(sent.pop("depth"))
     cutouts = {option: cutout_file(visitors.get(name), path) for option, path in sent.items()}
-    reading = _validate(Reading, axes)
+    reading = validate(Reading, axes, "known")
     orientation(reading.up, reading.front)  # raises an error for invalid axes
     return ExtraInputs(
-        _validate(DepthMap, depth),
-        _validate(OtherViews, rest | cutouts),
+        validate(DepthMap, depth, "known"),
+        validate(OtherViews, rest | cutouts, "known"),
         tuple(sent.values()),
         reading,
-        _validate(Photographed, film),
+        validate(Photographed, film, "known"),
         making,
     )
 
@@ -199,10 +199,3 @@ def _refuse(section: Section, why: str) -> None:
     """Raise InputError if any option of a section is set."""
     for option, value in section.model_dump(exclude_defaults=True).items():
         raise InputError(option, value, why, "Remove it.")
-
-
-def _validate(section: type[Any], values: dict[str, Any]) -> Any:
-    try:
-        return section.model_validate(values)
-    except ValidationError as error:
-        raise explain(error, "known", section) from None

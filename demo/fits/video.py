@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from PIL import Image
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.io.files import staging
 from phy124.runtime import isolated
 from phy124.runtime.isolated import Deadline, Unfinished
-from phy124.schema.refusals import explain, shorten
+from phy124.schema.refusals import shorten, validate
 from phy124.schema.section import Section
 from phy124.studies.fit.video import is_film, read_film
 
@@ -144,7 +144,4 @@ def fit_options_of(data: Any, settings: Settings) -> FitOptions:
     if isinstance(values["seconds"], int | float) and values["seconds"] > most:
         limit = f"A fit may take at most {most:g} s on this page."
         raise InputError("seconds", shorten(values["seconds"]), limit, "Choose a shorter duration.")
-    try:
-        return FitOptions.model_validate(values)
-    except ValidationError as error:
-        raise explain(error, "fit", FitOptions) from None
+    return validate(FitOptions, values, "fit")

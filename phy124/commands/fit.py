@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from phy124.commands.bars import Bars
-from phy124.commands.options import help_of
+from phy124.commands.options import help_of, refuse_workers
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.cores import cores
 from phy124.scene import parse_changes
@@ -58,7 +58,9 @@ class Fit:
 
     def run(self) -> int:
         """Fit the material; print the table of results and the names of the written files."""
-        declared, workers = self._declare(), self._processes()
+        declared = self._declare()
+        refuse_workers(self.workers)
+        workers = cores() if self.workers is None else self.workers
         if self.dry_run:
             with Bars(quiet=self.json):
                 expected = forecast(declared, workers=workers)
@@ -106,18 +108,6 @@ class Fit:
             remedy = "Write, for example, --find material.E=1e4..1e6."
             raise InputError("find", None, "there is no value to find.", remedy)
         return Declared.from_data(data, self.target)
-
-    def _processes(self) -> int:
-        if self.workers is None:
-            return cores()
-        if not 0 <= self.workers <= 1024:
-            raise InputError(
-                "workers",
-                self.workers,
-                "the number of processes must be from 0 to 1024.",
-                "Remove this option.",
-            )
-        return self.workers
 
     def _tell(self, bars: Bars, expected: Outlook) -> None:
         if not self.json:

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from phy124.errors import InputError
 from phy124.generators import list_names
 from phy124.progress import Progress
 from phy124.runtime.context import RunContext
@@ -192,6 +193,17 @@ class SceneOptions:
         """
         device = pick_device(self.device)
         return RunContext(device=device, threads=self.threads, progress=progress)
+
+
+def refuse_workers(workers: int | None) -> None:
+    """Check a number of worker processes; None means one per core.
+
+    Raises:
+        InputError: The number is below 0 or above 1024.
+    """
+    if workers is not None and not 0 <= workers <= 1024:
+        limit = "the number of processes must be from 0 to 1024."
+        raise InputError("workers", workers, limit, "Remove this option.")
 
 
 def default_out(name: str, scene: str) -> Path:

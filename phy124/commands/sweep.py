@@ -10,7 +10,7 @@ from pathlib import Path
 import tyro
 
 from phy124.commands.bars import Bars
-from phy124.commands.options import Device
+from phy124.commands.options import Device, refuse_workers
 from phy124.errors import InputError
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
@@ -112,10 +112,7 @@ class Sweep:
     def _refuse(self) -> None:
         """Check the options before any clip is made."""
         parts_of(self.shard)
-        if self.workers is not None and not 0 <= self.workers <= 1024:
-            raise InputError(
-                "workers", self.workers, "the number must be from 0 to 1024.", "Remove this option."
-            )
+        refuse_workers(self.workers)
         if self.folder is not None:
             limit = "only `report` takes a folder."
             raise InputError(

@@ -27,8 +27,10 @@ import gzip
 import html
 import json
 import os
+import re
 import tempfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -49,6 +51,7 @@ SCRIPTS = ("vendor/playcanvas.min.js", "pack.js", "stage.js", "shine.js", "playe
 READER = "p4d.mjs"
 STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
+PAGE = "player.html"
 GZIP = 31
 """zlib's window parameter for the largest window with a gzip header."""
 BLOCK = 3 << 20
@@ -168,7 +171,7 @@ def write_html(
     names = (*SCRIPTS, READER, STYLE, LICENCE)
     parts = {name: _asset(viewer / name) for name in names}
     scripts = "\n".join(parts[name] for name in SCRIPTS)
-    before, after = PAGE.split("{data}")
+    before, after = _asset(viewer / PAGE).split("{data}")
     texts = {
         "title": html.escape(title),
         "licence": parts[LICENCE].replace("--", "- -"),
@@ -178,10 +181,10 @@ def write_html(
     }
     packed = _pack_smallest(clip, camera, background=background, stage=stage, shine=shine)
     with replacing(path) as temporary, open(temporary, "wb") as file:
-        file.write(before.format(**texts).encode())
+        file.write(fill(before, texts).encode())
         for start in range(0, len(packed), BLOCK):
             file.write(base64.b64encode(packed[start : start + BLOCK]))
-        file.write(after.format(**texts).encode())
+        file.write(fill(after, texts).encode())
 
 
 def _pack_smallest(
@@ -222,36 +225,9 @@ def _describe(
     return shown | {"shine": plain, "hues": "hues" in shine}
 
 
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<!-- Drawn by the PlayCanvas engine:
-{licence}-->
-<style>html, body {{ margin: 0; height: 100%; }}
-#film {{ height: 100%; }}
-{style}</style></head>
-<body><main id="film" aria-label="{title}"></main>
-<script type="text/plain" id="pack">{data}</script>
-<script type="text/plain" id="scripts">{scripts}</script>
-<script type="module">
-{reader}
-const textOf = (id) => atob(document.getElementById(id).textContent);
-const bytesOf = (id) => Uint8Array.from(textOf(id), (letter) => letter.charCodeAt(0));
-const code = new Blob([bytesOf('scripts')]).stream().pipeThrough(new DecompressionStream('gzip'));
-const script = document.createElement('script');
-script.textContent = await new Response(code).text();
-document.head.append(script);
-globalThis.P4D = P4D;
-const source = new URLSearchParams(location.search).get('p4d') ?? bytesOf('pack');
-const host = document.getElementById('film');
-try {{
-  globalThis.player = await Phy124Player.mount(host, source);
-}} catch (error) {{
-  host.textContent = `The motion cannot be read. ${{error.message}}`;
-}}
-</script></body></html>
-"""
+def fill(template: str, texts: Mapping[str, str]) -> str:
+    """Replace each `{name}` in a template by the text with this name; other braces are kept."""
+    return re.sub(rf"{{({'|'.join(texts)})}}", lambda match: texts[match[1]], template)
 
 
 def _asset(path: Path) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from phy124.boundaries import BOUNDARIES, AnyBoundary, Ground
 from phy124.errors import InputError, did_you_mean
@@ -47,7 +47,7 @@ from phy124.scene.renamed import rename_keys
 from phy124.scene.sections import Checks, Object, Part, Timing, check_energy
 from phy124.scene.view import View
 from phy124.schema.bounds import LONGEST, Text
-from phy124.schema.refusals import explain
+from phy124.schema.refusals import validate
 from phy124.schema.section import Section
 
 MOST_OBJECTS = 16
@@ -348,10 +348,7 @@ class Scene(Section):
                 a remedy.
         """
         check_depth(data, source)
-        try:
-            return cls.model_validate(data)
-        except ValidationError as error:
-            raise explain(error, source, cls) from None
+        return validate(cls, data, source)
 
     @classmethod
     def of_clip(cls, data: dict[str, Any], source: str = "clip") -> Scene:

@@ -60,8 +60,12 @@ def explain_options(error: ValidationError) -> InputError:
     return explain(error, "options", sections[error.title])
 
 
-def validate(kind: type[Options], data: Options | Mapping[str, Any]) -> Options:
+def validate(
+    kind: type[Options], data: Options | Mapping[str, Any], source: str = "options"
+) -> Options:
     """Return options as an object of their class; options may be passed as plain data.
+
+    An error that does not concern a single field names the data by `source`.
 
     Raises:
         InputError: A value is invalid, or there is no such option.
@@ -69,7 +73,7 @@ def validate(kind: type[Options], data: Options | Mapping[str, Any]) -> Options:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
-        raise explain(error, "options", kind) from None
+        raise explain(error, source, kind) from None
 
 
 def shorten(value: Any) -> str:

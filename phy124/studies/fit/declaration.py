@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, field_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator
 
 from phy124.errors import InputError
 from phy124.scene.files import read_toml
-from phy124.schema.refusals import explain
+from phy124.schema.refusals import validate
 from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
@@ -140,10 +140,7 @@ class Fit(Section):
             InputError: The data does not declare a fit; the message names field, value, limit and
                 remedy.
         """
-        try:
-            return cls.model_validate(data)
-        except ValidationError as error:
-            raise explain(error, source, cls) from None
+        return validate(cls, data, source)
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:

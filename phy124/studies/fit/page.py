@@ -21,8 +21,8 @@ from PIL import Image
 
 from phy124.camera import Camera
 from phy124.io.clip import Clip
-from phy124.io.files import replacing
-from phy124.io.html import VIEWER
+from phy124.io.files import write_whole
+from phy124.io.html import VIEWER, fill
 from phy124.io.video import write_mp4
 from phy124.rendering.render import Renderer, to_bytes
 from phy124.studies.fit.observation import Values
@@ -34,21 +34,6 @@ WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
 """CSS colours of pixels that the object covers only in the video (`ONLY_SEEN`) or only in the fit
 (`ONLY_FITTED`)."""
-PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>body {{ max-width: 860px; margin: 24px auto; padding: 0 16px; color: #17202b;
-  font: 15px/1.4 system-ui, sans-serif; }}
-h1 {{ font-size: 20px; }} pre {{ overflow-x: auto; font-size: 13px; }}
-{style}</style></head><body>
-<h1>{title}</h1>
-{figure}
-<pre>{table}</pre>
-<script>{script}
-Phy124Compare(document.querySelector('.compare'));</script>
-</body></html>
-"""
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
@@ -58,15 +43,17 @@ def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
     and their difference.
     """
     data = base64.b64encode(film.read_bytes()).decode()
-    page = PAGE.format(
-        title=f"Fit to {escape(Path(report['target']).name)}",
-        style=(VIEWER / "compare.css").read_text("utf-8"),
-        script=(VIEWER / "compare.js").read_text("utf-8"),
-        figure=figure(report, f"data:video/mp4;base64,{data}"),
-        table=escape(format_table(report)),
+    template, style, script = (
+        (VIEWER / f"compare.{ending}").read_text("utf-8") for ending in ("html", "css", "js")
     )
-    with replacing(path) as temporary:
-        temporary.write_text(page, "utf-8")
+    texts = {
+        "title": f"Fit to {escape(Path(report['target']).name)}",
+        "style": style,
+        "script": script,
+        "figure": figure(report, f"data:video/mp4;base64,{data}"),
+        "table": escape(format_table(report)),
+    }
+    write_whole(path, fill(template, texts))
 
 
 def figure(report: dict[str, Any], film: str) -> str:

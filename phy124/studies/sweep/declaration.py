@@ -8,11 +8,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from phy124.errors import InputError
 from phy124.scene.files import read_toml
-from phy124.schema.refusals import explain
+from phy124.schema.refusals import validate
 from phy124.schema.section import Section
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -271,9 +271,8 @@ class Sweep(Section):
                 and remedy.
         """
         try:
-            return cls.model_validate(data)
-        except ValidationError as error:
-            refusal = explain(error, source, cls)
+            return validate(cls, data, source)
+        except InputError as refusal:
             field = KIND.sub("", refusal.field)
             raise InputError(field, refusal.value, refusal.limit, refusal.remedy) from None
 

@@ -16,13 +16,16 @@ from typing import Any
 
 from phy124.accuracy.promises import off
 from phy124.errors import InputError
-from phy124.io.files import replacing
+from phy124.io.files import replacing, write_whole
+from phy124.io.html import fill
 from phy124.runtime.installation import install_command
 from phy124.scene import PRESETS
 from phy124.studies.validation.accuracy.report import Report, Row
 
 PathLike = str | os.PathLike[str]
 BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
+PAGE = Path(__file__).with_name("plot.html")
+"""Template of the web page, with the script that draws the plot."""
 
 
 def find_dominated(rows: Sequence[Row]) -> set[str]:
@@ -134,13 +137,9 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
     # The characters "</" in the data could end the script element.
     data = json.dumps(points).replace("</", "<\\/")
     sentences = [*report.sentences, *(f"{n}: {s}" for n, s in report.promises.items())]
-    page = PAGE.format(
-        title=html.escape(title),
-        sentences="".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences),
-        data=data,
-    )
-    with replacing(path) as temporary:
-        Path(temporary).write_text(page, "utf-8")
+    paragraphs = "".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences)
+    texts = {"title": html.escape(title), "sentences": paragraphs, "data": data}
+    write_whole(path, fill(PAGE.read_text("utf-8"), texts))
 
 
 def _label(row: Row) -> str:
@@ -154,77 +153,3 @@ def _label(row: Row) -> str:
 
 def _error(row: Row) -> float | None:
     return None if row.error is None else 100 * row.error
-
-
-PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>{title}</title>
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<style>
-:root {{ color-scheme: light dark; --ink: #222; --paper: #fff; --grid: #8884; }}
-@media (prefers-color-scheme: dark) {{ :root {{ --ink: #ddd; --paper: #16181b; }} }}
-body {{ font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
-  max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }}
-svg {{ width: 100%; height: auto; }} text {{ fill: var(--ink); font-size: 13px; }}
-line {{ stroke: var(--grid); }} circle {{ cursor: pointer; }}
-circle:focus {{ outline: 2px solid currentColor; }} #about {{ min-height: 3em; }}
-</style>
-<h1>{title}</h1>{sentences}
-<svg id="plot" viewBox="0 0 800 440" role="img"
-  aria-label="error in per cent of the object's size over seconds, both logarithmic"></svg>
-<p id="about" aria-live="polite">Point at a setting, or reach it with the Tab key.</p>
-<script>
-const points = {data};
-const svg = document.getElementById("plot"), about = document.getElementById("about");
-const add = (name, set, text) => {{
-  const e = document.createElementNS("http://www.w3.org/2000/svg", name);
-  for (const k in set) e.setAttribute(k, set[k]);
-  if (text) e.textContent = text;
-  return svg.appendChild(e);
-}};
-const shown = points.filter(p => p.error > 0 && p.seconds > 0);
-const span = f => {{
-  const v = shown.map(f).map(Math.log10);
-  const a = Math.min(...v), b = Math.max(...v), m = 0.1 + 0.1 * (b - a);
-  return [a - m, b + m];
-}};
-if (!shown.length) 
-  add("text", {{x: 400, y: 220, "text-anchor": "middle"}}, "no errors: no convergence");
-else {{
-  const [x0, x1] = span(p => p.seconds), [y0, y1] = span(p => p.error);
-  const X = s => 70 + 700 * (Math.log10(s) - x0) / (x1 - x0);
-  const Y = e => 390 - 360 * (Math.log10(e) - y0) / (y1 - y0);
-  const ticks = (a, b) => {{
-    const t = [];
-    for (let d = Math.floor(a); d <= b; d++) for (const m of [1, 2, 5]) {{
-      const v = m * 10 ** d;
-      if (Math.log10(v) >= a && Math.log10(v) <= b) t.push(v);
-    }}
-    return t;
-  }};
-  for (const t of ticks(x0, x1)) {{
-    add("line", {{x1: X(t), x2: X(t), y1: 30, y2: 390}});
-    add("text", {{x: X(t), y: 408, "text-anchor": "middle"}}, t + " s");
-  }}
-  for (const t of ticks(y0, y1)) {{
-    add("line", {{x1: 70, x2: 770, y1: Y(t), y2: Y(t)}});
-    add("text", {{x: 62, y: Y(t) + 4, "text-anchor": "end"}}, t + " %");
-  }}
-  const front = shown.filter(p => !p.dominated).sort((a, b) => a.seconds - b.seconds);
-  add("polyline", {{fill: "none", stroke: "#2563a8", "stroke-width": 2,
-    points: front.map(p => X(p.seconds) + "," + Y(p.error)).join(" ")}});
-  for (const p of shown) {{
-    const colour = p.dominated ? "#9aa3ad" : p.level ? "#2563a8" : "#c2571a";
-    const c = add("circle", {{cx: X(p.seconds), cy: Y(p.error), r: 7, fill: colour, tabindex: 0}});
-    const text = p.name + ": " + p.off + " of the size"
-      + (p.pixels ? ", " + p.pixels.toFixed(1) + " pixels" : "")
-      + (p.psnr ? ", " + p.psnr.toFixed(1) + " dB against the finest" : "")
-      + " in " + p.seconds.toFixed(1) + " s; " + p.particles + " particles, "
-      + p.substeps + " substeps" + (p.dominated ? "; another setting is faster and better" : "");
-    c.setAttribute("aria-label", text);
-    for (const on of ["pointerenter", "focus", "click"])
-      c.addEventListener(on, () => {{ about.textContent = text; }});
-    if (p.level) add("text", {{x: X(p.seconds) + 10, y: Y(p.error) - 8}}, p.name);
-  }}
-}}
-</script></html>
-"""
