@@ -47,6 +47,13 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
     return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
 
 
+def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
+    """Return v [P,3] and C [P,3,3] of a rotation `omega` [3], rad/s, about the mean of x [P,3]."""
+    wx, wy, wz = omega
+    C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
+    return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
+
+
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
     """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
 
@@ -95,7 +102,7 @@ def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
 
 def make_solver(
     x: NDArray[Any],
-    volume: NDArray[Any],
+    volume: NDArray[Any] | float,
     materials: Sequence[Material],
     *,
     v: NDArray[Any] | None = None,
@@ -106,14 +113,14 @@ def make_solver(
 
     Args:
         x: Positions [P,3], m.
-        volume: Volumes [P], m^3.
+        volume: Volumes [P], m^3; a number if all volumes are equal.
         materials: Materials of the particles.
         v: Initial velocities [P,3], m/s.
         C: Initial velocity gradients [P,3,3], 1/s.
         **options: Options of `Model.of` and of `Solver`.
     """
     of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
-    model = Model.of(x, volume, materials, **of_model)
+    model = Model.of(x, np.full(len(x), volume), materials, **of_model)
     return Solver(model, State.of(model, v, C), **options)
 
 

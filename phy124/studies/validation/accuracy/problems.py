@@ -23,7 +23,15 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Fluid, NeoHookean
 from phy124.mpm import Grid, Model, Solver, Stage, State
 from phy124.mpm.tracks import Tracks
-from phy124.studies.validation.bodies import block, host, lattice, make_solver, plane, record
+from phy124.studies.validation.bodies import (
+    block,
+    host,
+    lattice,
+    make_solver,
+    plane,
+    record,
+    turning,
+)
 
 if TYPE_CHECKING:
     import warp as wp
@@ -63,9 +71,8 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
         The largest position error of any particle, divided by the largest displacement.
     """
     x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
-    volume, options = np.full(len(x), (0.1 / 2) ** 3), {"dx": 0.1, "precision": precision}
-    motion, jelly = np.tile(v, (len(x), 1)), NeoHookean(E=1e4)
-    solver = make_solver(x, volume, [jelly], v=motion, forces=[Gravity()], **options)
+    options = {"v": np.tile(v, (len(x), 1)), "dx": 0.1, "precision": precision}
+    solver = make_solver(x, 0.05**3, [NeoHookean(E=1e4)], forces=[Gravity()], **options)
     solver.advance(time)
     error = solver.state.x.numpy() - fall(x, v, time)
     return float(np.abs(error).max() / np.linalg.norm(fall(x, v, time) - x, axis=1).max())
@@ -74,27 +81,16 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
 # --- rigid spin ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Spin:
-    """Absolute relative changes of conserved quantities after several rotations."""
-
-    angular_momentum: float
-    energy: float
-
-
-def spin(turns: float, *, precision: str = "float64") -> Spin:
-    """Simulate a stiff cube for several rotations, and measure changes of conserved quantities."""
+def spin(turns: float, *, precision: str = "float64") -> tuple[float, float]:
+    """Return the relative changes of angular momentum and energy of a cube that rotates freely."""
     dx, omega = 0.1, 9.0
     x = block(8, 4 * dx)
-    gradient = np.array([[0, -omega, 0], [omega, 0, 0], [0, 0, 0]])
-    C = np.broadcast_to(gradient, (len(x), 3, 3))
-    material = NeoHookean(E=2e5, nu=0.3)
-    volume, motion = np.full(len(x), (dx / 2) ** 3), {"v": x @ gradient.T, "C": C}
-    solver = make_solver(x, volume, [material], dx=dx, precision=precision, **motion)
+    stiff, options = NeoHookean(E=2e5, nu=0.3), {"dx": dx, "precision": precision}
+    solver = make_solver(x, (dx / 2) ** 3, [stiff], **turning(x, (0, 0, omega)), **options)
     momentum, energy = angular_momentum(solver), _kinetic(solver)
     solver.advance(turns * 2 * math.pi / omega)
     change = np.linalg.norm(angular_momentum(solver) - momentum) / np.linalg.norm(momentum)
-    return Spin(float(change), abs(_kinetic(solver) / energy - 1))
+    return float(change), abs(_kinetic(solver) / energy - 1)
 
 
 def _kinetic(solver: Solver) -> float:
@@ -120,7 +116,7 @@ def vibrating_bar(cells: int) -> float:
     """
     E, density, length, strain = 1e4, 1000.0, 1.0, 1e-6
     dx = length / cells
-    x, volume = _column(cells, dx)
+    x = _column(cells, dx)
     z = x[:, 2]
     wave = math.pi / length
     exact, speed = bar_frequency(E, density, length), math.sqrt(E / density)
@@ -128,7 +124,7 @@ def vibrating_bar(cells: int) -> float:
     v[:, 2] = strain * speed * np.cos(wave * z)
     C[:, 2, 2] = -strain * speed * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density)
-    solver = make_solver(x, volume, [material], v=v, C=C, dx=dx, precision="float64")
+    solver = make_solver(x, dx**3 / 2, [material], v=v, C=C, dx=dx, precision="float64")
     period, times, modes = 2 * math.pi / exact, [0.0], [0.0]
 
     def record() -> None:
@@ -139,10 +135,9 @@ def vibrating_bar(cells: int) -> float:
     return _zero_crossing(times, modes, period) ** -1 * period - 1
 
 
-def _column(cells: int, dx: float) -> tuple[Array, Array]:
-    """Return positions [P,3], m, and volumes [P], m^3, of particles on the z axis, 2 per cell."""
-    x = lattice((1, 1, 2 * cells), dx / 2) * [0.0, 0, 1]
-    return x, np.full(len(x), dx**3 / 2)
+def _column(cells: int, dx: float) -> Array:
+    """Return the positions [P,3], m, of particles on the z axis, 2 per cell."""
+    return lattice((1, 1, 2 * cells), dx / 2) * [0.0, 0, 1]
 
 
 def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float) -> float:
@@ -215,8 +210,8 @@ def vortex(cells: int, *, time: float = 0.5, problem: Vortex | None = None) -> f
     x = lattice((4 * cells, 4 * cells, 1), spacing, corner) * [1.0, 1, 0]
     radius = np.hypot(x[:, 0], x[:, 1])
     x = x[(radius > problem.inner) & (radius < problem.outer)]
-    volume, options = np.full(len(x), spacing**2 * dx), {"dx": dx, "precision": "float64"}
-    solver = make_solver(x, volume, [problem.material], forces=[problem], **options)
+    options = {"dx": dx, "precision": "float64", "forces": [problem]}
+    solver = make_solver(x, spacing**2 * dx, [problem.material], **options)
     solver.advance(time)
     exact = problem.position(x, time)
     return float(_rms(solver.state.x.numpy() - exact) / _rms(exact - x))
@@ -234,33 +229,25 @@ def column_pressure(depth: Array, density: float) -> Array:
     return density * GRAVITY * depth
 
 
-@dataclass(frozen=True)
-class Column:
-    """Errors of the pressure in a column at rest, relative to rho g h at its base."""
-
-    mean: float
-    """Absolute error of the mean pressure.
-
-    The error arises in the cells at the floor, so it is proportional to dx.
-    """
-    inside: float
-    """RMS error of the pressure more than three cells above the floor."""
-
-
-def hydrostatic_column(cells: int) -> Column:
+def hydrostatic_column(cells: int) -> dict[str, float]:
     """Simulate a column of liquid until it is at rest, and measure the errors of its pressure.
 
     The column is `cells` cells high, and its sides are fixed. The floor lies between two planes of
     nodes, so it cuts off a part of the lowest particles' kernels. Kinetic damping brings the column
     to rest.
+
+    Returns:
+        Errors relative to rho g h at the base: `mean` is the absolute error of the mean pressure,
+        which arises in the cells at the floor and is proportional to dx. `inside` is the RMS error
+        more than three cells above the floor.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
-    x, volume = _column(cells, dx)
+    x = _column(cells, dx)
     side = HalfSpace(point=(1e3, 0, 0), normal=(1.0, 0, 0), contact="slip")
     solver = make_solver(
         x,
-        volume,
+        dx**3 / 2,
         [material],
         dx=dx,
         origin=(0, 0, -FLOOR_NODE * dx),
@@ -273,7 +260,7 @@ def hydrostatic_column(cells: int) -> Column:
     pressure = material.bulk_modulus / material.gamma * (J**-material.gamma - 1)
     foot = float(column_pressure(np.array(height), material.density))
     error = (pressure - column_pressure(height - z, material.density)) / foot
-    return Column(abs(float(error.mean())), _rms(error[z > 3 * dx, None]))
+    return {"mean": abs(float(error.mean())), "inside": _rms(error[z > 3 * dx, None])}
 
 
 def _settle(solver: Solver, crossing: float) -> None:
@@ -321,8 +308,8 @@ class Bounce:
         """
         x, dx = self.particles(spacing), self.diameter / cells
         world = {"forces": [Gravity()], "boundaries": [Ground(friction=0.0)]}
-        origin, volume = (0, 0, -FLOOR_NODE * dx), np.full(len(x), spacing**3)
-        solver = make_solver(x, volume, [self.material], dx=dx, origin=origin, **world)
+        origin = (0, 0, -FLOOR_NODE * dx)
+        solver = make_solver(x, spacing**3, [self.material], dx=dx, origin=origin, **world)
         times = self.seconds * np.arange(1, self.frames + 1) / self.frames
         return record(solver, times, lambda: host(solver.state.x))
 

@@ -174,7 +174,7 @@ def measure_drops(
     clamp = Held(lower=(-1, -1, -1), upper=(0.0, 1, 1))
     solver = make_solver(
         x,
-        np.full(len(x), spacing**2 * dx),
+        spacing**2 * dx,
         [rubber],
         dx=dx,
         origin=(0, 0, 0.25 * dx),

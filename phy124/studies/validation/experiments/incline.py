@@ -57,8 +57,7 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
     plane = HalfSpace(normal=wall or (0.0, 0.0, 1.0), friction=friction)
     rubber = NeoHookean(E=2e5, damping=600.0)
     world = {"forces": [Gravity(g=g)], "boundaries": [plane], "origin": (0, 0, -FLOOR_NODE * dx)}
-    volume = np.full(len(x), (dx / 2) ** 3)
-    solver = make_solver(x, volume, [rubber], dx=dx, threads=1, **world)
+    solver = make_solver(x, (dx / 2) ** 3, [rubber], dx=dx, threads=1, **world)
     solver.advance(SETTLING)
     return mean_acceleration(solver, way, SETTLING, np.linspace(0, SLIDING, SAMPLES)) / GRAVITY
 

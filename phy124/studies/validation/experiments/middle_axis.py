@@ -14,7 +14,14 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Rigid
 from phy124.mpm import Solver
 from phy124.studies.validation.accuracy.problems import angular_momentum
-from phy124.studies.validation.bodies import find_zeros, host, lattice, make_solver, record
+from phy124.studies.validation.bodies import (
+    find_zeros,
+    host,
+    lattice,
+    make_solver,
+    record,
+    turning,
+)
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)
@@ -73,12 +80,8 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
     dx = EDGES[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
     x = lattice(counts, dx / 2, [-n * dx / 4 for n in counts])
-    wx, wy, wz = SPIN
-    C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]])
-    body = Rigid(nu=0.3, speed=2.0, strain=0.02)
-    motion = {"v": x @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3))}
-    solver = make_solver(x, np.full(len(x), (dx / 2) ** 3), [body], dx=dx, threads=1, **motion)
-    return observe(solver)
+    body, motion = Rigid(nu=0.3, speed=2.0, strain=0.02), turning(x, SPIN)
+    return observe(make_solver(x, (dx / 2) ** 3, [body], dx=dx, threads=1, **motion))
 
 
 def observe(solver: Solver | LatticeSolver) -> Values:

@@ -19,6 +19,7 @@ from phy124.mpm import Solver
 from phy124.studies.validation.accuracy.problems import FLOOR_NODE
 from phy124.studies.validation.bodies import (
     UP,
+    find_zeros,
     make_solver,
     mean_along,
     mirrors,
@@ -62,13 +63,8 @@ class Bounce:
     @property
     def turning(self) -> float:
         """Time between half the initial speed downwards and half the initial speed upwards [s]."""
-        return _crossing(self.times, self.speeds, 0.5) - _crossing(self.times, self.speeds, -0.5)
-
-
-def _crossing(times: NDArray, speeds: NDArray, level: float) -> float:
-    """Return the time at which the velocity first exceeds a level; interpolate linearly."""
-    after = int(np.argmax(speeds > level))
-    return float(np.interp(level, speeds[after - 1 : after + 1], times[after - 1 : after + 1]))
+        down, up = (find_zeros(self.times, self.speeds - level)[0] for level in (-0.5, 0.5))
+        return float(up - down)
 
 
 def speed(depth: float) -> float:

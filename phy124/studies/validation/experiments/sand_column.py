@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from phy124.boundaries import Ground
 from phy124.forces import Gravity
 from phy124.materials import Sand
@@ -75,8 +73,7 @@ def collapse(cells: int, aspect: float, angle: float) -> float:
     sand = Sand(friction_angle=angle, E=STIFF * 1600 * GRAVITY * height)
     walls = [Ground(friction=math.tan(math.radians(SLOPE))), *mirrors(0), plane()]
     world = {"origin": (-FLOOR_NODE * dx, 0, -FLOOR_NODE * dx), "forces": [Gravity()]}
-    volume = np.full(len(x), dx**3 / 4)
-    solver = make_solver(x, volume, [sand], dx=dx, boundaries=walls, threads=1, **world)
+    solver = make_solver(x, dx**3 / 4, [sand], dx=dx, boundaries=walls, threads=1, **world)
     solver.advance(DURATION * math.sqrt(height / GRAVITY))
     return connected_end(solver.state.x.numpy()[:, 0], dx) / WIDTH - 1
 

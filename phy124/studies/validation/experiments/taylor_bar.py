@@ -31,7 +31,7 @@ def strike(cells: int, copper: Metal) -> Values:
     count = round(2 * LENGTH / dx)
     x = lattice((2 * cells, 2 * cells, count), dx / 2) * [1, 1, LENGTH / (count * dx / 2)]
     x = x[np.hypot(x[:, 0], x[:, 1]) < RADIUS]
-    volume = np.full(len(x), np.pi / 4 * RADIUS**2 * LENGTH / len(x))
+    volume = np.pi / 4 * RADIUS**2 * LENGTH / len(x)
     world = {
         "origin": (-FLOOR_NODE * dx,) * 3,
         "boundaries": [Ground(friction=0.0), *mirrors(0, 1)],

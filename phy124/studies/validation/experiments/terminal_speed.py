@@ -45,8 +45,8 @@ def blow(cells: int, rate: float) -> Values:
     """
     dx = 0.4 / cells
     x = lattice((2 * cells,) * 3, dx / 2)
-    volume, forces = np.full(len(x), (dx / 2) ** 3), [Gravity(), Wind(v=(0, 0, STREAM), rate=rate)]
-    solver = make_solver(x, volume, [NeoHookean(E=1e4)], dx=dx, forces=forces, threads=1)
+    forces, jelly = [Gravity(), Wind(v=(0, 0, STREAM), rate=rate)], [NeoHookean(E=1e4)]
+    solver = make_solver(x, (dx / 2) ** 3, jelly, dx=dx, forces=forces, threads=1)
     start = mean_along(solver, "x", UP)
     heights = record(solver, np.array(TIMES) / RATE, partial(mean_along, solver, "x", UP))
     return (*(heights - start).tolist(), mean_along(solver, "v", UP))

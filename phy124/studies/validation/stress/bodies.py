@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,15 +36,8 @@ def body(
         size: Edge of the cube [m].
         **options: Options of `make_solver`.
     """
-    volume = options.pop("volume", np.full(len(x), size**3 / len(x)))
+    volume = options.pop("volume", size**3 / len(x))
     return make_solver(x, volume, [material], **{"dx": DX, **setting.options, **options})
-
-
-def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a rotation `omega` [3], rad/s, about the mean of x [P,3]."""
-    wx, wy, wz = omega
-    C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
-    return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
 
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from phy124.materials import FixedCorotated, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.motion.deform import Deformer
 from phy124.mpm import Solver
-from phy124.studies.validation.bodies import block
+from phy124.studies.validation.bodies import block, turning
 from phy124.studies.validation.stress.bodies import (
     Array,
     Meter,
@@ -20,7 +20,6 @@ from phy124.studies.validation.stress.bodies import (
     host,
     stable_dt,
     steps,
-    turning,
     vibrating,
 )
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal

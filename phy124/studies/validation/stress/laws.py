@@ -144,10 +144,10 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
     x = lattice((2 * cells, 2 * cells, int(2 * height / dx) + 1), dx / 2)
     x = x[x[:, 2] < height * (1 - np.hypot(x[:, 0], x[:, 1]) / HEAP)]
     walls = [Container(inside=Region(lower=(0, 0, -1e9)), contact="slip"), Ground(contact="sticky")]
-    volume, grains = np.full(len(x), (dx / 2) ** 3), [Sand(repose_angle=angle, E=3e5)]
+    grains = [Sand(repose_angle=angle, E=3e5)]
     origin = (0.25 * dx, 0.25 * dx, -0.75 * dx)
     world = {"boundaries": walls, "forces": [Gravity()], "origin": origin, **setting.options}
-    return make_solver(x, volume, grains, dx=dx, **world)
+    return make_solver(x, (dx / 2) ** 3, grains, dx=dx, **world)
 
 
 def slope(heap: Solver) -> float:

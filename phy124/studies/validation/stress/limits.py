@@ -192,7 +192,7 @@ def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]
     s = make_solver(
         x,
-        np.full(len(x), 0.25**3 / len(low)),
+        0.25**3 / len(low),
         materials,
         **setting.options,
         dx=DX,
