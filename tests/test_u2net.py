@@ -10,7 +10,6 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file, save_file
 from skimage import data
-from skimage.transform import resize
 
 from phy124.errors import InputError
 from phy124.imaging import u2net
@@ -88,29 +87,6 @@ def test_rembg_arithmetic_equals_rembg(ops):
     np.testing.assert_array_equal(u2net.multiply_mask(ops["rgba"], mask), ops["rembg_remove_rgba"])
     straight = np.dstack([ops["rgb"], mask])
     np.testing.assert_array_equal(straight, ops["rembg_putalpha"])
-
-
-def test_authors_arithmetic_equals_their_program(ops):
-    x = u2net.prepare_original(ops["rgb"])
-    np.testing.assert_allclose(x[0, :, ::4, ::4], ops["u2net_orig_input"], **CLOSE)
-    np.testing.assert_allclose(x.sum(axis=(0, 2, 3)), ops["u2net_orig_input_sum"], rtol=1e-5)
-
-
-def test_authors_shrinking_equals_skimage(rng):
-    """The golden picture is enlarged; a large one is blurred first."""
-    image = (rng.random((700, 450, 3)) * 255).astype(np.uint8)
-    wanted = resize(image, (320, 320), mode="constant")
-    wanted = (wanted / wanted.max() - np.array(u2net.MEAN)) / np.array(u2net.STD)
-    np.testing.assert_allclose(u2net.prepare_original(image)[0].transpose(1, 2, 0), wanted, **CLOSE)
-
-
-def test_enlargement_is_bilinear_for_the_authors(ops):
-    d0 = ops["u2_pred"]
-    low, high = d0.min(), d0.max()
-    small = Image.fromarray(((d0[0, 0] - low) / (high - low) * 255).astype(np.uint8))
-    wanted = np.asarray(small.resize(SIZE, Image.Resampling.BILINEAR))
-    assert np.abs(u2net.finish_original(d0, SIZE).astype(int) - wanted).max() <= 1
-    assert not np.array_equal(u2net.finish_original(d0, SIZE), u2net.finish_rembg(d0, SIZE))
 
 
 def test_constant_answer_finds_nothing():

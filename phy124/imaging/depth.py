@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from phy124.imaging.image import normalise
 from phy124.runtime import isolated
 from phy124.weights.onnx import OnnxNetwork
 from phy124.weights.store import is_complete, require
@@ -33,8 +34,6 @@ LONGEST = 2 * SIDE
 """Largest length of a side of a network's input; larger images are reduced."""
 TOKENS = 1800
 """Number of patches that MoGe-2 uses; its authors suggest 1200 to 3600."""
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of the colours in ImageNet."""
 DETAIL = 256
 """Longest side of the grid on which depth and normals are combined [pixels]."""
 TRUST = 0.02
@@ -69,8 +68,7 @@ def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     scale = min(SIDE / min(height, width), LONGEST / max(height, width))
     size = whole_patches(scale * width), whole_patches(scale * height)
     image = cv2.resize(rgb / 255.0, size, interpolation=cv2.INTER_CUBIC)
-    normal = (image - np.array(MEAN)) / np.array(STD)
-    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32)
+    return normalise(image)
 
 
 def whole_patches(length: float) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.imaging.image import is_blank, shrink
-from phy124.imaging.lab import to_lab
+from phy124.imaging.lab import measure_change, to_lab
 
 Field = NDArray[np.float32]
 ROUNDS = 4
@@ -97,10 +97,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
     if not 0.01 < fraction < 0.9:
         return 0.0
     outline = cv2.morphologyEx(mask, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
-    lab = to_lab(rgb)
-    across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
-    change = np.sqrt((across**2 + down**2).sum(axis=2))
-    edge = float(np.minimum(change[outline], 10).mean())
+    edge = float(np.minimum(measure_change(to_lab(rgb))[outline], 10).mean())
     points = cv2.findNonZero(mask)
     solidity = float(mask.sum()) / max(cv2.contourArea(cv2.convexHull(points)), 1.0)
     rim = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.imaging.lab import to_lab
+from phy124.imaging.lab import measure_change, to_lab
 
 Solid = NDArray[np.bool_]
 GAP = 0.03
@@ -102,7 +102,6 @@ def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
     shown = cv2.resize(solid.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
     mask = np.pad(shown > 127, MARGIN)
     lab = np.pad(lab, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)), mode="edge")
-    across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
-    change = cv2.dilate(np.sqrt((across**2 + down**2).sum(axis=2)), np.ones((3, 3)))
+    change = cv2.dilate(measure_change(lab), np.ones((3, 3)))
     inside = cv2.erode(mask.astype(np.uint8), np.ones((5, 5))) > 0
     return (change > EDGE) & inside, mask

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from stat import S_ISREG
 
@@ -40,6 +41,8 @@ FAINT = 3
 """An image is blank if the range of its levels is below this value."""
 WORK_SIDE = 2048
 """Longest side to which images are reduced [pixels]; generators cannot use more detail."""
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Mean and standard deviation of the colours in ImageNet."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
 """Formats accepted for photographs, in addition to HEIC."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
@@ -137,6 +140,14 @@ def shrink(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def is_blank(rgb: NDArray[np.uint8]) -> bool:
     """Whether all pixels of an image [H,W,3] have nearly the same colour."""
     return int(np.ptp(shrink(rgb), axis=(0, 1)).max()) < FAINT
+
+
+def normalise(
+    image: NDArray, mean: Sequence[float] = MEAN, std: Sequence[float] = STD
+) -> NDArray[np.float32]:
+    """Return an image [H,W,3], 0..1, as a network's input [1,3,H,W]: (image - mean) / std."""
+    normal = (image - np.array(mean)) / np.array(std)
+    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32)
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:

@@ -24,6 +24,18 @@ def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=2)
 
 
+def measure_change(lab: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the gradient of colours [H,W,3] in each pixel [H,W], in CIE Lab units per pixel."""
+    across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
+    return np.sqrt((across**2 + down**2).sum(axis=2))
+
+
+def number_bins(lab: NDArray[np.float32], bins: tuple[int, int, int]) -> NDArray[np.intp]:
+    """Return the number of the histogram bin of each colour [H,W]; `bins` are those of L, a, b."""
+    places = ((lab - [0, -100, -100]) / [100, 200, 200] * bins).astype(int)
+    return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(places, 2, 0)), bins, mode="clip"))
+
+
 def _linear_light() -> NDArray[np.float32]:
     """Return the linear light 0..1 of each byte value [256]."""
     value = np.arange(256) / 255

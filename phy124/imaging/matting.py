@@ -37,13 +37,14 @@ def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
     small = np.asarray(
         cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32
     ) / np.float32(255)
-    slope, offset = _fit_linear(small, _raise_contrast(_resize(coarse, size), DECIDED))
-    slope, offset = _resize(slope, (width, height)), _resize(offset, (width, height))
+    slope, offset = _fit_linear(small, _raise_contrast(resize(coarse, size), DECIDED))
+    slope, offset = resize(slope, (width, height)), resize(offset, (width, height))
     fine = np.einsum("hwc,hwc->hw", slope, rgb, dtype=np.float32) / 255 + offset
     return np.rint(255 * _raise_contrast(fine, SHARP)).astype(np.uint8)
 
 
-def _resize(values: Field, size: tuple[int, int]) -> Field:
+def resize(values: Field, size: tuple[int, int]) -> Field:
+    """Interpolate values [h,w] or [h,w,C] linearly to a size (W, H)."""
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from phy124.imaging.image import is_blank
+from phy124.imaging.image import MEAN, STD, is_blank, normalise
+from phy124.imaging.matting import resize
 from phy124.runtime import isolated
 from phy124.runtime.memory import free_memory
 from phy124.weights.catalogue import ABOUT
@@ -62,7 +63,7 @@ def resize_sharply(rgb: Pixels, size: int) -> Pixels:
 
 def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
     """Resize the logistic function of the logits."""
-    return _resize((0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32), size)
+    return resize((0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32), size)
 
 
 def finish_stretched(values: Mask, size: tuple[int, int]) -> Mask:
@@ -70,27 +71,22 @@ def finish_stretched(values: Mask, size: tuple[int, int]) -> Mask:
 
     If all values are equal, no object is salient, and zeros are returned.
     """
-    values = _resize(values, size)
+    values = resize(values, size)
     low, high = float(values.min()), float(values.max())
     return (values - low) / (high - low) if high > low else np.zeros_like(values)
 
 
-def _resize(values: Mask, size: tuple[int, int]) -> Mask:
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
-"""Mean and standard deviation of the colours in ImageNet."""
 CENTRED = ((0.5, 0.5, 0.5), (1.0, 1.0, 1.0))
 NETWORKS: dict[str, Salient] = {
     "birefnet": Salient(
-        "birefnet-lite", 1024, resize_smoothly, *IMAGENET, finish_logits, "BiRefNet-lite"
+        "birefnet-lite", 1024, resize_smoothly, MEAN, STD, finish_logits, "BiRefNet-lite"
     ),
     "birefnet-512": Salient(
         "birefnet-lite-512",
         512,
         resize_smoothly,
-        *IMAGENET,
+        MEAN,
+        STD,
         finish_logits,
         "BiRefNet-lite at 512 pixels",
     ),
@@ -138,6 +134,4 @@ def find_mask(rgb: Pixels, network: Salient, run: OnnxNetwork) -> Pixels:
 
 def prepare(rgb: Pixels, network: Salient) -> NDArray[np.float32]:
     """Resize and normalise an image [H,W,3]; return [1,3,size,size]."""
-    small = network.resize(rgb, network.size) / 255
-    normal = (small - np.array(network.mean)) / np.array(network.std)
-    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], np.float32)
+    return normalise(network.resize(rgb, network.size) / 255, network.mean, network.std)

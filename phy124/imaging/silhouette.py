@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.imaging.lab import to_lab
+from phy124.imaging.lab import measure_change, number_bins, to_lab
 
 Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
@@ -35,8 +35,6 @@ BINS = (12, 24, 24)
 """Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
 """Kernel that smooths a histogram along one axis, and the identity kernel."""
-MINIMUM, EXTENT = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Smallest values of L, a and b in the bins, and the ranges that the bins cover."""
 
 
 def count_pieces(solid: Solid) -> int:
@@ -60,11 +58,9 @@ def find_touched_edges(solid: Solid) -> tuple[str, ...]:
 def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
     """Return the fraction of the outline along which the image [H,W,3] has no edge."""
     lab, inside = _reduce(rgb, solid)
-    across, down = (cv2.Sobel(lab, cv2.CV_32F, *d, scale=1 / 8) for d in ((1, 0), (0, 1)))
-    change = np.sqrt((across**2 + down**2).sum(axis=2))
     around = np.ones((3, 3), np.uint8)
     outline = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_GRADIENT, around) > 0
-    seen = cv2.dilate(change, around)[outline]
+    seen = cv2.dilate(measure_change(lab), around)[outline]
     return float((seen < FAINT).mean()) if len(seen) else 0.0
 
 
@@ -75,8 +71,7 @@ def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
     around = ~inside & (away <= AROUND * max(inside.shape))
     if not (inside.any() and around.any()):
         return 0.0
-    bins = ((lab - MINIMUM) / EXTENT * BINS).astype(int)
-    kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), BINS, mode="clip"))
+    kinds = number_bins(lab, BINS)
     commoner = _colour_fractions(kinds[inside]) > _colour_fractions(kinds[around])
     return float(commoner[kinds[around]].mean())
 

@@ -9,13 +9,14 @@ often this happens.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.imaging.lab import to_lab
+from phy124.imaging.lab import number_bins, to_lab
 
 Alpha = NDArray[np.uint8]
 Solid = NDArray[np.bool_]
@@ -29,10 +30,8 @@ MOST = 4
 """Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25
 """Smallest area of the smaller part, as a fraction of the area of both parts."""
-BINS = np.array([6, 16, 16])
+BINS = (6, 16, 16)
 """Numbers of histogram bins for L, a and b."""
-LOW, RANGE = np.array([0, -100, -100]), np.array([100, 200, 200])
-"""Smallest values of L, a and b in the bins, and the ranges that the bins cover."""
 
 
 class Neck(NamedTuple):
@@ -110,9 +109,7 @@ def _distance_to(core: Solid) -> NDArray[np.float32]:
 
 def _colour_difference(rgb: NDArray[np.uint8], first: Solid, second: Solid) -> float:
     """Return the fraction of the colour histograms that two parts do not share."""
-    lab = to_lab(rgb)
-    bins = np.clip(((lab - LOW) / RANGE * BINS).astype(int), 0, BINS - 1)
-    kinds = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(bins, 2, 0)), tuple(BINS)))
-    counts = [np.bincount(kinds[part], minlength=int(BINS.prod())) for part in (first, second)]
+    kinds = number_bins(to_lab(rgb), BINS)
+    counts = [np.bincount(kinds[part], minlength=math.prod(BINS)) for part in (first, second)]
     shares = [count / max(1, count.sum()) for count in counts]
     return float(1 - np.minimum(*shares).sum())

@@ -1,4 +1,4 @@
-"""Segments the salient object with U2-Net; images are processed as by its authors or by rembg.
+"""Segments the salient object with U2-Net; images are resampled as by rembg.
 
 Source: Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The
 file of the full network must be downloaded. The file of a network is either an .onnx file, for
@@ -11,7 +11,6 @@ import os
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.errors import InputError
-from phy124.imaging.image import is_blank
+from phy124.imaging.image import is_blank, normalise
 from phy124.imaging.matting import fit_edge
 from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
@@ -27,7 +26,6 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 
 SIZE = 320
 """Width and height of the network's input [pixels]."""
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 CLOSER, AROUND = 1.4, 0.15
 """An object is segmented again, with its surroundings, if it can be enlarged by the first number.
 
@@ -37,16 +35,13 @@ AGREED = 0.85
 """Smallest overlap (IoU) with the first mask of a repeated segmentation that is used."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
-Style = Literal["rembg", "original"]
-"""How images are resampled: as in rembg (Lanczos, the default) or as by the authors of U2-Net
-(bilinear)."""
 
 
-def weights_file(folder: str | os.PathLike[str] | None = None) -> Path | None:
+def weights_file() -> Path | None:
     """Return the file of the full network, preferring .onnx to .pth; None if there is no file."""
     (onnx,) = KNOWN["u2net"]
     pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
-    return find(onnx, folder) or find(pth, folder)
+    return find(onnx) or find(pth)
 
 
 def is_available(image: Image.Image | None = None) -> bool:
@@ -153,66 +148,26 @@ def load(path: str | os.PathLike[str]) -> Network:
         ) from error
 
 
-def foreground(
-    rgb: NDArray[np.uint8], network: Network, *, style: Style = "rembg"
-) -> NDArray[np.uint8]:
-    """Return the mask [H,W], 0..255, of the salient object in `rgb [H,W,3]`."""
-    prepare, finish = STYLES[style]
-    return finish(network(prepare(rgb)), (rgb.shape[1], rgb.shape[0]))
+def foreground(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.uint8]:
+    """Return the mask [H,W], 0..255, of the salient object in `rgb [H,W,3]`, as rembg does."""
+    return finish_rembg(network(prepare_rembg(rgb)), (rgb.shape[1], rgb.shape[0]))
 
 
 def prepare_rembg(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Resample `rgb [H,W,3]` as rembg does to [1,3,320,320]: Lanczos, normalised by the maximum."""
     small = Image.fromarray(rgb).resize((SIZE, SIZE), Image.Resampling.LANCZOS)
-    return _normalise(np.asarray(small, dtype=np.float64))
-
-
-def prepare_original(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Resample an image as the authors do to [1,3,320,320]: blurred, then bilinear.
-
-    Values outside the image are assumed to be black, which slightly darkens the pixels at the image
-    edges.
-    """
-    from scipy.ndimage import gaussian_filter, zoom
-
-    factors = np.array([rgb.shape[0] / SIZE, rgb.shape[1] / SIZE, 1.0])
-    sigma = np.maximum(0, (factors - 1) / 2)
-    smooth = gaussian_filter(rgb / 255, sigma, mode="grid-constant")
-    small = zoom(smooth, 1 / factors, order=1, mode="grid-constant", grid_mode=True)
-    return _normalise(np.asarray(small, dtype=np.float64))
-
-
-def _normalise(image: NDArray[np.float64]) -> NDArray[np.float32]:
-    image = image / max(float(image.max()), 1e-6)
-    normal = (image - np.array(MEAN)) / np.array(STD)
-    return np.ascontiguousarray(normal.transpose(2, 0, 1)[None], dtype=np.float32)
+    image = np.asarray(small, dtype=np.float64)
+    return normalise(image / max(float(image.max()), 1e-6))
 
 
 def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Convert a network's output [1,1,320,320] to a mask [H,W]; `size` is (W, H)."""
-    return _stretch_mask(d0, size, Image.Resampling.LANCZOS)
-
-
-def finish_original(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the mask [H,W] like `finish_rembg`, but with the authors' bilinear resampling."""
-    return _stretch_mask(d0, size, Image.Resampling.BILINEAR)
-
-
-def _stretch_mask(
-    d0: NDArray[np.float32], size: tuple[int, int], resampling: Image.Resampling
-) -> NDArray[np.uint8]:
+    """Convert a network's output [1,1,320,320] to a mask [H,W] as rembg does; `size` is (W, H)."""
     d0 = d0[0, 0]
     low, high = float(d0.min()), float(d0.max())
-    # A constant output means that no object is salient; the original programs would divide by zero.
+    # A constant output means that no object is salient; the original program would divide by zero.
     unit = (d0 - low) / (high - low) if high > low else np.zeros_like(d0)
     small = Image.fromarray((np.clip(unit, 0, 1) * 255).astype(np.uint8))
-    return np.asarray(small.resize(size, resampling))
-
-
-STYLES = {
-    "rembg": (prepare_rembg, finish_rembg),
-    "original": (prepare_original, finish_original),
-}
+    return np.asarray(small.resize(size, Image.Resampling.LANCZOS))
 
 
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
