@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from phy124.imaging.image import normalise
+from phy124.imaging.image import normalise, reduce_size
 from phy124.runtime import isolated
 from phy124.weights.onnx import OnnxNetwork
 from phy124.weights.store import is_complete, require
@@ -82,8 +82,7 @@ def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
     The points of MoGe-2 have an unknown offset along the view direction, which has no effect here.
     """
     height, width = rgb.shape[:2]
-    scale = min(1.0, LONGEST / max(height, width))
-    size = max(PATCH, round(scale * width)), max(PATCH, round(scale * height))
+    size = reduce_size(rgb.shape, LONGEST, PATCH)
     small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32) / 255
     image = np.ascontiguousarray(small.transpose(2, 0, 1)[None])
     network = OnnxNetwork(path, ["image", "num_tokens"], ["points", "normal"])
@@ -102,8 +101,7 @@ def add_detail(points: Map, normals: Map, inside: NDArray[np.bool_]) -> Map:
     away from the camera, and normals face the camera.
     """
     height, width = inside.shape
-    scale = min(1.0, DETAIL / max(height, width))
-    size = max(2, round(scale * width)), max(2, round(scale * height))
+    size = reduce_size(inside.shape, DETAIL, 2)
     points = np.asarray(cv2.resize(points, size, interpolation=cv2.INTER_AREA), np.float32)
     normals = np.asarray(cv2.resize(normals, size, interpolation=cv2.INTER_AREA), np.float32)
     mask = cv2.resize(inside.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0

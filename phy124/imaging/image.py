@@ -127,13 +127,21 @@ def original_size(image: Image.Image) -> tuple[int, int]:
     return image.info.get("size", image.size)
 
 
+def reduce_size(shape: tuple[int, ...], longest: int, least: int = 1) -> Size:
+    """Return the width and height of an image [H,W,...] after it is reduced in size.
+
+    Each side then has at most `longest` and at least `least` pixels.
+    """
+    height, width = shape[:2]
+    scale = min(1.0, longest / max(height, width))
+    return max(least, round(width * scale)), max(least, round(height * scale))
+
+
 def shrink(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Reduce an image [H,W,3] so that its longest side has at most `LOOK_SIDE` pixels."""
     import cv2
 
-    height, width = rgb.shape[:2]
-    scale = min(1.0, LOOK_SIDE / max(height, width))
-    size = (max(8, round(width * scale)), max(8, round(height * scale)))
+    size = reduce_size(rgb.shape, LOOK_SIDE, 8)
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.imaging.image import reduce_size
+
 Field = NDArray[np.float32]
 SIDE = 640
 """Longest side at which the edge is fitted [pixels]; the fit is then applied at full resolution."""
@@ -32,8 +34,7 @@ def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
     this function are computed on the reduced image (He, Sun 2015).
     """
     height, width = rgb.shape[:2]
-    scale = min(1.0, SIDE / max(height, width))
-    size = max(1, round(width * scale)), max(1, round(height * scale))
+    size = reduce_size(rgb.shape, SIDE)
     small = np.asarray(
         cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32
     ) / np.float32(255)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from phy124.imaging.image import reduce_size
 from phy124.imaging.lab import measure_change, number_bins, to_lab
 
 Solid = NDArray[np.bool_]
@@ -102,8 +103,7 @@ def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
 
 def _reduce(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
     """Return smoothed CIE Lab colours [h,w,3] and the object's mask [h,w], both at reduced size."""
-    scale = min(1.0, SIDE / max(solid.shape))
-    size = max(3, round(solid.shape[1] * scale)), max(3, round(solid.shape[0] * scale))
+    size = reduce_size(solid.shape, SIDE, 3)
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)
     mask = cv2.resize(255 * solid.astype(np.uint8), size, interpolation=cv2.INTER_AREA)
     return to_lab(np.asarray(cv2.bilateralFilter(small, 5, 30, 3), np.uint8)), mask > 127

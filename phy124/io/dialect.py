@@ -24,6 +24,7 @@ ENOUGH, BLOCKS = 10_000, 20
 """Number of sampled rows, and number of blocks of adjacent rows that form the sample."""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
 """Columns of a file that LGM wrote, in the order of the file."""
+NORMALS = ("nx", "ny", "nz")
 SIGNED = ("phy124", "SuperSplat")
 """Programs that state their name in a comment of the file and use the usual axes."""
 UNIT = 1e-3
@@ -83,10 +84,12 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
     if _is_signed(header) or header.ascii or "f_rest_0" in names or not set(LGM) <= set(names):
         return None
     rows = _some_rows(path, header)
-    reach, unit = _reach(rows), _unit(rows)
+    reach = max(float(np.abs(rows[axis]).max()) for axis in CENTRE)
+    squares = sum(rows[name].astype(np.float64) ** 2 for name in QUATS)
+    unit = bool((np.abs(np.sqrt(squares) - 1) < UNIT).all())
     if names == LGM and unit and reach <= 1.01:
         return "lgm", "LGM: no normals, unit quaternions, all within a cube of side 2"
-    if not _plain_normals(header, rows) or reach > 0.51:
+    if reach > 0.51 or not set(NORMALS) <= set(names) or any(rows[n].any() for n in NORMALS):
         return None
     within = "normals of zero, all within a cube of side 1"
     if not unit:
@@ -103,18 +106,3 @@ def _some_rows(path: Path, header: Header) -> NDArray:
     firsts = np.linspace(0, header.count - each, BLOCKS).astype(int).tolist()
     places = [header.start + first * header.row.itemsize for first in firsts]
     return np.concatenate([np.fromfile(path, header.row, each, offset=at) for at in places])
-
-
-def _reach(rows: NDArray) -> float:
-    """Return the largest absolute coordinate of points."""
-    return max((float(np.abs(rows[axis]).max()) for axis in "xyz"), default=np.inf)
-
-
-def _unit(rows: NDArray) -> bool:
-    squares = sum(rows[f"rot_{i}"].astype(np.float64) ** 2 for i in range(4))
-    return bool((np.abs(np.sqrt(squares) - 1) < UNIT).all())
-
-
-def _plain_normals(header: Header, rows: NDArray) -> bool:
-    names = header.row.names or ()
-    return {"nx", "ny", "nz"} <= set(names) and not any(rows[n].any() for n in ("nx", "ny", "nz"))

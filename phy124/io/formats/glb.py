@@ -63,6 +63,7 @@ EVEN = 1e-3
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """glTF extensions that are supported."""
 MAX_NODES = 2000
+SCALE = f"{EXTENSION}:SCALE"
 OBJECT = "_OBJECT_ID"
 """Attribute that only phy124 writes and reads: the object index."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
@@ -102,13 +103,18 @@ def read(path: Path) -> Content:
     scene = _chunks(path, read_whole_file(KIND, path))
     try:
         primitives = _primitives(scene)
-        logs, notes = _kind_of_scales(scene, primitives)
+        generator = str(scene.tree.get("asset", {}).get("generator", ""))
+        of = partial(_values, scene, width=3)
+        logs, notes = kind_of_scales(
+            generator, [(of(p, name=SCALE), of(p, name="POSITION")) for p in primitives]
+        )
         parts = [_apply_matrix(scene, _columns(scene, p, logs), p.matrix) for p in primitives]
         step = max(part.pop("step") for part in parts)
         raw = {name: np.concatenate([part[name] for part in _alike(parts)]) for name in parts[0]}
         if not any(OBJECT in primitive.attributes for primitive in primitives):
             del raw["object_id"]
-        axes, notes = _axes(scene), [*notes, *_passed_over(scene, primitives)]
+        axes = ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
+        notes = [*notes, *_passed_over(scene, primitives)]
     except InputError:
         raise
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
@@ -164,7 +170,7 @@ def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
         "POSITION": gaussians.means,
         "COLOR_0": np.rint(np.clip(rgba, 0, 1) * 255).astype(np.uint8),
         f"{EXTENSION}:ROTATION": np.roll(gaussians.quats, -1, axis=1),
-        f"{EXTENSION}:SCALE": gaussians.scales,
+        SCALE: gaussians.scales,
         f"{EXTENSION}:OPACITY": gaussians.opacities,
     }
     names = _names(gaussians.sh.shape[1])
@@ -229,14 +235,6 @@ def _chunks(path: Path, data: bytes) -> Scene:
     return Scene(path, tree, chunks.get(BIN_CHUNK, memoryview(b"")))
 
 
-def _axes(scene: Scene) -> tuple[str, str]:
-    """Return the up and front directions of a file. The directions are those of glTF, except that
-    the front is -z if the file was written by a program in `LEAVES_THE_FRONT`.
-    """
-    generator = str(scene.tree.get("asset", {}).get("generator", ""))
-    return ("y", "-z") if generator.startswith(LEAVES_THE_FRONT) else Y_UP
-
-
 def _primitives(scene: Scene) -> list[Primitive]:
     """Return all primitives of the scene whose points are Gaussians."""
     total, primitives = 0, []
@@ -256,16 +254,6 @@ def _primitives(scene: Scene) -> list[Primitive]:
         limit = f"it holds no Gaussians: no mesh has {EXTENSION}."
         raise refusal(KIND, scene.path, limit, "Give a GLB of Gaussians, not of a mesh.")
     return primitives
-
-
-def _kind_of_scales(scene: Scene, primitives: list[Primitive]) -> tuple[bool, list[str]]:
-    """Return whether the scales of a file are logarithms, and notes about how this was decided."""
-    generator = str(scene.tree.get("asset", {}).get("generator", ""))
-    pairs = [
-        (_values(scene, p, f"{EXTENSION}:SCALE", 3), _values(scene, p, "POSITION", 3))
-        for p in primitives
-    ]
-    return kind_of_scales(generator, pairs)
 
 
 def _passed_over(scene: Scene, primitives: list[Primitive]) -> list[str]:
@@ -349,7 +337,7 @@ def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArra
 def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArray[np.float32]]:
     """Return the columns of a primitive by the field names of `Gaussians`."""
     of = partial(_values, scene, primitive)
-    scales = of(f"{EXTENSION}:SCALE", 3)
+    scales = of(SCALE, 3)
     with np.errstate(over="ignore"):
         scales = np.exp(scales) if logs else np.abs(scales)
     names = [name for name in _names(LARGEST_SH) if name in primitive.attributes]

@@ -16,7 +16,7 @@ from PIL import Image
 from phy124.camera import Camera
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
-from phy124.imaging.image import open_image
+from phy124.imaging.image import open_image, reduce_size
 from phy124.rendering.render import BLACK, Renderer
 
 CUTOUT = "cutout.png"
@@ -64,12 +64,11 @@ class Photograph:
         Raises:
             InputError: The cut-out is empty.
         """
-        scale = min(1.0, LARGEST / max(picture.size))
-        width, height = (max(16, round(side * scale)) for side in picture.size)
+        size = reduce_size(picture.size[::-1], LARGEST, 16)
         on_white = Image.new("RGBA", picture.size, "white")
         on_white.alpha_composite(picture.convert("RGBA"))
-        rgb = on_white.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)
-        alpha = cutout.convert("RGBA").getchannel("A").resize((width, height))
+        rgb = on_white.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+        alpha = cutout.convert("RGBA").getchannel("A").resize(size)
         opaque = np.asarray(alpha, np.float32) / np.float32(255)
         if not (opaque > 0.5).any():
             limit = "it shows no part of the object."
@@ -78,10 +77,9 @@ class Photograph:
 
     def reduce(self, longest: int) -> Photograph:
         """Return the photograph with sides of at most `longest` pixels."""
-        scale = min(1.0, longest / max(self.alpha.shape))
-        height, width = (max(16, round(side * scale)) for side in self.alpha.shape)
-        small = Image.fromarray(self.rgb).resize((width, height), Image.Resampling.BOX)
-        opaque = Image.fromarray(self.alpha).resize((width, height), Image.Resampling.BOX)
+        size = reduce_size(self.alpha.shape, longest, 16)
+        small = Image.fromarray(self.rgb).resize(size, Image.Resampling.BOX)
+        opaque = Image.fromarray(self.alpha).resize(size, Image.Resampling.BOX)
         return Photograph(np.asarray(small), np.asarray(opaque))
 
     def erase_object(self) -> NDArray[np.uint8]:
@@ -91,8 +89,7 @@ class Photograph:
         height, width = self.alpha.shape
         margin = max(2, round(MARGIN * max(height, width)))
         hole = cv2.dilate((self.alpha > 0.02).astype(np.uint8), np.ones((2 * margin + 1,) * 2))
-        scale = min(1.0, HOLE / max(height, width))
-        size = (max(8, round(width * scale)), max(8, round(height * scale)))
+        size = reduce_size(self.alpha.shape, HOLE, 8)
         small = cv2.resize(self.rgb, size, interpolation=cv2.INTER_AREA)
         inside = cv2.resize(hole, size, interpolation=cv2.INTER_NEAREST)
         if inside.all():

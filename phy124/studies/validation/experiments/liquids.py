@@ -136,15 +136,10 @@ def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
     floor = HalfSpace(point=(0, 0, 0), normal=(0, 0, 1), contact="sticky")
     solver = solver_of(x, np.zeros_like(x), cells, [sides, floor], 1.0, 1000 * viscosity)
     times = start * np.geomspace(math.sqrt(longer), longer, 5)
-    squares = record(solver, times - start, lambda: _square_radius(host(solver.state.x)))
-    radii = np.sqrt(7 / 3 * squares)
+    places = record(solver, times - start, lambda: host(solver.state.x)[:, :2])
+    radii = np.sqrt(7 / 3 * (places**2).sum(axis=2).mean(axis=1))
     prefactor = np.mean(radii / (scale * times) ** 0.125)
     return float(prefactor), float(np.polyfit(np.log(times), np.log(radii), 1)[0])
-
-
-def _square_radius(x: NDArray) -> float:
-    """Return the mean square of the distances from the vertical axis [m^2]."""
-    return float(np.mean(x[:, 0] ** 2 + x[:, 1] ** 2))
 
 
 SLOSHING = Experiment(
