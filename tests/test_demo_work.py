@@ -19,8 +19,10 @@ from demo.work.limits import Limits, easier
 from demo.work.motion import Watching
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
+from phy124.mpm import Model
 from phy124.mpm.runner import Runner
 from phy124.scene import Scene
+from phy124.simulation import Setup
 from support.orders import small_order
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
@@ -70,9 +72,9 @@ def test_finished_runs_are_freed_at_once(order):
     """Otherwise a page with many runs keeps several solvers until Python looks for cycles."""
     gc.disable()
     try:
-        before = [each for each in gc.get_objects() if isinstance(each, Runner)]
+        before = [each for each in gc.get_objects() if isinstance(each, Runner | Model | Setup)]
         _run(order)
-        after = [each for each in gc.get_objects() if isinstance(each, Runner)]
+        after = [each for each in gc.get_objects() if isinstance(each, Runner | Model | Setup)]
     finally:
         gc.enable()
     assert {id(each) for each in after} <= {id(each) for each in before}

@@ -309,7 +309,7 @@ def test_exception_between_barriers_ends_all_threads(reports, threads):
         nonlocal calls
         calls += 1
         if calls == reports:
-            team._queue.append(task)
+            team._tasks[team._started % 2] = task
             raise KeyboardInterrupt
         hand_over(task)
 

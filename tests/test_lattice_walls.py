@@ -130,7 +130,7 @@ def test_wrenches_and_works_on_held_points_balance():
     steel = FreeBody("ball", "sphere", (0.2,) * 3, (0.2, 0.15, 0.5), velocity=(0, 0, -1))
     solver = make(block((0.3, 0.3, 0.3)), boundaries=HOLD, free=[steel])
     solver.walls.keep_impulses()
-    solver.energies.start()
+    solver.keep_works()
     totals = LatticeTotals(solver)
     before = totals.read(solver.clock)
     solver.advance(0.05)

@@ -207,7 +207,7 @@ def thin_sheets(**options):
     solver = make_bodies([solid], **options)
     upper = solver.lattice.x[:, 2] > 0.25
     solver.nodes_state.u.assign(np.outer(upper, [0, 0, -0.39]))
-    division = Division(solver.model, solver.workers, solver.runner.complete)
+    division = Division(solver.model, solver.runner.team)
     return solver, Partners(solver.surface, solver.model, solver.nodes_state, division)
 
 

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
@@ -13,11 +14,11 @@ SIZES = (2, 5)
 @pytest.mark.parametrize("size", SIZES)
 def test_each_member_does_its_tasks_in_order(size):
     done = []
-    team = Team(size, lambda member, task: done.append((member, task, threading.get_ident())))
+    team = Team(size)
     with team.running():
         assert team.alive
         for task in range(5):
-            team.put(task)
+            team.put(lambda member, task=task: done.append((member, task, threading.get_ident())))
         team.join()
         for member in range(1, size):
             assert [task for who, task, _ in done if who == member] == list(range(5))
@@ -30,40 +31,40 @@ def test_each_member_does_its_tasks_in_order(size):
 def test_tasks_begin_after_all_threads_end_the_last(size):
     done: list[int] = []
 
-    def work(member, task):
+    def work(task, member):
         assert len(done) >= task * (size - 1)
         time.sleep(0.002 * (member == task))
         done.append(task)
 
-    team = Team(size, work)
+    team = Team(size)
     with team.running():
         for task in range(size + 2):
-            team.put(task)
+            team.put(partial(work, task))
         team.join()
     assert sorted(done) == sorted(list(range(size + 2)) * (size - 1))
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_an_error_is_raised_by_the_first_thread_once(size):
-    def fail(member, task):
+    def fail(member):
         if member == size - 1:
-            raise ZeroDivisionError(task)
+            raise ZeroDivisionError("first")
 
-    team = Team(size, fail)
+    team = Team(size)
     with team.running():
         with pytest.raises(ZeroDivisionError, match="first"):
-            team.put("first")  # which raises it itself if the task is quick
+            team.put(fail)  # which raises it itself if the task is quick
             team.join()
         team.join()
 
 
 def test_exiting_thread_releases_the_others():
-    def end(member, task):
+    def end(member):
         raise SystemExit(f"member {member}")
 
-    team, before = Team(4, end), threading.active_count()
+    team, before = Team(4), threading.active_count()
     with pytest.raises(SystemExit, match="member"), team.running():
-        team.put("task")
+        team.put(end)
         team.join()
     assert threading.active_count() == before
 

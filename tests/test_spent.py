@@ -45,17 +45,17 @@ def test_time_spent_before_a_pause_counts():
 def test_the_busiest_thread_counts():
     work = {1: 2e-3, 2: 2e-2}
 
-    def compute(member: int, task: int) -> None:
+    def compute(member: int) -> None:
         begun = time.thread_time()
         while time.thread_time() - begun < work[member]:
             pass
 
-    team = Team(3, compute)
+    team = Team(3)
     counted = Spent(team, "cpu")
     for _ in range(2):
         with counted.counting(), team.running():
-            for task in range(3):
-                team.put(task)
+            for _ in range(3):
+                team.put(compute)
             team.join()
     # The last task of a stretch is added when its thread looks for the next one.
     assert counted.before >= 2 * 2 * work[2]
@@ -65,5 +65,5 @@ def test_the_busiest_thread_counts():
 def test_on_a_gpu_the_clock_counts(monkeypatch):
     looks = iter([0.0, 1.0, 4.0, 9.0])
     monkeypatch.setattr(spent.time, "perf_counter", lambda: next(looks))
-    counted = Spent(Team(1, lambda member, task: None), "cuda:0")
+    counted = Spent(Team(1), "cuda:0")
     assert counted.total() == pytest.approx(1.0)

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any
 
 from phy124.runtime.device import pick_device
-from phy124.runtime.memory import collect
+from phy124.runtime.memory import trim
 from phy124.runtime.stopwatch import Stopwatch
 
 from ..progress import Done, Event, Measured, Reused
@@ -90,7 +90,7 @@ def _run(order: Order, events: queue.SimpleQueue[Any]) -> None:
     if not (order.folder / STAGES[0]).exists():
         # The visitor's folder has been removed in the meantime.
         shutil.rmtree(order.folder, ignore_errors=True)
-    collect()
+    trim()
     events.put(last)
 
 

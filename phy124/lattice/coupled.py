@@ -16,7 +16,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.lattice.clamps import PassedOn
 from phy124.lattice.material import Material
 from phy124.lattice.solver import LatticeSolver
 from phy124.mpm import Accumulator, Attachable, Clock, Model, Pair, Solver, State
@@ -115,8 +114,8 @@ class CoupledSolver(Solver):
             self.materials.append(Material(*known, body=number[body], moves=moves))
         assert isinstance(self.clock, CoupledClock)
         self.clock.lattice = self._lattice.clock
-        self._lattice.guests = [self]
-        self._kick = (0.0, 0.0)
+        self._lattice.guests = self.materials
+        self.guest = self._part = _Lattices(self._lattice, self.materials)
         self.bind(
             options.get("forces", ()),
             options.get("boundaries", ()),
@@ -131,11 +130,6 @@ class CoupledSolver(Solver):
         """The solver of the bodies on lattices."""
         assert self._lattice is not None
         return self._lattice
-
-    @property
-    def guest(self) -> CoupledSolver:
-        """This solver; its `launch` runs after the grids are updated and before the walls act."""
-        return self
 
     @property
     def meetings(self) -> Any:
@@ -174,26 +168,7 @@ class CoupledSolver(Solver):
             self._lattice.bind(uniform, walls)
         super().bind(forces, boundaries, accumulators, planes)
         if self._lattice is not None:
-            self.rejection.keep(_Undo(self))
-
-    def stages(self, passed: PassedOn | None) -> list[list[Any]]:
-        """Return the kernel launches that handle contact between lattices and particles.
-
-        Args:
-            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
-                there are no clamps.
-        """
-        for material in self.materials:
-            material.pass_on(passed)
-        return [
-            [("pairs", material.stage(number)) for material in self.materials]
-            for number in range(3)
-        ]
-
-    def launch(self) -> None:
-        """Apply forces and then all contact impulses to the nodes of the lattices."""
-        if self._lattice is not None:
-            self._lattice.start_step(*self._kick)
+            self.rejection.keep(self._part)
 
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
@@ -254,7 +229,7 @@ class CoupledSolver(Solver):
         return dt
 
     def _scatter(self, kick: float, drift: float) -> None:
-        self._kick = kick, drift
+        self._part.times = kick, drift
         super()._scatter(kick, drift)
 
     def _record(self) -> None:
@@ -272,29 +247,38 @@ class CoupledSolver(Solver):
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot from which `restore` continues bit for bit."""
-        return {**super().snapshot(), **_Undo(self).snapshot()}
+        return {**super().snapshot(), **self._part.snapshot()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
         super().restore(snapshot)
-        _Undo(self).restore(snapshot)
+        self._part.restore(snapshot)
 
 
-class _Undo:
-    """The part of the lattices' state that is restored after a rejected substep."""
+class _Lattices:
+    """The lattices in a substep of the particles; a rejected substep restores their state."""
 
-    def __init__(self, solver: CoupledSolver) -> None:
-        self._solver = solver
+    def __init__(self, lattice: LatticeSolver, materials: Sequence[Material]) -> None:
+        self._lattice, self._materials = lattice, materials
+        self.times = (0.0, 0.0)
+        """Kick and drift of the substep [s]."""
+
+    def launch(self) -> None:
+        """Apply forces and then all contact impulses to the nodes of the lattices.
+
+        This happens after the particles' grids are updated and before walls act on the grids.
+        """
+        self._lattice.start_step(*self.times)
 
     def snapshot(self) -> dict[str, Any]:
         """Return the current state."""
-        materials = {str(i): each.snapshot() for i, each in enumerate(self._solver.materials)}
-        return {"lattice": self._solver.lattice.snapshot(), "materials": materials}
+        materials = {str(i): each.snapshot() for i, each in enumerate(self._materials)}
+        return {"lattice": self._lattice.snapshot(), "materials": materials}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        self._solver.lattice.restore(snapshot["lattice"])
-        for number, material in enumerate(self._solver.materials):
+        self._lattice.restore(snapshot["lattice"])
+        for number, material in enumerate(self._materials):
             material.restore(snapshot["materials"][str(number)])
 
 

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from phy124.mpm.model import Model
-
-DIVIDED = -7
-"""Task of the workers: launch their shares of a kernel."""
+from phy124.mpm.threads import Team
 
 
 class Division:
     """Records kernels whose threads are divided among all workers."""
 
-    def __init__(
-        self, model: Model, workers: Sequence[Any], complete: Callable[[int], None]
-    ) -> None:
-        """Store the workers that launch the kernels.
-
-        Args:
-            model: The constants of the run.
-            workers: The workers (phy124/lattice/workers.py).
-            complete: Function that runs a task on all workers.
-        """
-        self._model, self._workers, self._complete = model, workers, complete
+    def __init__(self, model: Model, team: Team) -> None:
+        """Store the constants of the run, and the threads that launch the kernels."""
+        self._model, self._team = model, team
 
     def record(
         self, kernel: Any, most: int, inputs: list[Any], outputs: list[Any]
@@ -39,18 +29,21 @@ class Division:
             inputs: The other arguments that the kernel reads.
             outputs: Arguments that the kernel writes.
         """
+        team = self._team
         shares: list[Any] = [
-            self._model.launch(kernel, most, [0, *inputs], outputs) for _ in self._workers
+            self._model.launch(kernel, most, [0, *inputs], outputs) for _ in range(team.size)
         ]
 
         def run(count: int) -> None:
-            edges = np.linspace(0, count, len(shares) + 1).astype(int).tolist()
-            for worker, share, first, last in zip(
-                self._workers, shares, edges, edges[1:], strict=False
-            ):
-                worker.tasks[DIVIDED] = [("divided", share.launch)] if last > first else []
+            edges = np.linspace(0, count, team.size + 1).astype(int).tolist()
+            for share, first, last in zip(shares, edges, edges[1:], strict=False):
                 share.set_param_at_index(0, first)
                 share.set_dim(max(1, last - first))
-            self._complete(DIVIDED)
+
+            def launch_share(member: int) -> None:
+                if edges[member + 1] > edges[member]:
+                    shares[member].launch()
+
+            team.complete(launch_share)
 
         return run

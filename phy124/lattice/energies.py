@@ -17,10 +17,15 @@ from numpy.typing import NDArray
 from phy124.kernels.lattice import work as at
 from phy124.kernels.lattice.contact import DRIVEN
 from phy124.kernels.work import WORK
-from phy124.lattice.shock import in_shock_only
-from phy124.lattice.walls import Walls
+from phy124.lattice.meetings import Meetings
+from phy124.lattice.shock import LatticeClock, in_shock_only
+from phy124.lattice.solids import Solids
+from phy124.lattice.walls import Nodes, Walls
 from phy124.lattice.work import ContactWork
+from phy124.lattice.workers import Crew
+from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
+from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
@@ -62,11 +67,19 @@ class Works(NamedTuple):
 class Energies:
     """Adds launches that sum work; sums nothing until `start` is called."""
 
-    def __init__(self, solver: Any) -> None:
-        """Store the solver; its launches are not recorded yet."""
-        self._solver, shape = solver, (len(solver.workers), ROOM)
+    def __init__(self, model: Model, nodes: Nodes, crew: Crew, clock: LatticeClock) -> None:
+        """Store the parts of a solver that stay the same during a run.
+
+        Args:
+            model: The constants of the run.
+            nodes: Arrays of the nodes.
+            crew: The workers.
+            clock: The clock of the substeps.
+        """
+        self._model, self._nodes, self._crew, self._clock = model, nodes, crew, clock
         self._walls: Walls | None = None
-        self._sums = wp.zeros(shape, dtype=wp.float64, device=solver.model.device)
+        shape = len(crew.workers), ROOM
+        self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._on = False
         self.pushes: wp.array | None = None
         """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed."""
@@ -76,22 +89,27 @@ class Energies:
         """
 
     def start(self) -> None:
-        """Start to sum the work."""
-        crew = self._solver.crew
+        """Start to sum the work when the launches are recorded again."""
+        crew = self._crew
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:
             self._pools[at.VISCOUS] = crew.new_pool()
-        self._solver.record()
 
-    def attach(self) -> None:
-        """Add the sums of contact work; call after the launches of contact were recorded again."""
-        solver = self._solver
-        self._clamps += self._of_clamps() if self._walls is not solver.walls else 0
-        self._walls = solver.walls
+    def attach(self, tracks: Tracks, walls: Walls, meetings: Meetings, free: Solids) -> None:
+        """Add the sums of contact work; call before the launches of contact are recorded again.
+
+        Args:
+            tracks: The tracks of the run, with the clock.
+            walls: The walls.
+            meetings: Contact between bodies.
+            free: Freely moving rigid solids.
+        """
+        self._clamps += self._of_clamps() if self._walls is not walls else 0
+        self._walls, self._tracks = walls, tracks
         if self._on:
             first = cast("wp.array", self._sums[0])
-            work = ContactWork(solver.model, solver.nodes_state, solver.tracks, first)
-            solver.walls.work = solver.meetings.work = solver.free.work = work
+            work = ContactWork(self._model, self._nodes, tracks, first)
+            walls.work = meetings.work = free.work = work
 
     def extend(self, *, pushed: bool) -> None:
         """Insert the phases that sum work before the nodes move in a substep.
@@ -100,7 +118,7 @@ class Energies:
             pushed: Whether forces act on points.
         """
         forces = [at.STRESS, at.PUSHED] if pushed else [at.STRESS]
-        for index, worker in enumerate(self._solver.workers):
+        for index, worker in enumerate(self._crew.workers):
             works = []
             if self._on:
                 works = [self._fill(index), self._multiply(index, forces)]
@@ -110,12 +128,11 @@ class Energies:
 
     def _fill(self, index: int) -> list[Named]:
         """Return the launches with which a worker sums only the viscous forces."""
-        solver, crew = self._solver, self._solver.crew
-        worker = solver.workers[index]
+        crew, worker = self._crew, self._crew.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
-        clock = solver.clock.values
+        clock = self._clock.values
         shock = [("clear", pools[at.SHOCK].zero_), *crew.shock(worker, clock, pools[at.SHOCK])]
-        filled = in_shock_only(solver.clock, shock)
+        filled = in_shock_only(self._clock, shock)
         if at.VISCOUS in pools:
             filled += [("clear", pools[at.VISCOUS].zero_)]
             filled += crew.viscosity(worker, pools[at.VISCOUS])
@@ -123,22 +140,21 @@ class Energies:
 
     def _multiply(self, index: int, forces: Sequence[int]) -> list[Named]:
         """Return the launches that sum the work done by forces on a worker's nodes."""
-        solver, crew = self._solver, self._solver.crew
-        known = solver.tracks, cast("wp.array", self._sums[index])
-        worker, works = solver.workers[index], []
+        crew, works = self._crew, []
+        worker, known = crew.workers[index], (self._tracks, cast("wp.array", self._sums[index]))
         for key in forces:
             works += crew.work(worker, key, *known)
         for key, pool in self._pools.items():
             work = crew.work(worker, key, *known, pool)
-            works += in_shock_only(solver.clock, work) if key == at.SHOCK else work
+            works += in_shock_only(self._clock, work) if key == at.SHOCK else work
         return _rename(works)
 
     def _exchange(self, index: int, sums: wp.array) -> list[Named]:
         """Return the launch with which a worker sums the impulse and the work of forces on
         points.
         """
-        solver, row = self._solver, cast("wp.array", sums[index])
-        work = solver.crew.push_work(solver.workers[index], solver.tracks, row)
+        crew, row = self._crew, cast("wp.array", sums[index])
+        work = crew.push_work(crew.workers[index], self._tracks, row)
         return [(EXTERNAL, launch) for _, launch in work]
 
     def read(self) -> Works:

@@ -10,9 +10,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from phy124.lattice.shock import COLLAPSED, FORGET, STALLED
-from phy124.lattice.workers import MEASURE
+from phy124.lattice.meetings import Meetings
+from phy124.lattice.shock import COLLAPSED, FORGET, STALLED, LatticeClock
+from phy124.lattice.solids import Solids
+from phy124.lattice.spectrum import Spectrum
+from phy124.lattice.walls import Walls
+from phy124.lattice.workers import MEASURE, Crew
 from phy124.mpm.grid import Unstable
+from phy124.mpm.model import Model
+from phy124.mpm.rejection import StepRejection
+from phy124.mpm.runner import Runner
 from phy124.mpm.timestep import MEASURE_EVERY, STRAIN_PER_STEP
 from phy124.mpm.workers import run_timed
 
@@ -32,9 +39,32 @@ VIOLENT = 0.35
 class Limits:
     """Limits the substeps of a lattice solver by measured values."""
 
-    def __init__(self, solver: Any) -> None:
-        """Store the solver; nothing is measured yet."""
-        self._solver = solver
+    def __init__(
+        self,
+        model: Model,
+        clock: LatticeClock,
+        crew: Crew,
+        runner: Runner,
+        spectrum: Spectrum,
+        free: Solids,
+    ) -> None:
+        """Store the parts of a solver that stay the same during a run; nothing is measured yet.
+
+        Args:
+            model: The constants of the run.
+            clock: The clock, whose substeps are limited.
+            crew: The workers, which measure the motion of the points.
+            runner: Runs the workers.
+            spectrum: Measures the largest frequency.
+            free: Freely moving rigid solids.
+        """
+        self._dx, self._clock, self._crew, self._runner = model.dx, clock, crew, runner
+        self._spectrum, self._free = spectrum, free
+        self._timings = crew.workers[0].timings
+        self.substep_at_rest = clock.cfl * spectrum.substep_at_rest
+        """Length of a substep of the undeformed bodies [s]."""
+        self.softened = 1.0
+        """Current factor on the stiffness of all materials."""
         self.probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
@@ -48,55 +78,58 @@ class Limits:
         self.measured = 0.0
         """Time of the last measurement [s]."""
 
+    def bind(self, walls: Walls, meetings: Meetings, rejection: StepRejection) -> None:
+        """From now on, use these walls, this contact between bodies and these bounds of forces."""
+        self._walls, self._meetings, self._rejection = walls, meetings, rejection
+
     def measure_if_due(self) -> bool:
         """Measure the limits of the substep if necessary; return whether they were measured."""
-        due = self._solver.clock.due
+        due = self._clock.due
         if due:
             self._measure()
         return due
 
     def shorten(self, drift: float) -> float:
         """Return a duration of at most `drift` [s] in which no point is squeezed too much."""
-        solver, clock = self._solver, self._solver.clock
-        solver.runner.join()
-        run_timed(solver.timings, "measure", lambda: solver.runner.complete(MEASURE))
+        clock = self._clock
+        self._runner.join()
+        run_timed(self._timings, "measure", lambda: self._runner.complete(MEASURE))
         # The maxima are not reset, because the end of the substep also reads them if the stress
         # kernels measure.
-        speed, gradient, clock.closing = solver.crew.maxima()
+        speed, gradient, clock.closing = self._crew.maxima()
         clock.extremes = clock.extremes._replace(speed=speed, gradient=gradient)
         clock.seen = clock.time
         longest = STRAIN_PER_STEP / max(gradient, 1e-30)
         # If the stress kernels measure, they also do so in the next substeps.
-        if longest < drift or clock.in_shock or not solver.crew.measuring:
+        if longest < drift or clock.in_shock or not self._crew.measuring:
             clock.expire()
         return min(drift, longest)
 
     def fastest(self) -> float:
         """Return the largest speed [m/s] of all points, walls and freely moving solids."""
-        solver = self._solver
-        return max(solver.clock.extremes.speed, solver.rejection.wall, solver.free.fastest())
+        return max(self._clock.extremes.speed, self._rejection.wall, self._free.fastest())
 
     def _measure(self) -> None:
         """Measure the limits of the substep; raise Unstable if the body collapsed."""
-        solver, clock = self._solver, self._solver.clock
-        if not solver.crew.measuring or not clock.substeps:
-            run_timed(solver.timings, "measure", lambda: solver.runner.complete(MEASURE))
+        clock = self._clock
+        if not self._crew.measuring or not clock.substeps:
+            run_timed(self._timings, "measure", lambda: self._runner.complete(MEASURE))
             self.read(clock.time - self.measured)
             self.measured = clock.seen = clock.time
-        measured = clock.extremes._replace(stiffness=solver.spectrum.stiffen(solver.softened))
+        measured = clock.extremes._replace(stiffness=self._spectrum.stiffen(self.softened))
         passed = FORGET * clock.since_complete
         clock.limit_by(measured.after(clock.extremes, substeps=passed), complete=True)
         clock.interval = self.interval()
         # Until the next measurement, the strain grows at the present rate.
         ahead = clock.interval * clock.extremes.gradient * clock.stable().dt
         late = clock.substeps + clock.interval > self._probed + SLOWEST
-        enough = 2 * STRAIN if solver.spectrum.steady else STRAIN
+        enough = 2 * STRAIN if self._spectrum.steady else STRAIN
         self.probing = late or not self._strain + ahead < enough
-        if self._travel > TRAVEL * solver.model.dx:
+        if self._travel > TRAVEL * self._dx:
             self.look()
         self._list_near()
-        run_timed(solver.timings, "meetings", lambda: solver.meetings.follow(self._step()))
-        run_timed(solver.timings, "free", lambda: solver.free.list_near(self._step()))
+        run_timed(self._timings, "meetings", lambda: self._meetings.follow(self._step()))
+        run_timed(self._timings, "free", lambda: self._free.list_near(self._step()))
 
     def read(self, elapsed: float) -> None:
         """Limit substeps by the largest speed and strain rate; raise Unstable if a body collapsed.
@@ -104,13 +137,13 @@ class Limits:
         Args:
             elapsed: Time since the last measurement [s].
         """
-        solver, clock = self._solver, self._solver.clock
-        speed, gradient, clock.closing = solver.crew.take_maxima()
+        clock = self._clock
+        speed, gradient, clock.closing = self._crew.take_maxima()
         self._refuse_collapse()
-        extremes, pull = clock.extremes, solver.rejection.acceleration
-        fastest = max(speed, extremes.speed) + solver.rejection.wall
+        extremes, pull = clock.extremes, self._rejection.acceleration
+        fastest = max(speed, extremes.speed) + self._rejection.wall
         way = elapsed * (fastest + elapsed * pull)
-        self._travel, solver.meetings.way = self._travel + way, solver.meetings.way + way
+        self._travel, self._meetings.way = self._travel + way, self._meetings.way + way
         # While the last substep squeezes a point, the rate grows.
         gradient /= max(0.1, 1 - gradient * clock.last_dt)
         self._strain += gradient * elapsed
@@ -124,13 +157,13 @@ class Limits:
         The next attempt then takes substeps of half the length at rest, because a run with the
         current short substeps would never end.
         """
-        solver, clock = self._solver, self._solver.clock
-        lost = solver.crew.lost()
-        usual = min(solver.substep_at_rest, clock.ceiling)
+        clock = self._clock
+        lost = self._crew.lost()
+        usual = min(self.substep_at_rest, clock.ceiling)
         inverted = lost or clock.stable().dt < COLLAPSED * usual
         if not inverted and not clock.stalls(usual):
             return
-        clock.last_dt = solver.substep_at_rest
+        clock.last_dt = self.substep_at_rest
         what = f"{STALLED} substeps together lasted less than one of the undeformed body"
         if inverted:
             what = "it turned inside out" + (f" ({lost} points)" if lost else "")
@@ -138,36 +171,34 @@ class Limits:
 
     def measure_frequency(self) -> None:
         """Measure the largest frequency, after forces are summed and before they act."""
-        solver, clock = self._solver, self._solver.clock
+        clock = self._clock
         self.probing, self._strain, self._probed = False, 0.0, clock.substeps
-        solver.runner.join()
-        run_timed(solver.timings, "frequency", solver.spectrum.follow)
+        self._runner.join()
+        run_timed(self._timings, "frequency", self._spectrum.follow)
         extremes = clock.extremes
-        stiffness = max(solver.spectrum.stiffness, extremes.stiffness)
+        stiffness = max(self._spectrum.stiffness, extremes.stiffness)
         clock.extremes = extremes._replace(stiffness=stiffness)
 
     def look(self) -> None:
         """Measure the distances of all surface points from the walls."""
-        solver = self._solver
-        self._travel, self.measured = 0.0, solver.clock.time
-        run_timed(solver.timings, "near", solver.walls.look)
+        self._travel, self.measured = 0.0, self._clock.time
+        run_timed(self._timings, "near", self._walls.look)
         self._list_near()
 
     def _list_near(self) -> None:
         """List the surface points that walls may touch before the next measurement."""
-        solver = self._solver
-        solver.walls.list_near(self._travel + 2 * WAY * solver.model.dx, self._step())
+        self._walls.list_near(self._travel + 2 * WAY * self._dx, self._step())
 
     def _step(self) -> float:
         """Return the largest distance [m] by which a point may approach a wall in a substep."""
-        solver, clock = self._solver, self._solver.clock
+        clock = self._clock
         dt = clock.stable().dt
-        speed = clock.extremes.speed + max(solver.rejection.wall, solver.free.fastest())
+        speed = clock.extremes.speed + max(self._rejection.wall, self._free.fastest())
         return speed * dt if math.isfinite(dt) else math.inf
 
     def interval(self) -> int:
         """Return the number of substeps until the limits must be measured."""
-        solver, clock, dx = self._solver, self._solver.clock, self._solver.model.dx
+        clock, dx = self._clock, self._dx
         dt = clock.stable().dt
         if not math.isfinite(dt):
             return 1
@@ -175,7 +206,7 @@ class Limits:
         steps = [float(SLOWEST)]
         steps.append(STRAIN / max(clock.extremes.gradient * dt, 1e-9))
         steps.append(WAY * dx / max(speed * dt, 1e-30))
-        steps.append(math.sqrt(2 * WAY * dx / max(solver.rejection.acceleration, 1e-30)) / dt)
+        steps.append(math.sqrt(2 * WAY * dx / max(self._rejection.acceleration, 1e-30)) / dt)
         violent = clock.in_shock or clock.extremes.gradient * dt > VIOLENT
         return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
 

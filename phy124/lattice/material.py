@@ -24,6 +24,7 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import Pair
+from phy124.mpm.stage import Named
 
 
 class Material:
@@ -102,15 +103,18 @@ class Material:
         total = model.launch(kernels.make_grid_sum(model.real), 1, inputs, [self.sums])
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
-    def pass_on(self, passed: PassedOn | None) -> None:
-        """In the last stage, add impulses on clamped nodes to the clamps' sums (None: there are no
-        clamps).
+    def stages(self, passed: PassedOn | None) -> list[list[Named]]:
+        """Return the launches of a substep that apply, correct and sum impulses.
+
+        Args:
+            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
+                there are no clamps.
         """
         points = self._points[0], self._points[1]
         self._passed = None if passed is None else passed.of(self._list, points, self.force)
+        return [[("pairs", self._stage(number))] for number in range(3)]
 
-    def stage(self, number: int) -> Callable[[], None]:
-        """Return a stage of the substep that applies, corrects or sums impulses."""
+    def _stage(self, number: int) -> Callable[[], None]:
 
         def act() -> None:
             if number == 0 and self.due:

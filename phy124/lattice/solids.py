@@ -205,9 +205,8 @@ class _Touch:
     """The contact of the surface points of one body with one solid."""
 
     def __init__(self, solids: Solids, index: int, body: int, tracks: Tracks) -> None:
-        model, surface = solids._model, solids._surface
-        self._solids, self._index, self._body, self._tracks = solids, index, body, tracks
-        self._mine = surface.body == body
+        model, self._surface = solids._model, solids._surface
+        surface, self._mine = self._surface, self._surface.body == body
         t, count, device = types(model.real), surface.count, model.device
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
         self._list = wp.zeros(count, dtype=int, device=device)
@@ -220,6 +219,9 @@ class _Touch:
         place = wp.zeros_like(self.force)
         yields = wp.zeros_like(self._gaps)
         solid, nodes, points = solids.all[index], solids._nodes, solids._points
+        self._u, self._is_box = nodes.u, solid.shape == "box"
+        self._points = points[0], points[1]
+        self._sums = sums = cast("wp.array", solids._sums[index, body])
         shape, moments = t.mat33(*np.ravel(solid.geometry())), wp.vec3d(*solid.moments)
         state, trial = solids._bodies[index], solids._trials[index]
         inputs = [shape, *points, nodes.u, state]
@@ -243,7 +245,6 @@ class _Touch:
         launch = model.launch(kernel, 1, inputs, [trial, nodes.v, self.force])
         self._launches.append(cast("wp.Launch", launch))
         inputs = [self._list, *points[:2], place, self.force, tracks.clock, nodes.before, nodes.v]
-        sums = cast("wp.array", solids._sums[index, body])
         launch = model.launch(make_account(model.real, nodes.rows), max(1, count), inputs, [sums])
         self._launches.append(cast("wp.Launch", launch))
 
@@ -269,11 +270,9 @@ class _Touch:
             work: Records launches that sum the work of the impulses for each cause.
             passed: Records launches that transfer impulses on clamped nodes to clamps.
         """
-        points = self._solids._points[0], self._solids._points[1]
-        sums = cast("wp.array", self._solids._sums[self._index, self._body])
-        near = self._list, points, self.force
-        self._passed = None if passed is None else passed.of(*near, sums)
-        known = self._list, points, self._gap, self.force
+        near = self._list, self._points, self.force
+        self._passed = None if passed is None else passed.of(*near, self._sums)
+        known = self._list, self._points, self._gap, self.force
         self._work = None if work is None else work.of(SOLIDS, *known)
 
     def list_near(self, reach: float, more: float) -> None:
@@ -290,7 +289,7 @@ class _Touch:
                 self.force.assign(force)
             self._near = near.astype(np.int32)
             put(self._list, self._near)
-        if len(near) and self._solids.all[self._index].shape == "box":
+        if len(near) and self._is_box:
             self._turn(near)
         touch, resist, account = self._launches
         touch.set_param_at_index(2, reach)
@@ -300,10 +299,10 @@ class _Touch:
 
     def _turn(self, points: NDArray[np.int64]) -> None:
         """Update the normals at points on flat parts of the surface."""
-        surface = self._solids._surface
+        surface = self._surface
         points = points[surface.flat[points]]
         side = np.zeros((surface.count, 3))
-        side[points] = surface.deform(points, self._solids._nodes.u.numpy())[2]
+        side[points] = surface.deform(points, self._u.numpy())[2]
         self.side.assign(side)
 
 

@@ -113,7 +113,8 @@ class LatticeSolver:
         count = usable_workers(len(model), model.device, threads)
         self.crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
         self.workers = self.crew.workers
-        self.runner, self.energies = Runner(count, self._run_task, self.timings), Energies(self)
+        self.runner = Runner(self.workers)
+        self.energies = Energies(model, self.nodes_state, self.crew, self.clock)
         self.grid = Grid(model.origin, model.dx, real=model.real, device=model.device)
         self.grid.size = np.ptp(self.lattice.index, axis=0) + 1
         self.pairs = Pairs(model, pairs, 1)
@@ -123,15 +124,12 @@ class LatticeSolver:
         self.outliers = Outliers(model, self.state)
         self.guests: list[Any] = []
         """Further kinds of contact, whose launches run along with the launches of walls."""
-        self.softened = 1.0
-        """Current factor on the stiffness of all materials."""
         nodes, lattice = self.nodes_state, self.lattice
         with self.runner.on_threads():
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, self.runner.complete)
         """The largest frequency of the bodies, which limits the substep."""
-        self.substep_at_rest = self.clock.cfl * self.spectrum.substep_at_rest
-        """Length of a substep of the undeformed bodies [s]."""
-        self.limits = Limits(self)
+        parts = self.crew, self.runner, self.spectrum, self.free
+        self.limits = Limits(model, self.clock, *parts)
         """Measured values that limit the substep."""
         self.bind(forces, boundaries, accumulators, planes)
 
@@ -161,7 +159,7 @@ class LatticeSolver:
         tracks = Tracks(real=model.real, device=model.device)
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         surface, nodes = self.surface, self.nodes_state
-        division = Division(model, self.workers, self.runner.complete)
+        division = Division(model, self.runner.team)
         walls = Walls(
             boundaries, model, self.lattice, surface, nodes, tracks, self.substep_at_rest, division
         )
@@ -180,6 +178,7 @@ class LatticeSolver:
         self._sample = tracks.record()
         self._sample.launch()
         self.rejection = StepRejection(model, state, tracks, acting, accumulators)
+        self.limits.bind(walls, self.meetings, self.rejection)
         self.record()
         measured = self.limits.measured
         self.limits.look()
@@ -190,10 +189,15 @@ class LatticeSolver:
         self.energies.pushes = sums
         self.record()
 
+    def keep_works(self) -> None:
+        """From now on, sum the work of each cause."""
+        self.energies.start()
+        self.record()
+
     def record(self) -> None:
         """Record the launches of one substep."""
         crew, pushed = self.crew, bool(self._forces)
-        self.energies.attach()
+        self.energies.attach(self.tracks, self.walls, self.meetings, self.free)
         for index, worker in enumerate(self.workers):
             before = [crew.locate(worker), self._push(index)] if pushed else []
             worker.phases = [
@@ -238,6 +242,20 @@ class LatticeSolver:
     def nodes(self) -> int:
         """Number of nodes."""
         return len(self.lattice)
+
+    @property
+    def substep_at_rest(self) -> float:
+        """Length of a substep of the undeformed bodies [s]."""
+        return self.limits.substep_at_rest
+
+    @property
+    def softened(self) -> float:
+        """Current factor on the stiffness of all materials."""
+        return self.limits.softened
+
+    @softened.setter
+    def softened(self, factor: float) -> None:
+        self.limits.softened = factor
 
     @property
     def boundaries(self) -> Sequence[Stage]:
@@ -362,10 +380,6 @@ class LatticeSolver:
             self.limits.read(drift)
             # The stress was computed before the nodes moved.
             self.clock.seen = max(self.clock.seen, self.clock.time - drift)
-
-    def _run_task(self, member: int, task: int) -> None:
-        """Run a phase or another task of a worker."""
-        self.workers[member].run(task)
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot from which `restore` continues bit for bit.

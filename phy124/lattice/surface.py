@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -69,14 +69,16 @@ class Surface:
     @cached_property
     def slopes(self) -> Lazy:
         """Weights of the nodes in the gradient at each point [S,27,3], 1/m."""
-        return Lazy(np.zeros((self.count, 27, 3)), self._slopes_at)
+        compute = partial(_slopes_at, self.x, self.nodes, self.weights, self.of_nodes)
+        return Lazy(np.zeros((self.count, 27, 3)), compute)
 
     @cached_property
     def flat(self) -> Lazy:
         """Whether each point is on a flat part of the surface, where neighbouring normals agree
         [S].
         """
-        return Lazy(np.zeros(self.count, bool), self._flat_at)
+        compute = partial(_flat_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
+        return Lazy(np.zeros(self.count, bool), compute)
 
     def deform(
         self, points: NDArray[np.int64], u: NDArray
@@ -92,30 +94,6 @@ class Surface:
         normal = (turned @ self.normal[points][:, :, None])[:, :, 0]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         return F, turned, normal
-
-    def _slopes_at(self, points: NDArray[np.int64]) -> NDArray[np.float64]:
-        weights = self.weights[points]
-        arm = self.of_nodes[self.nodes[points]] - self.x[points, None]
-        arm *= (weights != 0)[:, :, None]
-        weighted = weights[:, :, None] * arm
-        slopes: NDArray[np.float64] = weighted @ _inverses(np.swapaxes(weighted, 1, 2) @ arm)
-        return slopes
-
-    def _flat_at(self, points: NDArray[np.int64]) -> NDArray[np.bool_]:
-        here = KDTree(self.x[points])
-        near = here.sparse_distance_matrix(self._tree, self.dx, output_type="ndarray")
-        a, b = near["i"], near["j"]
-        # Points on the opposite side of a thin part are ignored.
-        aligned = (self.normal[points][a] * self.normal[b]).sum(axis=1) > OTHER
-        same = (b == points[a]) | (aligned & (self.body[b] == self.body[points][a]))
-        a, b = a[same], b[same]
-        total = [np.bincount(a, n, len(points)) for n in self.normal[b].T]
-        flat: NDArray[np.bool_] = np.linalg.norm(total, axis=0) > FLAT * np.bincount(a)
-        return flat
-
-    @cached_property
-    def _tree(self) -> KDTree:
-        return KDTree(self.x)
 
 
 class Lazy:
@@ -139,6 +117,38 @@ class Lazy:
         if len(new):
             self._values[new], self._known[new] = self._compute(new), True
         return self._values[points]
+
+
+def _slopes_at(
+    x: NDArray, nodes: NDArray, weights: NDArray, of_nodes: NDArray, points: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the weights in the gradient at some surface points [K,27,3], 1/m."""
+    weights = weights[points]
+    arm = of_nodes[nodes[points]] - x[points, None]
+    arm *= (weights != 0)[:, :, None]
+    weighted = weights[:, :, None] * arm
+    slopes: NDArray[np.float64] = weighted @ _inverses(np.swapaxes(weighted, 1, 2) @ arm)
+    return slopes
+
+
+def _flat_at(
+    x: NDArray,
+    normal: NDArray,
+    body: NDArray,
+    dx: float,
+    tree: KDTree,
+    points: NDArray[np.int64],
+) -> NDArray[np.bool_]:
+    """Return whether some surface points are on a flat part of the surface [K]."""
+    near = KDTree(x[points]).sparse_distance_matrix(tree, dx, output_type="ndarray")
+    a, b = near["i"], near["j"]
+    # Points on the opposite side of a thin part are ignored.
+    aligned = (normal[points][a] * normal[b]).sum(axis=1) > OTHER
+    same = (b == points[a]) | (aligned & (body[b] == body[points][a]))
+    a, b = a[same], b[same]
+    total = [np.bincount(a, n, len(points)) for n in normal[b].T]
+    flat: NDArray[np.bool_] = np.linalg.norm(total, axis=0) > FLAT * np.bincount(a)
+    return flat
 
 
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:

@@ -430,7 +430,7 @@ class Bodies:
     def _region(self, cells: Cells, body: int) -> Region:
         """Return the cells that a body may fill or change."""
         grid = self._grids[body]
-        region = Region(cells, np.asarray(grid.size, int) + 2)
+        region = Region(np.asarray(grid.size, int) + 2, self._model.device)
         region.place(np.asarray(grid.low, int) - 1 - cells.low)
         return region
 

@@ -36,17 +36,12 @@ ROOM = 4
 class Region:
     """A box of cells in a window; the box may move, but has a constant size."""
 
-    def __init__(self, cells: Cells, size: NDArray) -> None:
-        self._cells, self.size = cells, size
+    def __init__(self, size: NDArray, device: Any) -> None:
+        self.size = size
         """Number of cells along each axis."""
         corners = np.stack([np.zeros(3, int), size]).astype(np.int32)
-        self.box = wp.array(corners, dtype=wp.vec3i, device=cells.window.device)
+        self.box = wp.array(corners, dtype=wp.vec3i, device=device)
         """First cell of the box in the window, and the box's size."""
-
-    def centre(self, x: NDArray[np.float64]) -> None:
-        """Move the box so that a position [3], m, is in the middle of the box."""
-        at = np.floor((x - self._cells.origin) / self._cells.dx).astype(int) - self._cells.low
-        self.place(at - self.size // 2)
 
     def place(self, low: NDArray) -> None:
         """Move the box so that its first cell is `low` [3]."""
@@ -139,7 +134,7 @@ class Cells:
         self.low, self.size = np.array(low, int), np.array(size, int)
         self.window.assign(np.stack([self.low, self.size]).astype(np.int32))
         self._allocate(int(np.prod(self.size)))
-        self.whole, self._regions = Region(self, self.size), {}
+        self.whole, self._regions = Region(self.size, self._model.device), {}
         """The region of all cells."""
         pressure = np.zeros(self.size)
         first = np.maximum(before, self.low)
@@ -217,7 +212,7 @@ class Cells:
             return self.whole
         if wall not in self._regions:
             count = 2 * math.ceil(reach / self.dx + ROOM)
-            self._regions[wall] = Region(self, np.full(3, count))
+            self._regions[wall] = Region(np.full(3, count), self._model.device)
         return self._regions[wall]
 
     def clear_walls(self) -> None:

@@ -29,6 +29,7 @@ from phy124.mpm.grid import grids_of
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Timings, run_timed
+from phy124.runtime.weakly import weakly
 
 MARGIN = 4
 """Margin of a body's window around its points [cells]."""
@@ -112,7 +113,7 @@ class ImmersedSolver:
         self._grids = grids_of(part)
         self.lattice.follow()
         self._find_windows()
-        self.bodies = Bodies(part, points, self._grids, self.lattice.free, self._predict)
+        self.bodies = Bodies(part, points, self._grids, self.lattice.free, weakly(self._predict))
         crew.lasting = crew.new_pool()
         self.lattice.record()
         span = liquid_span(model)
@@ -121,7 +122,7 @@ class ImmersedSolver:
             wet, liquid_state(state, span), forces=_acting(forces, wet, model),
             boundaries=walls,
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
-            advance_bodies=self._advance_bodies, whole=model,
+            advance_bodies=weakly(self._advance_bodies), whole=model,
         )  # fmt: skip
         self.clock.follow(self.liquid, model.total_mass)
         self._after: Callable[[], None] | None = None
@@ -226,7 +227,10 @@ class ImmersedSolver:
         self.lattice.pairs.begin()
         self.liquid.clock.time = self.clock.time
         self.liquid.clock.bodies = self.clock.extremes.speed
-        self.liquid.advance(until)
+        try:
+            self.liquid.advance(until)
+        finally:
+            self._after = None
         self.clock.time = until
         for (first, second), (impulse, moment) in self.lattice.pairs.wrenches(1.0).items():
             self.pairs.add(self._numbers[first], self._numbers[second], impulse, moment)

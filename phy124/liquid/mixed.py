@@ -21,6 +21,7 @@ from phy124.liquid.solver import LiquidSolver
 from phy124.mpm import Accumulator, Attachable, Clock, Model, Solver, State
 from phy124.mpm.free import Plane
 from phy124.mpm.model import part_of
+from phy124.runtime.weakly import weakly
 
 
 class MixedClock(Clock):
@@ -111,7 +112,7 @@ class MixedSolver(Solver):
         self._liquid = LiquidSolver(
             part, liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
             ceiling=self.clock.ceiling, threads=threads, bodies=self.bodies,
-            advance_bodies=self._advance_bodies, whole=model,
+            advance_bodies=weakly(self._advance_bodies), whole=model,
         )  # fmt: skip
         assert isinstance(self.clock, MixedClock)
         self.clock.follow(self._liquid, model.total_mass)
@@ -196,7 +197,10 @@ class MixedSolver(Solver):
             self.clock.time,
             self.clock.extremes.speed,
         )
-        self.liquid.advance(until)
+        try:
+            self.liquid.advance(until)
+        finally:
+            self._after = None
         self.clock.time = until
 
     def _advance_bodies(self, until: float) -> None:

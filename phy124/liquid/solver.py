@@ -42,7 +42,7 @@ from phy124.mpm.pairs import Pairs
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.repair import Repair
 from phy124.mpm.runner import Runner
-from phy124.mpm.stage import Named, launches
+from phy124.mpm.stage import launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import (
     FOLLOW,
@@ -56,8 +56,6 @@ from phy124.mpm.workers import (
     usable_workers,
 )
 
-EXTENT = -1
-"""A task of the workers besides the phases: measuring the particles' extent."""
 TOLERANCE, LOOSE = 1e-4, 1e-2
 """Largest residuals of the equations of pressure and of density, relative to the right-hand side.
 """
@@ -139,7 +137,7 @@ class LiquidSolver:
             self.free,
             bodies,
         )
-        self.runner = Runner(count, self._run_task, self.timings)
+        self.runner = Runner(self.workers)
         self.clock.diffuse(self._phases.fastest_diffusion)
         self.kick = 0.0
         """Duration over which the current pressure acted [s]."""
@@ -432,13 +430,6 @@ class LiquidSolver:
         for phase in self._phases.group(name):
             self.runner.run(phase)
 
-    def _run_task(self, member: int, task: int) -> None:
-        """Run a phase of a worker, or measure the extent of its particles."""
-        if task == EXTENT:
-            _launch_all(self._extents[member])
-        else:
-            self.workers[member].run(task)
-
     def _fit(self) -> None:
         """Measure the particles before the first step, and fit the window to them."""
         if not self._fitted:
@@ -453,7 +444,13 @@ class LiquidSolver:
         Raises:
             Unstable: A particle is not finite, or too far away.
         """
-        run_timed(self.timings, "measure", lambda: self.runner.complete(EXTENT))
+        extents, team = self._extents, self.runner.team
+
+        def extend(member: int) -> None:
+            for _, launch in extents[member]:
+                launch()
+
+        run_timed(self.timings, "measure", lambda: team.complete(extend))
         rows = np.asarray(self._phases.extents.numpy(), np.float64).max(axis=0)
         lost = int(self._phases.stray.numpy()[0])
         if lost:
@@ -488,8 +485,3 @@ class LiquidSolver:
         self.walls.time = math.nan
         if self.walls.move:
             self.cells.keep_walls()
-
-
-def _launch_all(named: Sequence[Named]) -> None:
-    for _, launch in named:
-        launch()

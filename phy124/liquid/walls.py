@@ -225,9 +225,9 @@ class Walls:
         """Move the region around a freely moving solid to the current position of the solid."""
         for number, wall in enumerate(self.all):
             if len(wall.frame):
-                cells.region(wall.reach, number).centre(
-                    np.asarray(wall.frame.numpy(), np.float64)[:3]
-                )
+                region, x = cells.region(wall.reach, number), wall.frame.numpy()[:3]
+                at = np.floor((np.asarray(x, np.float64) - cells.origin) / cells.dx).astype(int)
+                region.place(at - cells.low - region.size // 2)
 
     def push_out(
         self, cells: Cells, run: slice, state: State, sums: wp.array, *, stops: bool

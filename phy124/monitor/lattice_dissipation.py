@@ -41,7 +41,7 @@ class LatticeDissipation(LiquidDissipation):
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, and let the solver sum the work from its first substep on."""
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
-        self._energies.start()
+        solver.keep_works()
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
         """Return the section of the report [J]: losses, changes of energy, and the work of each

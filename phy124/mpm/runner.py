@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
+from typing import Protocol
 
-from phy124.mpm.threads import Team
+from phy124.mpm.threads import Task, Team
 from phy124.mpm.workers import Timings, run_timed
 
-Task = Callable[[int, int], None]
-"""Function that runs a task (a phase or another task) of a worker, by numbers of worker and task.
-"""
+
+class Worker(Protocol):
+    """The phases and other tasks of one thread."""
+
+    timings: Timings
+
+    def run(self, task: int, /) -> None:
+        """Run the phase or other task with this number."""
+        ...
 
 
 class Runner:
@@ -18,16 +25,10 @@ class Runner:
     phases.
     """
 
-    def __init__(self, count: int, work: Task, timings: Timings) -> None:
-        """Prepare the threads.
-
-        Args:
-            count: Number of workers.
-            work: Function that runs a phase or another task of one worker.
-            timings: Stages of the first worker, to which the waiting time is added.
-        """
-        self.team = Team[int](count, work)
-        self._work, self._timings = work, timings
+    def __init__(self, workers: Sequence[Worker]) -> None:
+        """Prepare the threads; waiting times are added to the stages of the first worker."""
+        self.team = Team(len(workers))
+        self._workers = workers
 
     def on_threads(self) -> AbstractContextManager[None]:
         """Return a context within which each worker runs on a separate thread.
@@ -38,26 +39,22 @@ class Runner:
 
     def run(self, phase: int) -> None:
         """Run a phase after all threads have reached it."""
+        task = self._task(phase)
         if self.team.alive:
-            run_timed(self._timings, "wait", lambda: self.team.put(phase))
-            self._work(0, phase)
+            run_timed(self._workers[0].timings, "wait", lambda: self.team.put(task))
+            task(0)
         else:
-            self._run_in_turn(phase)
+            self.team.complete(task)
 
     def join(self) -> None:
         """Wait for the other threads."""
         if self.team.alive:
-            run_timed(self._timings, "wait", self.team.join)
+            run_timed(self._workers[0].timings, "wait", self.team.join)
 
-    def complete(self, task: int) -> None:
+    def complete(self, number: int) -> None:
         """Run a task on all workers and wait; no stage includes the waiting time."""
-        if self.team.alive:
-            self.team.put(task)
-            self._work(0, task)
-            self.team.join()
-        else:
-            self._run_in_turn(task)
+        self.team.complete(self._task(number))
 
-    def _run_in_turn(self, task: int) -> None:
-        for member in range(self.team.size):
-            self._work(member, task)
+    def _task(self, number: int) -> Task:
+        workers = self._workers
+        return lambda member: workers[member].run(number)

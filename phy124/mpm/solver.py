@@ -41,13 +41,12 @@ from phy124.mpm.workers import (
     WINDOW,
     Slabs,
     Timings,
+    Worker,
     lone_worker,
     run_timed,
     usable_workers,
 )
 
-MEASURE, GLANCE = -2, -3
-"""Two tasks of workers besides the phases: measuring all limits, or only speeds."""
 CALM = 0.9
 """Largest growth of the stiffness between two measurements, relative to the growth that remains
 stable.
@@ -135,7 +134,7 @@ class Solver:
         """Whether a window has moved since the launches were recorded."""
         self.softened = 1.0
         """Current factor on the stiffness of all particles."""
-        self.runner = Runner(count, self._run_task, self.timings)
+        self.runner = Runner(self.workers)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         self.bind(forces, boundaries, accumulators, planes)
         self._record_measures()
@@ -333,19 +332,6 @@ class Solver:
         for phase in range(len(self.workers[0].phases) - 1):
             self.runner.run(phase)
 
-    def _run_task(self, member: int, task: int) -> None:
-        """Run a phase of a worker, or a measurement of a worker."""
-        worker = self.workers[member]
-        measure = {MEASURE: worker.measure, GLANCE: worker.glance}.get(task)
-        if measure is None:
-            worker.run(task)
-        elif (
-            member == 0
-        ):  # The caller adds the time of the first worker to the time of the calling thread.
-            measure()
-        else:
-            run_timed(worker.timings, "measure", measure)
-
     def _run_graph(self, until: float) -> bool:
         """Take substeps on the device; return False if the host must take the next substep."""
         alone = self.on_device and len(self.workers) == 1
@@ -376,7 +362,7 @@ class Solver:
         if self.on_device or self.outliers.bounded or clock.complete(calm):
             self._measure()
             return
-        self._each_worker(GLANCE)
+        self._each_worker(Worker.glance)
         rows = [worker.speeds.numpy() for worker in self.workers]
         speed, gradient = np.max(rows, axis=0).tolist()
         speed = max(speed, self.free.fastest())
@@ -450,14 +436,22 @@ class Solver:
         Raises:
             Unstable: A particle is not finite.
         """
-        self._each_worker(MEASURE)
+        self._each_worker(Worker.measure)
         rows = [part.maxima for part in self.slabs.parts] if self.slabs else []
         rows = rows or [self.workers[0].maxima]
         return np.array([row.numpy() for row in rows], dtype=np.float64).reshape(-1, COUNT)
 
-    def _each_worker(self, task: int) -> None:
+    def _each_worker(self, measure: Callable[[Worker], None]) -> None:
         """Let all workers measure their particles; raise Unstable if one is not finite."""
-        self.runner.complete(task)
+        workers = self.workers
+
+        def task(member: int) -> None:
+            if member == 0:  # The callers add this time to the stage of the calling thread.
+                measure(workers[0])
+            else:
+                run_timed(workers[member].timings, "measure", lambda: measure(workers[member]))
+
+        self.runner.team.complete(task)
         lost = int(self._stray.numpy()[0])
         if lost:
             raise Unstable(f"{lost} particles are NaN or infinite")

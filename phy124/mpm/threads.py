@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import warp as wp
 
@@ -27,23 +27,27 @@ ROUNDS, NAP = 20, 5e-5
 """
 SPINS = 100_000
 """Number of checks of the barrier per spin if every thread has a core; otherwise one check."""
-Task = TypeVar("Task")
+Task = Callable[[int], None]
+"""Function that runs the part of the member with the given index."""
 
 
-class Team(Generic[Task]):
-    """Runs `work(member, task)` on a separate thread for each member; member 0 is the caller's
-    thread.
+class Team:
+    """Runs tasks on a separate thread for each member; member 0 is the caller's thread.
 
-    `work` is not called for member 0. The caller starts a task for the other members with `put`,
-    executes the part of member 0 itself, and starts the next task; `put` first waits for the other
-    members. Before entering `running`, load every kernel that `work` launches, since loading is not
-    thread-safe.
+    The caller starts a task for the other members with `put`, executes the part of member 0 itself,
+    and starts the next task; `put` first waits for the other members. Before entering `running`,
+    load every kernel that tasks launch, since loading is not thread-safe.
     """
 
-    def __init__(self, size: int, work: Callable[[int, Task], None]) -> None:
-        self.size, self._work = size, work
+    def __init__(self, size: int) -> None:
+        self.size = size
         self._barrier: Barrier | None = None
-        self._queue: list[Task | None] = []
+        self._tasks: list[Task | None] = [None, None]
+        """The last two tasks, since other members may read a task after the next one has been
+        started. They are not kept when the threads end: a task refers to arrays.
+        """
+        self._started = 0
+        """Number of tasks that were started since the threads began."""
         self._errors: list[BaseException | None] = []
         """Exception of each member's last task."""
         self.seconds = [0.0] * size
@@ -58,7 +62,7 @@ class Team(Generic[Task]):
     def running(self) -> Iterator[None]:
         """Start the threads; tasks can be started with `put` within this context."""
         # Errors of the previous context may remain if another error was raised first.
-        self._barrier, self._queue = Barrier(self.size), []
+        self._barrier, self._started = Barrier(self.size), 0
         self._errors = [None] * self.size
         threads = [
             threading.Thread(target=self._follow, args=(self._barrier, member), daemon=True)
@@ -74,7 +78,7 @@ class Team(Generic[Task]):
             for thread in threads:
                 if thread.ident is not None:
                     thread.join()
-            self._barrier = None
+            self._barrier, self._tasks = None, [None, None]
 
     def put(self, task: Task) -> None:
         """Wait until all members have finished the previous task, then start a task.
@@ -88,9 +92,19 @@ class Team(Generic[Task]):
         """Wait until all members have finished; re-raise any exception."""
         self._hand_over(None)
 
+    def complete(self, task: Task) -> None:
+        """Run a task for all members and wait; without threads, run it for one after another."""
+        if self.alive:
+            self.put(task)
+            task(0)
+            self.join()
+        else:
+            for member in range(self.size):
+                task(member)
+
     def _hand_over(self, task: Task | None) -> None:
-        # A list, since other threads may read a task after the next task has been started.
-        self._queue.append(task)
+        self._tasks[self._started % 2] = task
+        self._started += 1
         if self._barrier:
             self._barrier.wait(0)
         first = next((error for error in self._errors if error is not None), None)
@@ -105,10 +119,10 @@ class Team(Generic[Task]):
             self.seconds[member] = before + time.thread_time()
             if not barrier.wait(member):
                 return
-            task = self._queue[count]
+            task = self._tasks[count % 2]
             try:
                 if task is not None:
-                    self._work(member, task)
+                    task(member)
             except (
                 BaseException
             ) as error:  # The first thread raises the exception after the barrier.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import gc
 import math
 import mmap
 import os
@@ -46,16 +45,6 @@ def trim() -> None:
     """
     with suppress(OSError, AttributeError):  # only the GNU C library has this function
         ctypes.CDLL(None).malloc_trim(0)
-
-
-def collect() -> None:
-    """Free the objects of finished runs, and return their memory to the system.
-
-    A solver and its parts refer to each other. Python frees such cycles only now and then, so that
-    several finished runs would be kept until then.
-    """
-    gc.collect()
-    trim()
 
 
 def free_memory(device: str = "cpu") -> float:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
+from weakref import proxy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,8 @@ class Simulation:
             self.observers = [kind.of(setup) for kind in needed]
             self.solver = make_solver(setup, self.observers)
             for observer in self.observers:
-                observer.bind(self.solver, self.observers)
+                # The solver refers to the observers whose sums it restores.
+                observer.bind(proxy(self.solver), self.observers)
             self.solver.start()
             self.spent = Spent(self.solver.runner.team, self.device)
         self.count = 0

@@ -18,7 +18,7 @@ class Spent:
     On a GPU, wall-clock time is used, since GPU time is not measured per program.
     """
 
-    def __init__(self, team: Team[int], device: str) -> None:
+    def __init__(self, team: Team, device: str) -> None:
         """Set the time to zero.
 
         Args:

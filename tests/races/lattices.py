@@ -95,7 +95,7 @@ def clap() -> None:
     fork.fraction[2:8, :, 2:] = 0
     clamp = Held(lower=(-1, -1, -1), upper=(1, 1, 0.15))
     solver = make(fork, precision="float32", boundaries=[clamp])
-    solver.energies.start()
+    solver.keep_works()
     solver.carry_nodes(lambda x, v: (x, v - 6 * np.sign(x - [0.25, 0, 0]) * [1, 0, 0]))
     solver.advance(0.04)
     assert solver.meetings.of_bodies[0].most > 0

@@ -1,0 +1,24 @@
+"""Lets a part call a method of its owner without keeping the owner in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakMethod
+
+
+def weakly(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that calls a bound method, but does not keep the method's object.
+
+    If a part kept its owner, owner and part would refer to each other. Python would then free their
+    arrays only when it searches for such cycles. The owner must exist whenever the function is
+    called.
+    """
+    reference = WeakMethod(method)
+
+    def call(*arguments: Any) -> Any:
+        bound = reference()
+        assert bound is not None
+        return bound(*arguments)
+
+    return call
