@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from visit import GRAPHICS_ARE_LOST, LONG, drawn, psnr
+from visit import GRAPHICS_ARE_LOST, LONG, canvas, drawn, psnr
 
 from phy124.camera import Camera
 from phy124.gaussians import Frame, Gaussians, rotation_matrices
@@ -160,36 +160,116 @@ def _sheared(amount: float, index: int) -> Frame:
     return Frame(index, 0.5 * index, gaussians)
 
 
-def test_p4d_is_drawn_and_read_by_range(browser, tmp_path):
-    """Once from the page itself, and once from an address, of which only ranges are requested."""
-    frames = [_sheared(0.3 * index, index) for index in range(3)]
-    clip, renderer = Clip.from_frames(frames), Renderer(device="cpu")
-    write_html(tmp_path / "a.html", clip, CAMERA)
-    write_lattice4d(tmp_path / "a.p4d", clip)
-    page, data, ranges = (tmp_path / "a.html").read_text(), (tmp_path / "a.p4d").read_bytes(), []
+class Film:
+    """A page with the player, and a .p4d file that is read by range."""
 
-    def answer(route):
+    def __init__(self, folder: Path) -> None:
+        self.frames = [_sheared(0.3 * index, index) for index in range(3)]
+        clip = Clip.from_frames(self.frames)
+        write_html(folder / "a.html", clip, CAMERA)
+        write_lattice4d(folder / "a.p4d", clip)
+        self.page, self.data = (folder / "a.html").read_text(), (folder / "a.p4d").read_bytes()
+        about = json.loads(self.data[12 : 12 + int.from_bytes(self.data[8:12], "little")])
+        self.sections = [tuple(section) for section in about["frames"]]
+        self.ranges: list[tuple[int, int]] = []
+        """Offset and length of each requested range."""
+        self.lost: list[tuple[int, int]] = []
+        """Ranges whose next requests fail, one for each entry."""
+
+    def answer(self, route) -> None:
         if "range" not in route.request.headers:
-            return route.fulfill(body=page, content_type="text/html")
+            return route.fulfill(body=self.page, content_type="text/html")
         first, last = map(int, route.request.headers["range"].removeprefix("bytes=").split("-"))
-        ranges.append((first, last + 1 - first))
-        return route.fulfill(status=206, body=data[first : last + 1])
+        section = first, last + 1 - first
+        self.ranges.append(section)
+        if section in self.lost:
+            self.lost.remove(section)
+            return route.abort()
+        return route.fulfill(status=206, body=self.data[first : last + 1])
 
-    for query in ("", "?p4d=a.p4d"):
+    @contextmanager
+    def opened(self, browser, query: str, script: str = ""):
+        """The player, which has read the file; the script runs in the page before the player."""
         with browser.new_context(reduced_motion="reduce") as context:
             context.set_default_timeout(LONG)
             tab = context.new_page()
-            tab.route("**/*", answer)
+            tab.add_init_script(script)
+            tab.route("**/*", self.answer)
             tab.goto(f"http://player.test/{query}")
             tab.wait_for_function("globalThis.player?.pack.p4d")
             tab.evaluate(f"player.take({VIEW}); player.stage.resize(256, 256)")
-            for frame in frames[::-1]:
-                wanted = 255 * renderer(frame.gaussians, CAMERA)
-                tab.evaluate(f"player.seek({frame.time})")
-                drawn(tab, lambda now, wanted=wanted: psnr(now, wanted) > 30, "below 30 dB")
-    about = json.loads(data[12 : 12 + int.from_bytes(data[8:12], "little")])
-    assert {tuple(section) for section in about["frames"]} < set(ranges)
-    assert max(length for _, length in ranges) < len(data)
+            yield tab
+
+    def check(self, tab, frame: Frame) -> None:
+        """Seek a frame, and wait until it is drawn like our own renderer draws it."""
+        wanted = 255 * Renderer(device="cpu")(frame.gaussians, CAMERA)
+        tab.evaluate(f"player.seek({frame.time})")
+        drawn(tab, lambda now: psnr(now, wanted) > 30, "below 30 dB")
+
+
+def test_p4d_is_drawn_and_read_by_range(browser, tmp_path):
+    """Once from the page itself, and once from an address, of which only ranges are requested."""
+    film = Film(tmp_path)
+    for query in ("", "?p4d=a.p4d"):
+        with film.opened(browser, query) as tab:
+            for frame in film.frames[::-1]:
+                film.check(tab, frame)
+    assert set(film.sections) < set(film.ranges)
+    assert max(length for _, length in film.ranges) < len(film.data)
+
+
+def test_a_frame_that_was_lost_on_its_way_is_read_again(browser, tmp_path):
+    """Also in a player that does not play."""
+    film = Film(tmp_path)
+    film.lost += [film.sections[2]] * 3
+    with film.opened(browser, "?p4d=a.p4d") as tab:
+        film.check(tab, film.frames[2])
+    assert not film.lost
+
+
+LOSES_GRAPHICS = """
+    // The browser takes the graphics away from the first contexts that read pictures.
+    const context = OffscreenCanvas.prototype.getContext;
+    let left = 6;
+    OffscreenCanvas.prototype.getContext = function (...options) {
+        const gl = context.apply(this, options);
+        if (left-- > 0) gl.getExtension('WEBGL_lose_context').loseContext();
+        return gl;
+    };
+"""
+
+
+def test_colours_of_p4d_outlive_lost_graphics(browser, tmp_path):
+    film = Film(tmp_path)
+    with film.opened(browser, "?p4d=a.p4d", LOSES_GRAPHICS) as tab:
+        film.check(tab, film.frames[0])
+
+
+SLOW_SORTS = """
+    // Results of sorts arrive late.
+    globalThis.Worker = class extends Worker {
+        addEventListener(name, listener) {
+            super.addEventListener(name, (event) => setTimeout(() => listener(event), 1000));
+        }
+    };
+"""
+
+
+def test_a_turn_during_a_sort_is_sorted(browser, tmp_path, rng):
+    """The Gaussians are drawn from back to front of the last view, not of an earlier one."""
+    frames = _frames(rng, 0.1)[:1]
+    wanted = 255 * Renderer(device="cpu")(frames[0].gaussians, CAMERA)
+    path = tmp_path / "player.html"
+    with _opened(browser, path, frames, script=SLOW_SORTS, reduced_motion="reduce") as page:
+        page.evaluate("player.stage.resize(256, 256)")
+        drawn(page, lambda now: psnr(now, wanted) > 25, "below 25 dB")
+        other = {**VIEW, "azimuth": VIEW["azimuth"] + 180}
+        for view in (other, VIEW):
+            drawings = page.evaluate("player.stage.app.frame") + 3
+            page.evaluate(f"player.take({view})")
+            page.wait_for_function(f"player.stage.app.frame >= {drawings}")
+        page.wait_for_timeout(3000)  # all sorts have ended
+        assert psnr(canvas(page), wanted) > 25
 
 
 @pytest.mark.slow

@@ -148,7 +148,8 @@ class Visit:
             self.page.locator("#experts > summary").click()
 
 
-def _canvas(page) -> np.ndarray:
+def canvas(page) -> np.ndarray:
+    """The player's picture."""
     url = page.evaluate("document.querySelector('.phy-canvas').toDataURL()")
     data = base64.b64decode(url.split(",")[1])
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(float)
@@ -170,7 +171,7 @@ STATE = """() => {
 def drawn(page, good, complaint: str) -> np.ndarray:
     """The viewer's picture once it is as it should be; software WebGL takes its time."""
     for _ in range(LONG // 200):
-        picture = _canvas(page)
+        picture = canvas(page)
         if good(picture):
             return picture
         page.wait_for_timeout(200)

@@ -106,15 +106,23 @@ async function inflate(data) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Pixels of a picture; read by WebGL, because a 2D canvas would round colours of low opacity. */
-async function pixels(data) {
+/** Pixels of a picture; read by WebGL, because a 2D canvas would round colours of low opacity. A browser may take the
+ * graphics away meanwhile, and would return zeros: so the picture is read up to ten times. */
+async function pixels(data, attempts = 10) {
   const picture = await createImageBitmap(new Blob([data], { type: 'image/webp' }), { premultiplyAlpha: 'none', colorSpaceConversion: 'none' });
-  const gl = new OffscreenCanvas(1, 1).getContext('webgl2'), texture = gl.createTexture(), { width, height } = picture, out = new Uint8Array(4 * width * height);
+  const gl = new OffscreenCanvas(1, 1).getContext('webgl2'), { width, height } = picture, out = new Uint8Array(4 * width * height);
+  if (!gl) throw new Error('This browser has no WebGL 2, which reads the colours of a .p4d file.');
+  const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);
   gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, picture);
   gl.bindFramebuffer(gl.FRAMEBUFFER, gl.createFramebuffer());
   gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
+  if (gl.isContextLost()) {
+    if (attempts === 1) throw new Error('The browser took the graphics away while the .p4d file was read.');
+    await new Promise((wait) => { setTimeout(wait, 200); });
+    return pixels(data, attempts - 1);
+  }
   gl.getExtension('WEBGL_lose_context')?.loseContext();
   return out;
 }

@@ -60,6 +60,7 @@ globalThis.Phy124Player = (() => {
       app.start();
       // Nothing moves by itself: a picture is drawn when asked for, and once more when a sort is done.
       app.systems.gsplat.on('frame:request', () => this.wake());
+      app.scene.on('gsplat:sorted', () => this.sortAgain());
     }
 
     addSplats(device) {
@@ -79,6 +80,14 @@ globalThis.Phy124Player = (() => {
     }
 
     wake() { this.app.renderNextFrame = true; }
+
+    /** PlayCanvas ignores a turn of the camera during a sort, unless the centres change, too. */
+    sortAgain() {
+      if (!this.turned) return;
+      this.turned = false;
+      this.container.update(this.pack.n, true);
+      this.wake();
+    }
 
     show(frame, colouring) {
       const n = this.pack.n, box = this.container, out = {};
@@ -118,6 +127,7 @@ globalThis.Phy124Player = (() => {
 
     look(pose) {
       this.pose = pose;
+      this.turned = true;
       const { azimuth, elevation, radius, target } = pose;
       const a = azimuth * Math.PI / 180, e = elevation * Math.PI / 180;
       const away = [Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e)];
@@ -341,15 +351,17 @@ globalThis.Phy124Player = (() => {
 
     /** Read all frames of a .p4d file, one after the other, so that they are there when they are played. */
     async loadAll() {
-      for (let k = 0; k < this.pack.t && !this.gone; k++) await this.pack.load(k);
+      for (let k = 0; k < this.pack.t && !this.gone; k++) {
+        try { await this.pack.load(k); } catch { /* it is read again when it is shown */ }
+      }
     }
 
-    /** Whether a frame and the next one can be drawn; else they are read, and the instant is shown then. */
+    /** Whether a frame and the next one can be drawn; else they are read, again and again if that fails, and shown then. */
     ready(frame) {
       const { load, loaded, t } = this.pack, missing = load ? [Math.floor(frame), Math.min(Math.ceil(frame), t - 1)].filter((k) => loaded[k] !== true) : [];
       if (!missing.length) return true;
-      this.waiting ??= Promise.all(missing.map(load)).then(() => true, () => new Promise((wait) => { setTimeout(wait, 1000, false); }))
-        .then((there) => { this.waiting = null; if (there && !this.gone) this.seek(this.time); });
+      this.waiting ??= Promise.all(missing.map(load)).catch(() => new Promise((wait) => { setTimeout(wait, 1000); }))
+        .then(() => { this.waiting = null; if (!this.gone) this.seek(this.time); });
       return false;
     }
 
