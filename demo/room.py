@@ -107,7 +107,7 @@ def remove(path: Path) -> None:
 class _Upload:
     address: str
     size: int
-    at: float = field(default_factory=time.time)
+    at: float = field(default_factory=time.monotonic)
 
 
 class Arrivals:
@@ -165,7 +165,7 @@ class Arrivals:
 
     def sweep(self) -> None:
         """Remove uploads that no request named within the time limit."""
-        for name in [n for n, u in self._uploads.items() if time.time() - u.at > ARRIVED]:
+        for name in [n for n, u in self._uploads.items() if time.monotonic() - u.at > ARRIVED]:
             self._drop(name)
 
     def _drop(self, name: str) -> None:

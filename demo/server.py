@@ -9,6 +9,7 @@ import os
 import re
 import socket
 import threading
+import time
 import warnings
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
@@ -32,7 +33,7 @@ from .settings import SLACK
 from .source import SMALLER
 from .touch import socket_route
 from .touch.relay import LARGEST_MESSAGE
-from .traffic import RECEIVED, RECEIVED_EACH, TOOLS, TOOLS_EACH, UPLOADS, Streams, Turns
+from .traffic import RECEIVED, RECEIVED_EACH, TOOLS, TOOLS_EACH, UPLOADS, Present, Streams, Turns
 from .uploads import ADDRESS, upload_route
 
 if TYPE_CHECKING:
@@ -182,6 +183,7 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
         Middleware(Asked),
         Middleware(Headed, embedded=bool(space)),
         Middleware(Doorkeeper, hosts=hosts, origins=origins),
+        Middleware(Present, asking=studio.visitors.asking),
         Middleware(Streams, most=connections // 2, here=studio.visitors.is_here),
         Middleware(BodyLimit, uploads=ADDRESS, other=other, most=most),
         Middleware(Turns),
@@ -233,9 +235,10 @@ def launch(page: Any, studio: Studio, **options: Any) -> None:
     page.server.config.ws_per_message_deflate = False
     try:
         while page.server.thread.is_alive():
+            due = time.monotonic() + SWEEP
             page.server.thread.join(SWEEP)
             sessions.sweep()
-            _sweep(studio)
+            _sweep(studio, max(0.0, time.monotonic() - due))
     finally:
         studio.touches.close()
         studio.visitors.close()
@@ -274,9 +277,9 @@ def without_cors() -> Iterator[None]:
         names[name] = usual
 
 
-def _sweep(studio: Studio) -> None:
+def _sweep(studio: Studio, late: float) -> None:
     try:
-        studio.visitors.sweep()
+        studio.visitors.sweep(late)
     except OSError:
         # The page continues; the next removal of inactive visitors tries again.
         LOG.exception("inactive visitors could not be removed")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -45,6 +45,30 @@ STREAMS_EACH, STREAMS_ADDRESS = 16, 64
 LIFE = 7200.0
 """Time after which a stream ends unless its page is open [s]; a page may connect again."""
 TOO_MANY_STREAMS = "Too many streams are open here. Close some pages."
+
+
+class Present:
+    """Counts a visitor as present from the arrival of a request until its answer is complete.
+
+    A request may wait for its turn for longer than the visitor's grace period. Streams do not
+    count, because a stream stays open when its page is closed without notice.
+    """
+
+    def __init__(self, app: ASGIApp, asking: Callable[[str], AbstractContextManager[None]]) -> None:
+        """Wrap an application; the visitor with a name is present within `asking(name)`."""
+        self.app, self.asking = app, asking
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, and record its visitor meanwhile."""
+        name = None
+        if scope["type"] == "http" and not _is_stream(scope):
+            name = cookie_of(HTTPConnection(scope))
+        with self.asking(name) if name else nullcontext():
+            await self.app(scope, receive, send)
+
+
+def _is_stream(scope: Scope) -> bool:
+    return scope["method"] == "GET" and STREAMED.match(scope["path"]) is not None
 
 
 @dataclass
@@ -129,8 +153,7 @@ class Streams:
 
         If another limit is exceeded, answer with status 429.
         """
-        asked = scope["type"] == "http" and scope["method"] == "GET"
-        if not asked or not STREAMED.match(scope["path"]):
+        if scope["type"] != "http" or not _is_stream(scope):
             return await self.app(scope, receive, send)
         stream = _Stream(HTTPConnection(scope), send)
         of_address = [s for s in self._open if s.address == stream.address]

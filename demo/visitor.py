@@ -30,7 +30,8 @@ class Visitor:
         """Size of the visitor's files at the last measurement [bytes]."""
         self.promised = 0.0
         """Size of files that are being written [bytes]."""
-        self.seen = time.time()
+        self.seen = time.monotonic()
+        """Time of the visitor's last request [s]."""
         self.forecasts: dict[str, float] = {}
         """Run time predicted by a trial run [s], by the key of the scene."""
         self.proportions: dict[str, Proportions | None] = {}
@@ -65,7 +66,7 @@ class Visitor:
     @property
     def silence(self) -> float:
         """Time since the visitor's last request [s]."""
-        return time.time() - self.seen
+        return time.monotonic() - self.seen
 
     def remember(self, job: Job, most: int = 8) -> None:
         """Store a job, and remove finished jobs if there are more than `most` of its kind.
@@ -95,7 +96,7 @@ class Visitor:
 
     def touch(self) -> None:
         """Record that the visitor is still present."""
-        self.seen = time.time()
+        self.seen = time.monotonic()
 
     def share(self, path: Path) -> str:
         """Return the unguessable token in the link to a file."""

@@ -64,6 +64,8 @@ class Visitors:
         self._known: dict[str, Visitor] = {}
         self._leaving: list[Visitor] = []
         """Removed visitors whose jobs are still running."""
+        self._asking: Counter[str] = Counter()
+        """Number of requests that are being processed, by the visitor's name."""
 
     def __len__(self) -> int:
         return len(self._known)
@@ -75,6 +77,20 @@ class Visitors:
             if visitor is not None:
                 visitor.touch()
             return visitor
+
+    @contextmanager
+    def asking(self, name: str) -> Iterator[None]:
+        """Keep a visitor's files while a request of the visitor waits or is processed."""
+        with self._lock:
+            self._asking[name] += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._asking[name] -= 1
+                if not self._asking[name]:
+                    del self._asking[name]
+            self.find(name)
 
     def has(self, name: str) -> bool:
         """Return whether a visitor with this name is known; this does not count as a request."""
@@ -248,10 +264,17 @@ class Visitors:
         for visitor in ended:
             remove(visitor.folder)
 
-    def sweep(self) -> None:
-        """Remove idle visitors and unclaimed files, and measure the files of all other visitors."""
+    def sweep(self, late: float = 0.0) -> None:
+        """Remove idle visitors and unclaimed files, and measure the files of all other visitors.
+
+        `late` is the time since the last call in which the server could not process requests, for
+        example because it was suspended [s]. It does not count as silence of the visitors.
+        """
         with self._lock:
-            silent = [n for n, v in self._known.items() if v.silence > self.room.grace]
+            for visitor in self._known.values():
+                visitor.seen += late
+            absent = {n: v for n, v in self._known.items() if not self._asking[n]}
+            silent = [n for n, v in absent.items() if v.silence > self.room.grace]
         for name in silent:
             self.remove(name)
         self._clear()

@@ -1,16 +1,19 @@
 """Turns: how many requests are answered at the same time, and whose."""
 
 import asyncio
+from collections import Counter
+from contextlib import contextmanager
+from typing import Any
 
 from demo import traffic
-from demo.traffic import EACH, PRESENT, RECEIVED, RECEIVED_EACH, TOGETHER, UPLOADS, Turns
+from demo.traffic import EACH, PRESENT, RECEIVED, RECEIVED_EACH, TOGETHER, UPLOADS, Present, Turns
 
 
 class Page:
     """A page whose answers take until they are let go."""
 
     def __init__(self) -> None:
-        self.door = Turns(self._answer)
+        self.door: Any = Turns(self._answer)
         self.going: list[str] = []
         self.refused: list[int] = []
         self.let_go = asyncio.Event()
@@ -22,12 +25,19 @@ class Page:
     async def _send(self, message) -> None:
         self.refused += [message["status"]] if "status" in message else []
 
-    def ask(self, address: str, path: str = "/gradio_api/run/predict") -> asyncio.Task:
+    def ask(
+        self,
+        address: str,
+        path: str = "/gradio_api/run/predict",
+        cookie: str = "",
+        method: str = "POST",
+    ) -> asyncio.Task:
+        headers = [(b"cookie", f"phy124={cookie * 32}".encode())] if cookie else []
         scope = {
             "type": "http",
-            "method": "POST",
+            "method": method,
             "path": path,
-            "headers": [],
+            "headers": headers,
             "client": (address, 1),
         }
         return asyncio.create_task(self.door(scope, None, self._send))
@@ -90,5 +100,49 @@ def test_full_queue_and_long_waits_are_refused(monkeypatch):
         assert page.refused == [429] * 4
         page.let_go.set()
         await asyncio.gather(*asked)
+
+    asyncio.run(visit())
+
+
+def test_a_visitor_whose_request_waits_is_present():
+    async def visit():
+        page, present = Page(), Counter()
+
+        @contextmanager
+        def asking(name):
+            present[name] += 1
+            yield
+            present[name] -= 1
+
+        page.door = Present(page.door, asking)
+        asked = [page.ask("10.0.0.1", cookie=letter) for letter in "abcdd"]
+        await _settled()
+        assert len(page.going) == EACH, "the other requests wait"
+        names = {f"cookie {letter * 32}": n for letter, n in zip("abcd", (1, 1, 1, 2), strict=True)}
+        assert present == names
+        page.let_go.set()
+        await asyncio.gather(*asked)
+        assert not +present
+
+    asyncio.run(visit())
+
+
+def test_a_stream_does_not_make_a_visitor_present():
+    """The stream of a page that was closed without notice may stay open for hours."""
+
+    async def visit():
+        page, present = Page(), []
+
+        @contextmanager
+        def asking(name):
+            present.append(name)
+            yield
+
+        page.door = Present(page.door, asking)
+        asked = page.ask("10.0.0.1", "/gradio_api/heartbeat/x", "a", method="GET")
+        await _settled()
+        assert page.going and not present
+        page.let_go.set()
+        await asked
 
     asyncio.run(visit())

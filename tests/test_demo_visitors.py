@@ -72,6 +72,27 @@ def test_silence_is_forgiven_for_a_time_of_grace(tmp_path):
     assert visitors.find("a") is None and _folders(tmp_path) == set()
 
 
+def test_a_request_that_is_processed_for_long_is_no_silence(visitors):
+    with visitors.asking("a"):
+        with visitors.asking("a"):
+            visitors.get("a").seen -= visitors.room.grace + 1
+        visitors.get("a").seen -= visitors.room.grace + 1
+        visitors.sweep()
+        assert visitors.has("a")
+    visitors.get("a").seen -= visitors.room.grace + 1
+    visitors.sweep()
+    assert not visitors.has("a")
+
+
+def test_silence_of_a_suspended_server_is_not_that_of_a_visitor(visitors):
+    visitors.get("a").seen -= visitors.room.grace + 100
+    visitors.sweep(late=200)
+    assert visitors.has("a")
+    visitors.get("a").seen -= visitors.room.grace + 100
+    visitors.sweep(late=50)
+    assert not visitors.has("a")
+
+
 def test_asking_for_a_job_is_a_sign_of_life(visitors):
     visitor, job = visitors.get("a"), Job("run", Path("stop"))
     visitor.remember(job)
