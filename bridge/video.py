@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
+from phy124.runtime.signals import without_ctrl_c
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -57,7 +58,8 @@ class H264Encoder:
             *("-g", str(max(round(fps), 1))),
             *STREAM.split(),
         ]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        with without_ctrl_c():
+            self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def __enter__(self) -> Self:
         return self

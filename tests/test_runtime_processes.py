@@ -3,13 +3,14 @@
 import multiprocessing
 import os
 import signal
+import sys
 import time
 
 import pytest
 
 from phy124.errors import Cancelled
 from phy124.runtime.processes import as_done, explain_end, processes
-from support.processes import until
+from support.processes import run_program, until
 
 
 def test_tasks_return_results_and_running_ones_stop():
@@ -78,3 +79,43 @@ def test_pool_that_broke_before_a_task_is_reported():
         for _ in range(2):
             with pytest.raises(OSError, match="ended with status 9"):
                 list(as_done(pool, os._exit, [9, 9], lambda: None))
+
+
+CTRL_C = """
+import os, signal, threading, time
+from phy124.runtime.isolated import run
+from phy124.runtime.processes import as_done, processes
+
+def press():
+    while True:
+        os.killpg(0, signal.SIGINT)
+        time.sleep(0.01)
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, lambda *_: None)
+    threading.Thread(target=press, daemon=True).start()
+    with processes(2) as pool:
+        found = sorted(as_done(pool, abs, [-1, -2, 3], lambda: None))
+    print(found, [run(abs, -number) for number in range(4)])
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no signals of process groups")
+def test_ctrl_c_of_a_terminal_does_not_end_workers(tmp_path):
+    """Not even while they start: a terminal sends Ctrl-C to all processes of a command."""
+    (tmp_path / "script.py").write_text(CTRL_C)
+    command = [sys.executable, tmp_path / "script.py"]
+    done = run_program(command, start_new_session=True)
+    assert (done.stdout, done.stderr) == ("[(-2, 2), (-1, 1), (3, 3)] [0, 1, 2, 3]\n", "")
+
+
+def test_a_signal_to_all_processes_interrupts():
+    """Also if a worker has ended before this process asks whether to go on."""
+    with processes(2) as pool:
+
+        def interrupt() -> None:
+            if pool is not None and pool._broken:
+                raise Cancelled
+
+        with pytest.raises(Cancelled):
+            list(as_done(pool, signal.raise_signal, [signal.SIGTERM], interrupt))

@@ -1,7 +1,9 @@
 """Videos: read back frame by frame, colours and tags included; interrupted, they leave nothing."""
 
+import os
 import re
 import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -101,6 +103,29 @@ def test_an_interrupted_video_leaves_nothing_behind(tmp_path, processes, kind, n
     assert (tmp_path / name).read_bytes() == b"older"
     assert len(processes) == (name == "a.mp4")
     assert all(p.returncode is not None for p in processes)  # ended and waited for
+
+
+CTRL_C = """
+import os, signal, sys
+import numpy as np
+from phy124.io.video import write_mp4
+signal.signal(signal.SIGINT, lambda *_: os.write(1, b"Ctrl-C "))
+
+def pictures():
+    for grey in range(30):
+        os.killpg(0, signal.SIGINT)
+        yield np.full((64, 64, 3), grey, np.uint8)
+
+print(write_mp4("a.mp4", pictures(), fps=24))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no signals of process groups")
+def test_ctrl_c_of_a_terminal_does_not_end_the_encoder(tmp_path):
+    """A terminal sends Ctrl-C also to ffmpeg, but the command decides what it still needs."""
+    done = run_program([sys.executable, "-c", CTRL_C], cwd=tmp_path, start_new_session=True)
+    assert done.stdout.endswith(" 30\n"), done.stderr
+    assert len(read_video(tmp_path / "a.mp4")) == 30
 
 
 def test_a_wrong_picture_stops_the_renderer_too(tmp_path, three_gaussians):

@@ -24,6 +24,7 @@ from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from phy124.errors import InputError
+from phy124.runtime.signals import without_ctrl_c
 
 from ..guard import cookie_of
 from ..line import user_message
@@ -122,9 +123,10 @@ class Relay:
         loop = asyncio.get_running_loop()
         self._ticket.end = partial(_call, loop, partial(self._end, REPLACED))
         pipe = asyncio.subprocess.PIPE
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, str(CHILD), stdin=pipe, stdout=pipe, limit=LARGEST
-        )
+        with without_ctrl_c():
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, str(CHILD), stdin=pipe, stdout=pipe, limit=LARGEST
+            )
         parts = self._hear(process), self._tell(), self._listen(process), self._watch()
         tasks = [asyncio.create_task(self._guarded(part)) for part in parts]
         try:

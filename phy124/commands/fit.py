@@ -78,9 +78,8 @@ class Fit:
                     on_forecast=lambda expected: self._tell(bars, expected),
                 )
             except Cancelled:
-                return bars.status(
-                    f"the same command continues the fit; its runs so far are in {out}"
-                )
+                kept = f"its runs so far are in {out}" if out.is_dir() else "no run had ended"
+                return bars.status(f"the same command continues the fit; {kept}")
         files = [str(path) for path in result.files]
         print(json.dumps({**result.report, "files": files}) if self.json else result.table())
         if not self.json:

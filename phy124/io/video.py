@@ -31,6 +31,7 @@ from PIL import Image
 
 from phy124.errors import DISK_WORDS, InputError
 from phy124.io.files import replacing
+from phy124.runtime.signals import without_ctrl_c
 
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
@@ -93,9 +94,14 @@ def _problem_of(program: str) -> str:
     size = 16
     command = [program, *list_source_options(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
     try:
-        done = subprocess.run(
-            command, input=bytes(3 * size * size), capture_output=True, timeout=STUCK, check=False
-        )
+        with without_ctrl_c():
+            done = subprocess.run(
+                command,
+                input=bytes(3 * size * size),
+                capture_output=True,
+                timeout=STUCK,
+                check=False,
+            )
     except (OSError, subprocess.SubprocessError) as error:
         return str(error)
     lines = done.stderr.decode(errors="replace").strip().splitlines()
@@ -258,9 +264,10 @@ def _encode(
     program = imageio_ffmpeg.get_ffmpeg_exe()
     command = [program, "-y", *list_source_options(width, height, rate, channels), *codec]
     with tempfile.TemporaryFile() as log:
-        encoder = subprocess.Popen(
-            [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
-        )
+        with without_ctrl_c():
+            encoder = subprocess.Popen(
+                [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
+            )
         try:
             sent = _feed(encoder, itertools.chain([first], pictures))
         except BaseException:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from phy124.runtime.memory import share_heap
+from phy124.runtime.signals import without_ctrl_c
 from phy124.runtime.startup import start
 
 BEAT = 0.2
@@ -72,13 +73,15 @@ def as_done(
             yield task, work(task)
         return
     try:
-        waiting = {pool.submit(work, task): task for task in tasks}
+        with without_ctrl_c():
+            waiting = {pool.submit(work, task): task for task in tasks}
         while waiting:
             done, _ = wait(waiting, BEAT, FIRST_COMPLETED)
             for future in done:
                 yield waiting.pop(future), future.result()
             beat()
     except BrokenProcessPool:
+        beat()  # a signal to all processes of a command also interrupts this process
         raise explain_end(_exit_codes(pool)) from None
 
 
@@ -112,5 +115,5 @@ def explain_end(codes: set[int]) -> Exception:
 def _begin() -> None:
     """Start Warp in a worker process, and ignore Ctrl-C, which the parent process handles."""
     share_heap()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for Windows, where `without_ctrl_c` does nothing
     start()

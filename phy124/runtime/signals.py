@@ -36,6 +36,23 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
             signal.signal(number, before)
 
 
+@contextmanager
+def without_ctrl_c() -> Iterator[None]:
+    """Within this context, new processes never receive Ctrl-C, and this thread receives it later.
+
+    A terminal sends Ctrl-C to all processes of a command, but only the first process should decide
+    how the command ends. On Windows, this context has no effect.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 interrupt: Handler = signal.default_int_handler
 """Handle a signal by raising KeyboardInterrupt."""
 

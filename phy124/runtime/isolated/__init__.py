@@ -22,6 +22,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar
 
+from phy124.runtime.signals import without_ctrl_c
+
 T = TypeVar("T")
 CHILD = Path(__file__).with_name("child.py")
 BEAT = 0.1
@@ -78,13 +80,14 @@ def run(
         return function(*arguments)
     order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
     with _log() as log:
-        child = subprocess.Popen(
-            [sys.executable, CHILD],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=log,
-            creationflags=NO_WINDOW,
-        )
+        with without_ctrl_c():
+            child = subprocess.Popen(
+                [sys.executable, CHILD],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                creationflags=NO_WINDOW,
+            )
         try:
             answer = _answer(child, order, deadline)
             if child.wait():
