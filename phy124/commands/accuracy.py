@@ -133,9 +133,7 @@ class ShowAccuracy:
         return bars.status(KEPT) or _status(report)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
-        """Return the grids sorted from coarse to fine; raise InputError if the scene rejects a
-        grid.
-        """
+        """Return the grids from coarse to fine; raise InputError if the scene rejects a grid."""
         for cells in self.levels:
             try:
                 scene.replaced({"accuracy": {"cells": cells}})

@@ -75,9 +75,7 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """Return a name for a clip: its folder's name if the file is named clip.*, else the file's
-    name.
-    """
+    """Return a clip's name: that of its folder if the file is clip.*, else that of the file."""
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 

@@ -109,16 +109,12 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe how an object was cut out and how much of the picture it covers, from
-    `Cutout.data()`.
-    """
+    """Describe, from `Cutout.data()`, how an object was cut out and its part of the picture."""
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 
 def doubt(cutout: Cutout, remedy: str) -> None:
-    """Print a cut-out's notes and warnings on standard error; if there are warnings, add a
-    remedy.
-    """
+    """Print a cut-out's notes and warnings on standard error; after warnings, also a remedy."""
     for note in cutout.notes:
         print(f"note: {note}", file=sys.stderr)
     for warning in cutout.warnings:

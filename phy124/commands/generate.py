@@ -133,9 +133,7 @@ class Generate:
         return replace(result, files=files, report=report)
 
     def _refuse_compose(self) -> None:
-        """Refuse --compose if the run uses no picture, or if its picture cannot be read a second
-        time.
-        """
+        """Refuse --compose if no picture is used, or if it cannot be read a second time."""
         if not self.compose:
             return
         refuse_missing_encoder()
@@ -153,9 +151,7 @@ class Generate:
             )
 
     def _predict(self, scene: Scene) -> int:
-        """Make the Gaussians from the picture, then print the predicted time of the remaining
-        stages.
-        """
+        """Make the Gaussians from the picture; print the predicted time of the other stages."""
         with Bars(quiet=self.options.json) as bars:
             context, pictures = self.options.context(bars), [self.image, *self.more]
             options = self._options(bars)
@@ -265,9 +261,7 @@ class Simulate:
         return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
     def _predict(self, file: PlyFile, scene: Scene, study: str) -> int:
-        """Read the Gaussians from the file, then print the predicted time of the remaining
-        stages.
-        """
+        """Read the Gaussians from the file; print the predicted time of the other stages."""
         with Bars(quiet=self.options.json) as bars:
             context = self.options.context(bars)
             with context.watch.stage("read"):
@@ -284,9 +278,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Test the video encoder and import SciPy at the same time; the result of the test is
-    stored.
-    """
+    """Test the video encoder, whose result is stored, and import SciPy at the same time."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)

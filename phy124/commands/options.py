@@ -111,9 +111,7 @@ class ViewOptions(CameraOptions):
 
 
 def _items(texts: Listed) -> list[Any] | None:
-    """Split each text at commas and parse the values: ("front,left", "45") -> ["front", "left",
-    45].
-    """
+    """Split texts at commas and parse values: ("front,left", "45") -> ["front", "left", 45]."""
     if texts is None:
         return None
     return [parse_value(item) for text in texts for item in text.split(",") if item]

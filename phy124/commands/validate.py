@@ -170,9 +170,7 @@ def _machine() -> str:
 
 
 def _processor() -> str:
-    """Return the name of the processor; if the system does not know the name, return the
-    architecture.
-    """
+    """Return the name of the processor or, if it is unknown, the architecture."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
             if line.startswith("model name"):

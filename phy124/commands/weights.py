@@ -113,9 +113,7 @@ def describe(name: str) -> dict[str, Any]:
 
 
 def lines(statuses: list[WeightStatus]) -> list[str]:
-    """Format the state of all weights as text, with a heading for each set and a paragraph for each
-    file.
-    """
+    """Format the state of all weights, with a heading per set and a paragraph per file."""
     text: list[str] = []
     for i, s in enumerate(statuses):
         if i == 0 or statuses[i - 1].weights != s.weights:

@@ -85,15 +85,13 @@ class Cutout:
     picture: Image.Image
     """The image in mode RGBA, with straight (not premultiplied) alpha."""
     method: str
-    """Name of the method in `METHODS`; "mask" if a mask was used; "brush" if a person corrected the
-    result."""
+    """Name of the method in `METHODS`; "mask" for a mask; "brush" if a person corrected it."""
     coverage: float
     """Fraction of the image that the object covers."""
     pieces: int
     """Number of connected pieces of the object."""
     touches: tuple[str, ...]
-    """Names of the image edges that the object reaches or nearly reaches: left, top, right,
-    bottom."""
+    """Names of the image edges that the object nearly reaches: left, top, right, bottom."""
     unseen: float
     """Fraction of the outline along which the image has no edge."""
     alike: float

@@ -21,8 +21,7 @@ from phy124.imaging.profile import convert_to_srgb
 MAX_PIXELS = 50_000_000
 """Largest allowed number of pixels, which is read from the header before decoding."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
-"""Formats in which the images after the first are frames of an animation, not thumbnails or
-pages."""
+"""Formats in which further images are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
 """Largest allowed number of scans in a JPEG file. Usual files have 1 to 10 scans. A file of 8 MB
 can have 190,000 scans, each of which takes 18 ms to decode."""

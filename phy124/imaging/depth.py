@@ -24,8 +24,7 @@ from phy124.weights.store import is_complete, require
 
 Map = NDArray[np.float32]
 MARGIN = 0.25
-"""Width of the surroundings that are included in a network's input, relative to the object's
-longest side."""
+"""Width of the surroundings in a network's input, relative to the object's longest side."""
 PATCH = 14
 """Side of the networks' image patches [pixels]."""
 SIDE = 518
@@ -198,8 +197,7 @@ def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 Estimate = Callable[[NDArray[np.uint8], NDArray[np.bool_], Path], Map]
 NETWORKS: dict[str, Estimate] = {"moge2": moge2, "depth-anything": depth_anything}
-"""Functions that estimate depth, by the name of the network and its weights, in the order of
-preference."""
+"""Functions that estimate depth, by the name of network and weights, in order of preference."""
 
 
 def choose_network() -> DepthNetwork | None:

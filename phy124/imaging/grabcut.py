@@ -28,8 +28,7 @@ of a handle, remain open."""
 SOFTNESS = 4
 """Radius of the guided filter that softens the edge [pixels]."""
 HINT_REACH = 0.06
-"""Largest distance from a user's mark at which the outline may change, relative to the image's
-longest side."""
+"""Largest distance of a changed outline from a user's mark, relative to the longest side."""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -20,8 +20,7 @@ MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of bytes at the start of a file that identify its format."""
 MOST_SEGMENTS = 100_000
-"""Largest number of JPEG segments that are searched for the size; photographs have up to a few
-hundred."""
+"""Largest number of JPEG segments that are searched; photographs have up to a few hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data.
 

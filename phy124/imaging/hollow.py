@@ -33,8 +33,7 @@ ASPECTS = (0.08, 0.6)
 The ratio is 0 if the rim is seen from the side, and 1 if it is seen from above.
 """
 FIT = 0.025
-"""Largest mean distance between the outline and the back half of the rim, relative to half the
-rim's width."""
+"""Largest mean distance of the outline from the rim's back half, relative to half its width."""
 FRONT = 0.95
 """Smallest fraction of the rim's front half along which the image must have an edge."""
 EDGE = 2.0

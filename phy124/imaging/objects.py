@@ -18,13 +18,11 @@ Point = tuple[float, float]
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom edge of a box [pixels]."""
 GAP = 0.01
-"""Largest gap between pieces that belong to the same object, relative to the longest side of the
-image."""
+"""Largest gap between pieces of the same object, relative to the image's longest side."""
 COUNTED = 0.05
 """Smallest area of an object, relative to the area of the largest object; others are ignored."""
 NEAR = 0.02
-"""Largest distance between a point and the object that it selects, relative to the object's longest
-side."""
+"""Largest distance of a point from the object that it selects, relative to the longest side."""
 WINDOWS = (0.7, 0.45, 0.3)
 """Sides of the windows in which an object is searched, relative to the image's longest side."""
 MINIMUM = 0.02
@@ -80,15 +78,10 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Search around a point for an object that was missed; return its alpha, or None.
+    """Search around a point for an object that was missed; return its alpha [H,W], or None.
 
-    Windows of several sizes around the point are segmented. The object that touches the fewest
-    edges of its window is selected. The returned alpha [H,W] covers the whole image.
-
-    Args:
-        image: The image.
-        point: A point on the object.
-        find: Function that segments the salient object of an image.
+    Windows of several sizes around the point are segmented by `find`. The object that touches the
+    fewest edges of its window is selected.
     """
     best, fewest = None, 5
     for box in _windows_around(image.size, point):

@@ -6,8 +6,7 @@ import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""Smallest fraction of opaque pixels, and of transparent pixels, in an alpha that separates an
-object."""
+"""Smallest fractions of opaque and of transparent pixels in an alpha that separates an object."""
 FAINTEST = 8
 """Smallest maximum of alpha (0 to 255) in an image that is half transparent everywhere."""
 

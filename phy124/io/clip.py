@@ -260,9 +260,7 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy of the clip whose file stores a motion instead of the arrays in
-        `DESCRIBED`.
-        """
+        """Return a copy whose file stores a motion instead of the arrays in `DESCRIBED`."""
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:

@@ -71,8 +71,7 @@ class Content(NamedTuple):
     The origin is nonzero only if float32 could not resolve the positions in the file.
     """
     step: float = 0.0
-    """Smallest distance that the number format of the file can represent; 0 if this distance is
-    negligible."""
+    """Smallest distance that the file's number format can represent; 0 if it is negligible."""
 
     @property
     def in_place(self) -> Content:
@@ -111,9 +110,7 @@ class Malformed(ValueError):
 
 
 def name_fault(error: Exception) -> str:
-    """Return a clause that describes the fault of a file, without the wording of Python's
-    exception.
-    """
+    """Return a clause that describes a file's fault, without the wording of Python's exception."""
     if isinstance(error, Malformed):
         return str(error)
     if isinstance(error, KeyError):
@@ -295,11 +292,8 @@ def assign_objects(
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
     """Return the object index of each Gaussian (None if there are no objects), and notes.
 
-    A Gaussian without an object is assigned to the object of the nearest Gaussian that has one.
-
-    Args:
-        ids: Object numbers [N] in the file; NaN or negative numbers mean "no object".
-        means: Centres [N,3].
+    A Gaussian without an object (`ids` [N] is NaN or negative) is assigned to the object of the
+    Gaussian nearest to it, by the centres [N,3], that has one.
     """
     if ids is None:
         return {}, []
@@ -378,11 +372,9 @@ def step_of(means: NDArray) -> float:
 
 
 def describe_coarseness(means: NDArray, step: float) -> str | None:
-    """Return a warning if the positions in a file are too coarse for its object; otherwise None.
+    """Return a warning if positions in a file are too coarse for its object; otherwise None.
 
-    Args:
-        means: Centres [N,3], relative to any origin.
-        step: Distance between adjacent representable positions in the file.
+    The centres [N,3] are relative to any origin; `step` is the smallest distance in the file.
     """
     extent = _middle(means)[1]
     if not step or extent >= COARSE * step or len(means) < 2:

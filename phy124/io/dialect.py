@@ -43,11 +43,7 @@ class Axes(NamedTuple):
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
-    """Return the most likely axes of a file.
-
-    Args:
-        path: The file.
-        axes: The axes that the reader of the file assumed.
+    """Return the most likely axes of a file, if its reader assumed these `axes`.
 
     Raises:
         InputError: If the file is missing or its format is not supported.

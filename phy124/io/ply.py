@@ -54,8 +54,7 @@ PLAIN, WIDER, TEXT = 68, 3, 70
 per value of an ascii row.
 """
 FILTER = "filter_3D"
-"""Column with the standard deviation of Mip-Splatting's filter, in the file's unit of length
-(Yu et al. 2023, eq. 7)."""
+"""Column with the width of Mip-Splatting's filter, in the file's unit (Yu et al. 2023, eq. 7)."""
 CENTRE = ("x", "y", "z")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 RGB = ("red", "green", "blue")
@@ -251,8 +250,7 @@ COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 """Pattern of the comment in which Nerfstudio and Brush state the vertical axis."""
 MIP = ("SplatRenderMode: mip", "antialiased 1")
-"""Comments with which Brush and Postshot mark files that were trained with Mip-Splatting's
-filter."""
+"""Comments with which Brush and Postshot mark files trained with Mip-Splatting's filter."""
 NOT_MIP = ("SplatRenderMode: default", "antialiased 0")
 NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
 """Texts that Windows programs write for NaN and infinity: -nan(ind), 1.#QNAN, -1.#INF00."""

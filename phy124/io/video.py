@@ -55,8 +55,7 @@ FILMS = {
 """Pixel formats by number of channels, and encoder, by the extension of transparent videos."""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Smallest alpha of the pixels of a GIF that are drawn; GIF cannot store half-transparent
-pixels."""
+"""Smallest alpha of the pixels of a GIF that are drawn; GIF has no half-transparent pixels."""
 SMALLEST = 16
 """Smallest width or height to which an animation is reduced to limit the file size."""
 CLEAR = 255

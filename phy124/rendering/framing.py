@@ -178,9 +178,7 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
-    """Return the entry `departures`, and `notes` on departures and on camera paths longer than the
-    clip.
-    """
+    """Return the `departures`, and `notes` on them and on camera paths longer than the clip."""
     left = departures(clip, view)
     notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}

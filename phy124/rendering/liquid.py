@@ -35,8 +35,7 @@ SAMPLE = 8192
 LITTLE = 0.02
 """Lower bound of the fraction of space in front of walls, by which averages are divided."""
 THICKER = 4.0
-"""Largest factor by which the volumes of Gaussians are enlarged if they are in thin parts of the
-liquid at rest."""
+"""Largest factor on the volumes of Gaussians in thin parts of the liquid at rest."""
 CLEAR = 1e6
 """Optical depth of a cell of a liquid that is opaque."""
 
@@ -79,9 +78,7 @@ class Field:
     """A grid on which values of points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with spacing `cell` m; use a larger spacing if there are
-        too many cells.
-        """
+        """Place points [N,3] m on a grid with spacing `cell` m; wider if it has too many cells."""
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
         extent = high - low + 2 * spare
@@ -155,9 +152,7 @@ class Field:
         return slopes
 
     def lengths(self, filled: NDArray) -> NDArray[np.float32]:
-        """Return for each cell the length of liquid along each axis through the cell, in cells
-        [cells,3].
-        """
+        """Return the length of liquid along each axis through each cell [cells,3], in cells."""
         lengths = np.empty((filled.size, 3), np.float32)
         for axis, count in enumerate(self.size):
             self.launch(discs.measure_lengths, filled.size // count, [axis, filled], [lengths])
@@ -202,16 +197,11 @@ class Liquid:
         planes: Planes = NOWHERE,
         volumes: NDArray | None = None,
     ) -> None:
-        """Measure the liquid while it is at rest.
+        """Measure the liquid at rest, whose Gaussians have their centres at x [N,3], m.
 
-        Args:
-            x: Centres of the liquid's Gaussians at rest [N,3], m.
-            cell: Cell size of the simulation's grid, m.
-            visibility: Distance over which the liquid dims light to 1/e, m. None means that the
-                liquid is opaque.
-            planes: Flat walls that the liquid may touch.
-            volumes: Volumes of the liquid's Gaussians [N], m^3. None means equal volumes that fill
-                the liquid at rest.
+        `cell` is the cell size of the simulation's grid [m]. The liquid dims light to 1/e over the
+        distance `visibility` [m]; None means that it is opaque. It may touch flat walls. Without
+        volumes [N], m^3, equal volumes fill the liquid at rest.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         if volumes is None:

@@ -27,8 +27,7 @@ the result of the first; width of the empty margin around the grains. All in cel
 TAILS = 2.5
 """Distance at which the filters are cut off [standard deviations]."""
 MOST = 2_000_000
-"""Largest number of cells. If the grains are too scattered for this number, the cells are larger.
-"""
+"""Largest number of cells; cells are larger if the grains are too scattered for it."""
 SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Light from the sky and, on surfaces that face it, from the lamp: red, green and blue."""
@@ -47,9 +46,7 @@ class Matte:
     """The light on the grains of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], volumes: NDArray, cell: float) -> None:
-        """Set the grains: indices [n] and volumes [n] m^3 of Gaussians, and the grid's cell size
-        [m].
-        """
+        """Set the grains' indices [n] and volumes [n] m^3, and the cell size of the grid [m]."""
         self.which, self._volumes, self._cell = which, volumes, cell
 
     def light(self, x: NDArray, lamp: NDArray) -> NDArray[np.float32]:

@@ -111,9 +111,7 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Mask of the moving Gaussians [S]. If no Gaussian moves, the mask contains all
-        Gaussians.
-        """
+        """Mask of the moving Gaussians [S]; if no Gaussian moves, of all Gaussians."""
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 
@@ -139,9 +137,7 @@ class Sample:
         return Sample(whole, np.concatenate([self.covariances, shapes], axis=1), self.corners)
 
     def follow(self) -> Sample:
-        """Return the sample relative to the object's path, as a camera that follows the object sees
-        it.
-        """
+        """Return the sample relative to the object's path, as seen by a camera that follows it."""
         return Sample(self.means - self.path[:, None], self.covariances)
 
     def has_rare_moment(self, largest: float) -> bool:
@@ -283,9 +279,7 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; if the cameras turn, the largest extent in a
-        frame.
-        """
+        """Extent of the motion along the view [m]; if the cameras turn, the largest in a frame."""
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())

@@ -191,9 +191,7 @@ class Seen:
     def rasters(
         self, renderer: Renderer, index: int
     ) -> tuple[dict[Output, Array], NDArray[np.bool_]]:
-        """Render the outputs of a frame [H,W,C], with 0 where nothing is visible, and the mask
-        [H,W].
-        """
+        """Render the outputs of a frame [H,W,C], 0 where nothing is visible, and the mask [H,W]."""
         frame = self._frame(index)
         values = self.values(frame)
         camera = self.cameras[index]
@@ -209,9 +207,7 @@ class Seen:
         return {name: rasters[name] for name in self.outputs if name in rasters}, alpha > 0
 
     def steps(self) -> dict[Output, float]:
-        """Return the step between 16-bit values of each output; the step is the same in all
-        frames.
-        """
+        """Return the step between 16-bit values of each output, which is the same in all frames."""
         largest = dict.fromkeys(self.outputs, 0.0) | {"alpha": 1.0, "normals": 1.0}
         if set(self.outputs) & {"depth", "flow", "velocity"}:
             for index, camera in enumerate(self.cameras):

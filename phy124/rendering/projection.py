@@ -23,8 +23,7 @@ which thickens thin objects seen from far away. Mip-Splatting reduces it (Yu et 
 4.2).
 """
 NEAR = 0.01
-"""Smallest distance between the camera and the centre of a Gaussian at which the Gaussian is drawn,
-m."""
+"""Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""
 FRUSTUM_MARGIN = 1.3
 """Largest offset from the image centre at which the projection is linearised, as a fraction of half
 the image (Kerbl et al. 2023)."""

@@ -33,8 +33,7 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest number of splats in the lists of all tiles at once. Larger scenes are blended in several
-groups of tiles."""
+"""Largest number of splats in the lists of tiles; further tiles are blended in other groups."""
 TILES_PER_SPLAT = 4
 """Expected number of tiles that a splat touches; used to allocate memory for the first picture."""
 BLENDS = {
@@ -89,8 +88,7 @@ class Renderer:
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._room = 0
-        """Number of list entries for which memory is allocated, if the device counts the entries.
-        """
+        """Number of list entries with allocated memory, if the device counts the entries."""
         self._free: list[HostCopies] = []
         """Host memory of pictures for which no caller is waiting."""
         self._seen: tuple[Camera, Any] | None = None
@@ -293,9 +291,7 @@ class Renderer:
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """Compute the `splats`, their `order` by depth, and the marks from which `_counts` counts
-        splats.
-        """
+        """Compute the `splats`, their `order` by depth, and the marks that `_counts` sums."""
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs buffers of twice the size of the arrays.
@@ -385,9 +381,7 @@ class Renderer:
     def _sort_lists(
         self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
     ) -> wp.array:
-        """Return the depth-sorted splats of consecutive tiles (`room`, `total`: see
-        `bin_parallel`).
-        """
+        """Return the depth-sorted splats of a run of tiles (see `bin_parallel`)."""
         first, last = run
         ranks = self._buffer("ranks", 2 * room, wp.int32)
         lists = self._buffer("lists", 2 * room, wp.int32)
@@ -486,9 +480,7 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into ranges [first, last) of at most `limit` entries; a single tile may have
-    more.
-    """
+    """Split tiles into ranges [first, last) of at most `limit` entries, or of a single tile."""
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0

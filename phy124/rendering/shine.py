@@ -221,9 +221,7 @@ def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
 
 
 def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
-    """Yield the frames of a clip after shaping the liquids for rendering, but without
-    reflections.
-    """
+    """Yield the frames of a clip with liquids shaped for rendering, but without reflections."""
     shine = make_shine(clip, view)
     return clip.frames() if shine is None else map(shine.shape, clip.frames())
 

@@ -97,15 +97,8 @@ def look_closer(
     """Segment a small object again in a section of the image, where thin parts have more pixels.
 
     The mask of the section replaces the first mask if the two agree (their IoU is at least
-    `AGREED`).
-
-    Args:
-        rgb: The image [H,W,3].
-        coarse: Probability of the object in the whole image [320,320].
-        network: The network that computes the saliency.
-
-    Returns:
-        Probability of the object, [320,320] or [H,W].
+    `AGREED`). The first mask is the probability of the object in the whole image [320,320]; the
+    result is that of [320,320] or [H,W].
     """
     height, width = rgb.shape[:2]
     whole = np.asarray(cv2.resize(coarse, (width, height)), np.float32)

@@ -218,8 +218,7 @@ FORMATS = {
 If several formats have the same suffix, files are written in the first of these formats.
 """
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
-"""Extensions of files that can only be meshes. Files with the extension .glb or .ply may contain
-meshes or Gaussians."""
+"""Extensions of files that can only be meshes; .glb and .ply may contain either."""
 GZIP = b"\x1f\x8b\x08"
 """First bytes of a file compressed with gzip."""
 HEAD = 4096

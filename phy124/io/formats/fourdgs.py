@@ -42,8 +42,7 @@ CODEC, LEVEL = 0, 6
 Bins = dict[int, NDArray[np.int64]]
 """Quantised values [N,C] of each attribute; the keys are the library's attribute numbers."""
 FOREVER = 1e6
-"""Standard deviation in time of a Gaussian that does not fade [s]; the format requires a finite
-number."""
+"""Standard deviation in time of a lasting Gaussian [s]; the format needs a finite number."""
 
 
 def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
@@ -105,13 +104,10 @@ class _Sequence:
     """A file to which frames are appended one by one; all frames have the same Gaussians."""
 
     def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
-        """Write the header of the file.
+        """Write the header of the file, which is open and empty.
 
-        Args:
-            library: The modules of fourdgs.
-            file: The open file, which is empty.
-            clip: The clip; the range of its centres is measured.
-            times: Start time of each frame, and end time of the last frame [s].
+        `library` are the modules of fourdgs, and `times` [s] the start of each frame and the end of
+        the last frame. The range of the clip's centres is measured.
         """
         self._library, self._file, self._times = library, file, times
         self._cadence = library.writer.KeyframeDeltaOptions(keyframe_every=KEYFRAME)

@@ -158,9 +158,8 @@ def kind_of_scales(
 ) -> tuple[bool, list[str]]:
     """Return whether scales are logarithms, and a note if this was guessed.
 
-    Args:
-        generator: Name of the program that wrote the file, as the file states it.
-        parts: Scales [N,3] and centres [N,3] of each primitive.
+    `generator` is the program that wrote the file, as the file states it. `parts` are the scales
+    [N,3] and centres [N,3] of each primitive.
     """
     negative = sum(np.count_nonzero(scales < 0) for scales, _ in parts)
     if negative > FEW * sum(scales.size for scales, _ in parts):

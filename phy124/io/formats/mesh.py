@@ -29,8 +29,7 @@ LEVEL = 0.5
 BLUR = 0.3
 """Smallest standard deviation of a Gaussian, in units of cells; thinner Gaussians are widened."""
 REACH = 2.5
-"""Distance from a Gaussian beyond which its density is neglected, in units of its standard
-deviation."""
+"""Distance beyond which a Gaussian's density is neglected [standard deviations]."""
 WIDEST = 12
 """Largest distance, along each axis, up to which a Gaussian contributes, in units of cells."""
 NEAREST = 4
@@ -120,12 +119,9 @@ def sample_density(
 def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.float32]:
     """Return exp(-d^2 / 2) of each Gaussian at the nodes around its nearest node [N,K].
 
-    The quadratic form d^2 is computed as a product of two matrices with ten columns.
-
-    Args:
-        inverse: Inverse covariances [N,3,3], 1 / cells^2.
-        shift: Centres relative to the nearest node [N,3], cells.
-        offsets: Nodes relative to the nearest node [K,3], cells.
+    The quadratic form d^2 of the inverse covariances [N,3,3] is computed as a product of two
+    matrices with ten columns. In cells, `shift` [N,3] are the centres and `offsets` [K,3] the
+    nodes, both relative to the nearest node.
     """
     pulled = np.einsum("nij,nj->ni", inverse, shift)
     i, j = np.triu_indices(3)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 SIZE = 256
 ROUNDS = 20
-"""Number of iterations of Lloyd's algorithm; iterations after the tenth reduce the error by less
-than 1 %."""
+"""Iterations of Lloyd's algorithm; those after the tenth reduce the error by less than 1 %."""
 
 COMPONENTS = 8
 """Number of principal components that are used to divide vectors into cells."""

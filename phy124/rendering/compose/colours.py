@@ -139,9 +139,7 @@ class Adjoint(Renderer):
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return `W^T values` [N,3] and `W^T 1` [N]; the matrix W maps colours to `values` [H,W,3]
-        of pixels.
-        """
+        """Return `W^T values` [N,3] and `W^T 1` [N]; W maps colours to pixel values [H,W,3]."""
         view, counts = self.prepare(gaussians, camera)
         pixels = self._upload(np.ascontiguousarray(values.reshape(-1, 3), np.float32), wp.vec3)
         sums = wp.zeros(len(gaussians), dtype=wp.vec3, device=self.device)

@@ -38,8 +38,7 @@ ELEVATIONS = tuple(range(0, 65, 5))
 SMALL = 128
 """Longest side of the picture in which the elevations are compared [pixels]."""
 CLEARER = 1.0
-"""A raised camera is assumed if its picture is better than that of the front camera by this PSNR
-[dB]."""
+"""A raised camera is assumed if its picture is better than the front camera's by this [dB]."""
 RIM = 0.008
 """Width of the compared rim around the object, relative to the photograph's longest side."""
 ROUNDS = (False, False, False, True, True)

@@ -54,9 +54,7 @@ class Stage:
     pool: float = POOL
     """Additional brightness in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
-    """The surroundings in the last `RECENT` frames that were requested, by the index of the
-    frame.
-    """
+    """The surroundings in the last `RECENT` requested frames, by the index of the frame."""
     lock: Any = field(default_factory=Lock)
 
     def at(self, frame: Frame) -> StageFrame:
@@ -222,12 +220,7 @@ def pack_stage(
     """Return a clip's stage in the format of the player (phy124/io/viewer/stage.js).
 
     The result consists of plain data, and of shadow maps [T,cells,cells], in which 255 means no
-    light.
-
-    Args:
-        stage: The stage.
-        clip: The clip as the player shows it.
-        gloss: The clip's gloss, with the opacities of liquids in `hues`.
+    light. The clip is as the player shows it; its gloss has the opacities of liquids in `hues`.
     """
     if stage is None:
         return None

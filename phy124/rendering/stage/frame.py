@@ -42,9 +42,7 @@ class Floor:
     reach: float
     """Half the side of the square that the shadow map covers, m."""
     shade: Array
-    """Fraction of the light that the shadow removes from each cell [cells along x, cells along
-    y].
-    """
+    """Fraction of the light that the shadow removes from each cell [cells along x, along y]."""
     pool: float = POOL
     """Additional brightness in the middle of the floor, if its grey is 1/2."""
 

@@ -42,11 +42,9 @@ the left of and above the object.
 SOFTNESS = 0.25
 """Standard deviation of the penumbra of the lamp, per metre of height."""
 LAMP, SKY = 0.22, 0.32
-"""Fractions of the floor's light that come from the lamp and from the sky. The remaining light
-casts no shadow."""
+"""Fractions of the floor's light from the lamp and from the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows. Larger objects are subsampled, and their Gaussians
-are widened."""
+"""Largest number of Gaussians that cast shadows; a sample of more is widened."""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255

@@ -18,14 +18,11 @@ from phy124.rendering.stage.frame import Solid
 LEVEL = 0.999
 """Cosine of the largest slope of a floor."""
 THICK = 0.04
-"""Rendered thickness of a wall or plate, in units of the object's size. The boundary itself has no
-thickness."""
+"""Rendered thickness of a wall or plate, which has none, in units of the object's size."""
 WIDE = 1.1
-"""Rendered width of a wall or plate, relative to the object's width. The boundary itself is
-infinite."""
+"""Rendered width of a wall or plate, which is infinite, relative to the object's width."""
 MARGIN = 0.02
-"""Distance by which a rendered clamp extends beyond the clamped material, in units of the object's
-size."""
+"""Distance by which a rendered clamp exceeds the clamped material [object sizes]."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 

@@ -45,8 +45,7 @@ class Estimate:
     grids: tuple[int, ...]
     """Number of cells across the object on each grid."""
     sampling: Values
-    """Half-width of each value's 95 % interval that is due to the errors of the measurements
-    [P]."""
+    """Half-width of each value's 95 % interval due to the errors of the measurements [P]."""
     model: Values
     """Largest shift of each value due to the estimated error of the finest grid [P]."""
     correlation: Values
@@ -145,7 +144,5 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a `Distance` that divides measurements by the misfits of a fit, but at least by
-    1e-12.
-    """
+    """Return a `Distance` that divides measurements by a fit's misfits, but at least by 1e-12."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

@@ -188,9 +188,7 @@ class Undecided(InputError):
     """An error: the measurements do not determine some values; `limit` states the reason."""
 
     def __init__(self, names: Sequence[str], why: str) -> None:
-        """Suggest an experiment that determines the named values; `why` says why they are
-        undetermined.
-        """
+        """Suggest an experiment that determines the values; `why` is the reason of the error."""
         self.names, self.tell = tuple(names), suggest_experiment(names)
         """Names of the values, and description of an experiment that would determine them."""
         how = HOW if FORCE in self.tell else ""

@@ -32,8 +32,7 @@ from phy124.studies.fit.video import Film
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
-"""CSS colours of pixels that the object covers only in the video (`ONLY_SEEN`) or only in the fit
-(`ONLY_FITTED`)."""
+"""CSS colours of pixels only in the video (`ONLY_SEEN`) or only in the fit (`ONLY_FITTED`)."""
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
@@ -82,9 +81,7 @@ def figure(report: dict[str, Any], film: str) -> str:
 
 
 def distances(shown: dict[str, Any]) -> str:
-    """Return SVG curves of the distance between the outlines over time, before and after the
-    fit.
-    """
+    """Return SVG curves of the distance between the outlines, before and after the fit."""
     times = shown["times"]
     lines = {name: shown[name] for name in ("before", "fitted") if shown[name]}
     highest = max((max(line) for line in lines.values()), default=0.0) or 1.0

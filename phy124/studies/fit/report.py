@@ -23,10 +23,10 @@ def make_report(
     """Return the report of a fit as plain data.
 
     Args:
-        target: The inputs of the fit: measurements, object and scene.
+        target: The inputs of the fit.
         runs: The runs of the fit.
         estimate: The fitted values and their intervals.
-        clip: The clip of the scene with the fitted values, simulated on the scene's grid.
+        clip: The clip of the fitted scene, simulated on the scene's grid.
         seconds: Time since the fit began [s].
     """
     cells = target.scene.resolution.cells

@@ -95,8 +95,7 @@ class Runs:
         self.scene, self._budget, self._progress = target.played, budget, progress
         self.player = Player(target.gaussians, target.crop, seen)
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
-        """For each grid: number of runs made, number of stored results that were reused, and CPU
-        time [s]."""
+        """Numbers of runs made on each grid and of reused results, and CPU time [s]."""
         self.tried: list[Tried] = []
         """All trial runs in the order in which they were made."""
         self._folder, self._pool = folder / FOLDER, None
@@ -144,9 +143,7 @@ class Runs:
 
     @contextmanager
     def workers(self, count: int) -> Iterator[None]:
-        """Within this context, simulate in `count` worker processes, or in this process if `count`
-        is 0 or 1.
-        """
+        """Within this context, simulate in `count` processes; with 0 or 1, in this process."""
         try:
             with processes(count) as self._pool:
                 yield
@@ -163,9 +160,7 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of all inputs of a prediction except the scene; the code counts as an
-    input.
-    """
+    """Return a digest of all inputs of a prediction, including the code, except the scene."""
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())

@@ -112,8 +112,7 @@ The effect of shorter steps is not larger than the random differences between ru
 """
 ROUNDS = 6
 HALVES = (1.0, 0.5)
-"""Fractions of a step that are evaluated in parallel; the fraction with the smallest cost is
-used."""
+"""Fractions of a step that are evaluated in parallel; the one with the smallest cost is used."""
 
 
 class Refined(NamedTuple):
@@ -166,9 +165,7 @@ def refine(
 
 
 def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values) -> Values:
-    """Return the step that minimises the sum of squares of the linear model and stays in the
-    ranges.
-    """
+    """Return the least-squares step of the linear model that stays in the ranges."""
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)

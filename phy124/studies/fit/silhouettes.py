@@ -91,9 +91,7 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of the block to which each pixel belongs [T*h*w]; a block lies in one
-    frame.
-    """
+    """Return the index of each pixel's block [T*h*w]; a block lies in one frame."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
@@ -117,8 +115,7 @@ class Laid(NamedTuple):
     scale: float
     """Factor by which the video's frames are magnified."""
     shift: tuple[float, float]
-    """Shift of the upper left corner of the frames (right, down), relative to the image's
-    height."""
+    """Shift of the frames' upper left corner (right, down), relative to the image's height."""
     shared: float
     """Intersection over union of the video's first silhouette and that of the object at rest."""
 

@@ -55,8 +55,7 @@ class Target:
         clip = _clip_of(path)
         self.film: Film | None = None
         self.laid: Laid | None = None
-        """Transform that aligns the video with the camera's view; None if no alignment was
-        requested."""
+        """Transform that aligns the video with the camera's view; None if it is not requested."""
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():

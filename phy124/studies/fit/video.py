@@ -26,15 +26,13 @@ largest possible distance is 442."""
 MOST = 2000
 """Maximum number of frames that are read."""
 SIDE = 256
-"""Longest side to which frames are reduced in memory [pixels]; at this size, 2,000 frames take 400
-MB."""
+"""Longest side of frames in memory [pixels]; at this size, 2,000 frames take 400 MB."""
 LONGEST = 600
 """Maximum time for reading a video [s]."""
 FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 """Values that bytes 5 to 8 of MP4 and MOV files may have."""
 SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
-"""Options that prevent ffmpeg from reading playlists, which may refer to other files and
-addresses."""
+"""Options that prevent ffmpeg from reading playlists, which may refer to other addresses."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
 """Header of each image in a stream of PPM files."""
 FPS = re.compile(rb"Video: .* ([\d.]+) fps")

@@ -209,8 +209,7 @@ def _refuse_descending(ends: Sequence[float]) -> None:
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
-"""Pattern that matches the names of axis types, which pydantic adds to the names of fields in its
-errors."""
+"""Pattern of the names of axis types, which pydantic adds to fields in its errors."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]

@@ -118,9 +118,7 @@ RECENT = 4096
 
 
 class Seen:
-    """A set of hexadecimal keys that needs only eight bytes per key, for sweeps with millions of
-    clips.
-    """
+    """A set of hexadecimal keys with only eight bytes per key, for millions of clips."""
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._sorted = np.empty(0, np.uint64)

@@ -106,9 +106,7 @@ class _Tasks:
         return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
 
     def _source(self, order: Order) -> Any:
-        """Return the task that makes the Gaussians of a clip; all clips of a source share one
-        task.
-        """
+        """Return the task that makes a clip's Gaussians; clips of the same source share it."""
         key = order.source
         if key not in self.sources:
             self.sources[key] = self.make.options(**self._reserve(order)).remote(order)

@@ -103,9 +103,7 @@ class Plan:
         return self.scene.replaced(item.changes)
 
     def share(self, part: int, parts: int) -> range:
-        """Return the indices of the clips in shard number `part`, counted from 1, of `parts`
-        shards.
-        """
+        """Return the indices of the clips in shard `part`, counted from 1, of `parts` shards."""
         return range(part - 1, len(self), parts)
 
     def _refuse_endless(self) -> None:
@@ -118,9 +116,7 @@ class Plan:
 
     @cached_property
     def _shift(self) -> NDArray[np.float64]:
-        """A random shift that is added to all samples, modulo 1; shifted samples remain evenly
-        distributed.
-        """
+        """A random shift, added to all samples modulo 1; they remain evenly distributed."""
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:

@@ -21,8 +21,7 @@ class Filling(NamedTuple):
     place: Path
     """The local folder."""
     store: Callable[[], int]
-    """Function that moves the files in the local folder to the storage, and returns their size
-    [bytes]."""
+    """Moves the files in the local folder to the storage, and returns their size [bytes]."""
 
 
 class Storage:
@@ -79,9 +78,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder, from which files can be moved to a folder of the storage at any
-        time.
-        """
+        """Provide a local folder; its files can be moved to a folder of the storage at any time."""
         if self.here is not None:
             with staging(self.here / folder) as place:
                 yield Filling(place, partial(_deliver, place))

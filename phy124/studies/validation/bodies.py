@@ -41,9 +41,7 @@ def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0,
 
 
 def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the positions [P,3], m, of `per_axis`^3 particles that fill a cube with edge `size`
-    [m].
-    """
+    """Return the positions [P,3], m, of `per_axis`^3 particles that fill a cube of a size [m]."""
     return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
 
 

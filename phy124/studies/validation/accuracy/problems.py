@@ -103,9 +103,7 @@ def _kinetic(solver: Solver) -> float:
 
 
 def bar_frequency(E: float, density: float, length: float) -> float:
-    """Return the exact frequency of a free bar's first mode: `pi c / L` [rad/s] with `c^2 = E /
-    rho`.
-    """
+    """Return the exact frequency of a free bar's first mode, `pi / L sqrt(E / rho)` [rad/s]."""
     return math.pi / length * math.sqrt(E / density)
 
 
@@ -167,9 +165,7 @@ class Vortex:
     material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
 
     def angle(self, radius: Array, time: float) -> Array:
-        """Return the exact angle [rad] by which circles with these radii [m] have rotated at a time
-        [s].
-        """
+        """Return the exact angle [rad] by which circles of these radii [m] have rotated."""
         s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)
         rise = self.amplitude * (1 - math.cos(2 * math.pi * time)) / 2
         return (1 - 8 * s**2 + 16 * s**4) * rise
@@ -303,9 +299,7 @@ class Bounce:
         return np.asarray(cube[inside] + [[0, 0, self.drop + self.diameter / 2]], float)
 
     def run(self, cells: int, spacing: float) -> Array:
-        """Simulate the ball, with `cells` cells across it; return its particles' positions [T,P,3],
-        m.
-        """
+        """Return the positions [T,P,3], m, of the ball with `cells` cells across it."""
         x, dx = self.particles(spacing), self.diameter / cells
         world = {"forces": [Gravity()], "boundaries": [Ground(friction=0.0)]}
         origin = (0, 0, -FLOOR_NODE * dx)

@@ -20,8 +20,7 @@ COARSEST = 8
 KNOWN = 0.5
 """A level is recommended only if the errors of at least this fraction of the frames are known."""
 MOVING = 2
-"""A level is recommended only if the errors of at least this number of frames after the first are
-known."""
+"""A level is recommended only if the errors of this many frames after the first are known."""
 GOOD = 0.04
 """Largest error of a setting that is recommended, as a fraction of the object's size."""
 
@@ -42,15 +41,13 @@ class Row:
     predicted: float | None
     """Predicted time of simulation and shapes [s]; None if there is no forecast."""
     seconds: float
-    """Measured time of simulation and shapes [s], which does not include splitting the energy loss
-    by cause."""
+    """Measured time of simulation and shapes [s], without splitting the energy loss."""
     limiters: dict[str, float]
     """Fraction of the substeps whose length each limit determines, by the limit's name."""
     energy_lost: float
     """Energy that was lost, as a fraction of the energy that was supplied."""
     lost_to: dict[str, float] | None
-    """The energy that was lost to each cause (material, contact, numerical); None if the loss
-    cannot be split."""
+    """Energy lost to each cause (material, contact, numerical); None if it cannot be split."""
     angular_momentum_lost: float | None
     """Relative change of the angular momentum; None if forces or walls may change it."""
     from_finest: Difference | None = None
@@ -67,9 +64,7 @@ class Row:
 
     @property
     def level(self) -> bool:
-        """Whether the setting is a level; other settings vary other options than the grid
-        spacing.
-        """
+        """Whether the setting is a level; other settings vary other options than the spacing."""
         return self.name.startswith("D/")
 
 
@@ -89,8 +84,7 @@ class Report:
     until: float | None = None
     """Time up to which the errors are valid [s]; None if they are valid for the whole motion."""
     closest: float | None = None
-    """Distance between the two finest levels, relative to the object's size; None if there is only
-    one level."""
+    """Distance between the two finest levels, in object sizes; None if there is one level."""
     interrupted: bool = False
     """Whether a cancellation or an error ended the study before all settings had been run."""
 
@@ -102,9 +96,7 @@ class Report:
 
     @property
     def _extent(self) -> str:
-        """A sentence about the time after which errors are unknown; empty if they are known at all
-        times.
-        """
+        """A sentence about the time after which errors are unknown; empty if there is none."""
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "

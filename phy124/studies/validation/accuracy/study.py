@@ -37,8 +37,7 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Number of cells across the object on each level, from coarse to fine; the levels of all presets
-are included."""
+"""Cells across the object on each level, from coarse to fine; includes those of the presets."""
 MIN_PARTICLES_PER_AXIS = 1.5
 """If there are fewer particles per cell and axis than this, finer grids are not more accurate."""
 VARIED = 24
@@ -68,11 +67,9 @@ class Study:
     A thorough study takes about three times as long.
     """
     on_row: Callable[[Row], None] = lambda row: None
-    """Function that is called with the row of each finished setting, before the errors are
-    known."""
+    """Called with the row of each finished setting, before the errors are known."""
     keep: bool = False
-    """Whether finished settings are evaluated if the study is cancelled or a later setting
-    fails."""
+    """Whether finished settings are evaluated if the study is cancelled or fails later."""
     ended: Exception | None = field(default=None, init=False)
     """The exception that ended the study early while `keep` was true; otherwise None."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)

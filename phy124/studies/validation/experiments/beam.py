@@ -59,8 +59,7 @@ REST = 1.6
 PIECES = 40
 """Mean number of velocity reductions per period of the beam's first mode."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Its multiples, modulo 1, never repeat, and therefore vary the times between velocity reductions.
-"""
+"""Its multiples, modulo 1, never repeat; they vary the times between velocity reductions."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
 """Function that creates a force from the beam's width [m], a profile and the tip's region."""
@@ -105,15 +104,13 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return a load P at the tip of a beam of a width [m]; the profile's factors are `P L^2 / (E
-    I)`.
-    """
+    """Return a load P at the tip of a beam of a width [m], in units of `E I / L^2`."""
     unit = STIFFNESS * width / LENGTH**2
     return TotalForce(f=(0, 0, -unit), region=end, profile=profile)
 
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return gravity on the whole beam; the factors of the profile are `rho g A L^3 / (E I)`."""
+    """Return gravity on the whole beam, in units of `E I / (rho A L^3)`."""
     del width, end
     unit = STIFFNESS / (DENSITY * THICKNESS * LENGTH**3)
     return Gravity(g=(0, 0, -unit), profile=profile)
@@ -247,9 +244,7 @@ def _steps(loads: Sequence[float]) -> Keyframes:
 def _load(
     solver: Solver | LatticeSolver, loads: Sequence[float], sag: Callable[[], SupportsFloat]
 ) -> Values:
-    """Let the beam come to rest under each load; return the deflections divided by the beam's
-    length.
-    """
+    """Let the beam come to rest under each load; return the deflections / length."""
     drops = []
     for number in range(1, len(loads) + 1):
         _settle(solver, number * _duration_of_load())

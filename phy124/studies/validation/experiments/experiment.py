@@ -111,9 +111,7 @@ class Estimate:
 
     @property
     def inside(self) -> bool:
-        """Whether `value` is within the band after the band is extended by `error` on both
-        sides.
-        """
+        """Whether `value` is within the band, extended by `error` on both sides."""
         return self.quantity.low - self.error <= self.value <= self.quantity.high + self.error
 
     @property
@@ -156,9 +154,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether no run failed, the mistake is detected, and values outside their bands are
-        explained.
-        """
+        """Whether no run failed, the mistake is detected, and values outside are explained."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

@@ -60,9 +60,7 @@ def solver_of(
 
 
 def frequency() -> float:
-    """Return the frequency [Hz] of the first mode, from `omega^2 = g k tanh(k h)` with `k = pi /
-    L`.
-    """
+    """Return the first mode's frequency [Hz]: `omega^2 = g k tanh(k h)` with `k = pi / L`."""
     return float(np.sqrt(GRAVITY * np.pi * np.tanh(np.pi * DEPTH)) / (2 * np.pi))
 
 

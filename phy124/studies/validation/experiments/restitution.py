@@ -68,9 +68,7 @@ class Bounce:
 
 
 def speed(depth: float) -> float:
-    """Return the initial speed [m/s] for which Hertz's law gives this ratio of maximum depth to
-    radius.
-    """
+    """Return the initial speed [m/s] for a maximum depth / radius by Hertz's law."""
     return math.sqrt(0.8 * depth**2.5 * E / (DENSITY * math.pi))
 
 

@@ -43,9 +43,7 @@ SAMPLES = 60
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the ball's exact acceleration, divided by gravity, and the plate's exact period
-    [s].
-    """
+    """Return the ball's exact acceleration / gravity, and the plate's exact period [s]."""
     rolling = 5 / 7 * math.sin(math.atan(SLOPE))
     return (
         Quantity.within("acceleration of the ball [g]", rolling, 0.01),
@@ -61,9 +59,7 @@ def exact_period() -> float:
 
 
 def roll(cells: int, gravity: float) -> float:
-    """Measure a ball's acceleration down a slope, with `cells` cells across it, in standard
-    gravity.
-    """
+    """Measure the acceleration / standard gravity of a ball, `cells` cells wide, on a slope."""
     dx, angle = 2 * RADIUS / cells, math.atan(SLOPE)
     centre = np.array([0.0, 0.0, RADIUS])
 

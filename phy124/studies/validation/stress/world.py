@@ -90,9 +90,7 @@ def window(setting: Setting) -> list[Check]:
 
 
 def repeats(setting: Setting) -> list[Check]:
-    """Check that repeated runs give equal results, and that the number of threads hardly affects
-    them.
-    """
+    """Check that repeated runs are equal, and hardly depend on the number of threads."""
     x = block(8, 0.5, middle=(0, 0, 0.4))
     v = np.random.default_rng(0).normal(size=x.shape)
 
