@@ -99,6 +99,8 @@ def test_study_command_has_every_object_and_option():
     assert read._study() == (
         "phy124 accuracy collide --image a.png --more b.png --up y --floor --set seed=3"
     )
+    still = Simulate(Path("a.png"), options=SceneOptions(scene="drop", frames=1))
+    assert still._study() == "phy124 accuracy drop --image a.png --frames 1"
 
 
 def test_a_dry_run_tells_the_grid_that_a_time_leads_to(file, tmp_path, capsys, monkeypatch):

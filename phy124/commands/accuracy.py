@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +12,7 @@ import tyro
 from phy124.accuracy.promises import format_percent
 from phy124.commands.bars import Bars
 from phy124.commands.cutout import PictureOptions, announce_generator, doubt
-from phy124.commands.options import Device, help_of
+from phy124.commands.options import Device, accuracy_command, help_of
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
 from phy124.generators.options import Effort
@@ -166,15 +165,10 @@ class ShowAccuracy:
                 return ""
             changes = tuple(change for change in changes if not change.startswith(key))
             changes += (f"{key}{per_axis + 1:g}",)
-        words = ["phy124", "accuracy", str(self.scene)]
-        values = {"image": self.image, "frames": self.frames, "seconds": self.seconds}
-        for name, value in values.items():
-            words += [] if value is None else [f"--{name}", str(value)]
-        words += ["--more", *map(str, self.more)] if self.more else []
-        words += ["--levels", *map(str, grids)]
-        for change in changes:
-            words += ["--set", change]
-        return with_program(f"Try `{shlex.join(words)}`.\n")
+        sources = [self.image, *self.more] if self.image else []
+        options = {"frames": self.frames, "seconds": self.seconds, "levels": grids}
+        command = accuracy_command(str(self.scene), sources, options, changes)
+        return with_program(f"Try `{command}`.\n")
 
     def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
         """Return the Gaussians to study, their scene, and their position in the picture."""

@@ -168,20 +168,11 @@ class SceneOptions:
             making: Values, by name, of options for making the Gaussians that differ from their
                 defaults.
         """
-        first, *more = map(str, sources)
-        words = [PACKAGE, "accuracy", self.scene, "--image", first]
-        words += ["--more", *more] if more else []
         timed = self.frames is not None or self.seconds is not None
         changes = [*self.set, *([f"time.fps={self.fps:g}"] if timed and self.fps else [])]
         changes += [] if self.seed is None else [f"seed={self.seed}"]
         options = {**making, "frames": self.frames, "seconds": self.seconds}
-        for name, value in options.items():
-            values = value if isinstance(value, tuple | list) else [value]
-            words += [] if value is None else [f"--{name.replace('_', '-')}"]
-            words += [] if value in (None, True) else map(str, values)
-        for change in changes:
-            words += ["--set", change]
-        return with_program(f"`{shlex.join(words)}`")[1:-1]
+        return with_program(f"`{accuracy_command(self.scene, sources, options, changes)}`")[1:-1]
 
     def context(self, progress: Progress) -> RunContext:
         """Return the context of a run with these options.
@@ -191,6 +182,28 @@ class SceneOptions:
         """
         device = pick_device(self.device)
         return RunContext(device=device, threads=self.threads, progress=progress)
+
+
+def accuracy_command(
+    scene: str, sources: Sequence[Path], options: Mapping[str, Any], changes: Sequence[str]
+) -> str:
+    """Return the command that studies the accuracy of a scene.
+
+    Args:
+        scene: Preset or file.
+        sources: Pictures or files of the scene's objects, if there are any.
+        options: Values of further options by name; None: the option is not set.
+        changes: Values of the scene, as --set takes them.
+    """
+    words = [PACKAGE, "accuracy", scene]
+    inputs = {"image": sources[:1] or None, "more": sources[1:] or None}
+    for name, value in {**inputs, **options}.items():
+        if value is not None:
+            values = value if isinstance(value, tuple | list) else [value]
+            words += [f"--{name.replace('_', '-')}", *([] if value is True else map(str, values))]
+    for change in changes:
+        words += ["--set", change]
+    return shlex.join(words)
 
 
 def refuse_workers(workers: int | None) -> None:

@@ -413,11 +413,6 @@ def _grabcut(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
     return isolated.run(grabcut, np.asarray(image.convert("RGB")), deadline=deadline)
 
 
-def _applies_always(image: Image.Image) -> bool:
-    del image
-    return True
-
-
 METHODS: dict[str, Method] = {
     "alpha": Method(has_alpha, _keep_alpha, "the picture's own transparency"),
     **{
@@ -427,8 +422,8 @@ METHODS: dict[str, Method] = {
         for name, network in salient.NETWORKS.items()
     },
     "u2net": Method(u2net.is_available, u2net.find_alpha, "U2-Net"),
-    "u2netp": Method(_applies_always, u2net.find_alpha_small, "the small U2-Net"),
-    "grabcut": Method(_applies_always, _grabcut, "GrabCut"),
+    "u2netp": Method(lambda _: True, u2net.find_alpha_small, "the small U2-Net"),
+    "grabcut": Method(lambda _: True, _grabcut, "GrabCut"),
 }
 """Segmentation methods by name, in the order of preference."""
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")

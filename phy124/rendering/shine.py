@@ -182,15 +182,12 @@ class Shine:
             fields = drawn._asdict()
             del fields["rgb"], fields["normals"]
             gaussians = replace(gaussians, sh=sh, **fields)
-        if self._matte:
+        if self._matte or self._dents:
             sh = gaussians.sh.copy()
             for part in self._matte:
                 which = _as_slice(part.which)
                 light = part.light(_finite(gaussians.means[which]), LAMP)
                 sh[which] = illuminate(sh[which], light)
-            gaussians = replace(gaussians, sh=sh)
-        if self._dents:
-            sh = gaussians.sh.copy()
             for solid in self._dents:
                 which = _as_slice(solid.which)
                 rgb = np.clip(0.5 + SH_C0 * sh[which, 0], 0, 1)

@@ -61,8 +61,8 @@ class PlacedWall:
         return (times >= self.track.start) & (times < self.track.end)
 
     def solid(self) -> Solid:
-        """Return the solid to render, in its initial position."""
-        return SHAPES[self.outline](self)
+        """Return the solid to render, in its initial position; for a clamp, the clamped box."""
+        return _between(*self.span) if self.holds else SHAPES[self.outline](self)
 
 
 def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
@@ -141,8 +141,6 @@ def _panel(wall: PlacedWall) -> Solid:
     """Return an infinite wall as a slab behind the wall's face, as wide as the box of the wall."""
     point, normal, _ = wall.shape
     low, high = wall.span
-    if wall.holds:
-        return _between(low, high)
     middle, half = (low + high) / 2, (high - low) / 2
     axes = _frame_of(normal)
     thick = THICK * float((high - low).max()) / WIDE
@@ -167,16 +165,11 @@ def _between(low: NDArray, high: NDArray) -> Solid:
 
 
 def _box(wall: PlacedWall) -> Solid:
-    """Return a box; for a clamp, return the box around the clamped points."""
-    if wall.holds:
-        return _between(*wall.span)
     return Solid(wall.shape[0], np.eye(3), np.abs(wall.shape[1]))
 
 
 def _cylinder(wall: PlacedWall) -> Solid:
-    """Return the box around a cylinder, or around the points that the cylinder clamps."""
-    if wall.holds:
-        return _between(*wall.span)
+    """Return the box around a cylinder."""
     point, axis, sizes = wall.shape
     return Solid(point, np.eye(3), _around_cylinder(axis, sizes))
 

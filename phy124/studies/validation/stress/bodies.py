@@ -9,7 +9,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from phy124.kernels.arguments import types
 from phy124.materials import Material, NeoHookean
 from phy124.monitor.diagnostics import diagnose
 from phy124.mpm import Solver
@@ -58,15 +57,14 @@ def volume_ratios(solver: Solver) -> Array:
 
 def deform(solver: Solver, F: Array) -> None:
     """Set the deformation gradients of all particles to F [P,3,3] or [3,3]."""
-    whole = np.broadcast_to(F, (len(solver.model.rest), 3, 3))
-    t = types(solver.model.real)
-    solver.state.F.assign(wp.array(whole.astype(_scalar(solver)), dtype=t.mat33, device="cpu"))
+    assign(solver, "F", np.broadcast_to(F, (len(solver.model.rest), 3, 3)))
 
 
 def assign(solver: Solver, name: str, values: Array) -> None:
     """Overwrite the array `name` of the state."""
-    array = getattr(solver.state, name)
-    array.assign(wp.array(values.astype(_scalar(solver)), dtype=array.dtype, device="cpu"))
+    array, real = getattr(solver.state, name), solver.model.real
+    scalars = values.astype(np.float32 if real is wp.float32 else np.float64)
+    array.assign(wp.array(scalars, dtype=array.dtype, device="cpu"))
 
 
 def stable_dt(solver: Solver) -> float:
@@ -106,10 +104,6 @@ def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
         return equal(f"bitwise equal {what}", np.array_equal(value, reference))
     difference = relative(value, reference)
     return at_most(f"{what}: difference / size", difference, REORDERED[setting.precision])
-
-
-def _scalar(solver: Solver) -> type:
-    return np.float32 if solver.model.real is wp.float32 else np.float64
 
 
 class Meter:
