@@ -46,9 +46,11 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     """Return a dictionary from the name of each kernel argument to its type.
 
     Args:
-        real: wp.float32 or wp.float64.
+        real: wp.float32 or wp.float64; None, if a kernel states all types: an empty dictionary.
         width: Number of parameters of the constitutive law.
     """
+    if real is None:
+        return {}
     t = types(real)
     model = {
         "chosen": Ints,  # indices of the chosen particles; empty: all particles
@@ -72,6 +74,36 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "sticky": int,  # 1 if bodies in contact do not slide
         "moments": wp.vec3d,  # principal moments of inertia [kg m^2]
     }
+    gaussians = {
+        "quats0": wp.array(dtype=wp.vec4f),  # orientations at rest
+        "scales0": wp.array(dtype=wp.vec3f),  # lengths of the axes at rest [m]
+        "holds": Doubles,  # largest stretch of material that is not torn
+        "limits": Doubles,  # largest ratio of a length to the longest axis at rest
+        "rounds": wp.array(dtype=bool),  # whether a long Gaussian becomes rounder
+    }
+    bodies_on_lattices = {
+        "start": int,  # first item that this launch handles
+        "low": int,  # first node of the launch's forces
+        "full_blocks": int,  # number of blocks of full cells (lattice/simd.py)
+        "restore": real,  # gain of the speed at which points that penetrate move out [1/s]
+        "near": Ints,  # indices of the surface points that may be in contact
+        "nodes": wp.array2d(dtype=int),  # nodes of each surface point
+        "weights": wp.array2d(dtype=real),  # weights of these nodes
+        "rows": Ints,  # first node of each of a cell's nine rows of nodes (lattice/points.py)
+        "offset": t.vec3s,  # positions of integration points relative to a cell's first node
+        "order": Ints,  # cells of each block (lattice/simd.py)
+        "packed": t.reals,  # offsets and volumes of the points of each block
+        "rest": t.vec3s,  # positions of nodes or points at rest [m]
+        "inverse": t.reals,  # inverse masses of the nodes [1/kg]; 0 for tied and clamped nodes
+        "whole": t.reals,  # inverse masses of the nodes without clamps [1/kg]
+        "pool": t.vec3s,  # forces on the nodes, from all workers [N] (lattice/nodes.py)
+        "donor_starts": Ints,  # tied nodes that depend on each node, as a sparse matrix
+        "donor_nodes": Ints,
+        "donor_weights": t.reals,
+        "tied_starts": Ints,  # donors of each tied node, as a sparse matrix
+        "tied_nodes": Ints,
+        "tied_weights": t.reals,
+    }
     state = {
         "x": t.vec3s,  # positions of the particles [m]
         "residue": t.vec3s,  # rounding errors of the positions [m], for compensated sums
@@ -93,5 +125,24 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "body": Doubles,  # state of a free body (free/numbers.py)
         "trial": Doubles,  # velocity of the free body in a solution
         "system": Doubles,  # six equations of motion of the free body
+        "u": t.vec3s,  # displacements of the nodes [m]
+        "v_before": t.vec3s,  # velocities of the nodes before the kick [m/s]
+        "force": t.vec3s,  # mean force on each surface point or node in a substep [N]
+        "gap": t.vec4s,  # normal of a surface at each point, and distance from it [m]
+        "yields": t.reals,  # velocity change of each surface point per unit impulse [1/kg]
+        "place": t.vec3s,  # positions of the surface points [m]
+        "position": t.vec3s,  # positions of the particles that carry Gaussians [m]
+        "deformation": t.mat33s,  # their deformation gradients
+        "inner": wp.array(dtype=wp.vec4f),  # rotations V of the Gaussians (deform.py)
+        "quats": wp.array(dtype=wp.vec4f),  # orientations of the Gaussians
+        "scales": wp.array(dtype=wp.vec3f),  # lengths of the axes of the Gaussians [m]
+        "maxima": t.reals,  # measured maxima
+        "stray": Ints,  # number of particles or points that are not finite
     }
-    return {**model, **state, **{f"{name}_out": kind for name, kind in state.items()}}
+    return {
+        **model,
+        **gaussians,
+        **bodies_on_lattices,
+        **state,
+        **{f"{name}_out": kind for name, kind in state.items()},
+    }

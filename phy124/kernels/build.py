@@ -10,7 +10,7 @@ float32 results. tests/benchmarks/fingerprints.py compares the results of two co
 """
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, wraps
 from threading import RLock
 from typing import Any, ParamSpec, TypeVar
@@ -47,7 +47,12 @@ def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
 
 
 def kernel(
-    module: str, real: Any = None, *, width: int = 0, seconds: float = 0.0
+    module: str,
+    real: Any = None,
+    *,
+    width: int = 0,
+    types: Mapping[str, Any] | None = None,
+    seconds: float = 0.0,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function as a kernel of the named Warp module.
 
@@ -56,6 +61,8 @@ def kernel(
         real: Precision of the arguments without annotation; `arguments.arguments` declares their
             types. None if the signature annotates all arguments.
         width: Number of parameters of the law, if the kernel is built for a law.
+        types: Types of the arguments without annotation, by name; replaces the types that
+            `arguments.arguments` declares.
         seconds: CPU time to compile the module on one core of an AMD EPYC [s]; 0 if it is
             negligible. This value is stored as an attribute of the kernel.
     """
@@ -64,13 +71,17 @@ def kernel(
     wp.set_module_options({"cpu_compiler_flags": f"{native} {CONTRACT}"}, module=module)
 
     def build(function: Callable[..., Any]) -> Any:
-        declared = {} if real is None else arguments(real, width)
-        # Warp takes the order of the arguments from the order of the annotations.
-        types = {**declared, **function.__annotations__}
-        names = inspect.signature(function).parameters
-        function.__annotations__ = {name: types[name] for name in names}
+        declare(function, types or arguments(real, width))
         made = wp.kernel(function, module=module, enable_backward=False)
         made.seconds = seconds
         return made
 
     return build
+
+
+def declare(function: Callable[..., Any], types: Mapping[str, Any]) -> None:
+    """Annotate the arguments of a kernel's function that have no annotation."""
+    # Warp takes the order of the arguments from the order of the annotations.
+    known = {**types, **function.__annotations__}
+    names = inspect.signature(function).parameters
+    function.__annotations__ = {name: known[name] for name in names}

@@ -86,27 +86,30 @@ def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
 
 
 @wp.func
-def shape_of(
-    f: wp.mat33d,
-    quat0: wp.vec4f,
-    scale0: wp.vec3f,
-    hold: wp.float64,
-    max_stretch: wp.float64,
-    becomes_ball: bool,
-    inner: wp.vec4f,
-    quat: wp.vec4f,
+def deform_shape(
+    i: int,
+    quats0: wp.array(dtype=wp.vec4f),
+    scales0: wp.array(dtype=wp.vec3f),
+    holds: wp.array(dtype=wp.float64),
+    limits: wp.array(dtype=wp.float64),
+    rounds: wp.array(dtype=bool),
+    quats: wp.array(dtype=wp.vec4f),
+    deformation: wp.array(dtype=wp.mat33d),
+    inner_out: wp.array(dtype=wp.vec4f),
+    quats_out: wp.array(dtype=wp.vec4f),
+    scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """Return V, the quaternion and the scales of a deformed Gaussian, whose covariance is Sigma_t =
-    F Sigma0 F^T.
+    """Compute V, the quaternion and the scales of a deformed Gaussian, whose covariance is Sigma_t
+    = F Sigma0 F^T.
 
-    V and the quaternion start from their values in the previous frame, so that axes do not change
-    order.
+    V and the quaternion start from their values in the previous frame (`inner_out`, `quats`), so
+    that axes do not change order.
     """
-    s0 = wp.vec3d(scale0)
-    last = wp.vec4d(quat)
+    s0 = wp.vec3d(scales0[i])
+    last = wp.vec4d(quats[i])
     previous = matrix_of(last)
-    v = matrix_of(wp.vec4d(inner))
-    a = within(f, hold) * matrix_of(wp.vec4d(quat0)) * wp.diag(s0) * v
+    v = matrix_of(wp.vec4d(inner_out[i]))
+    a = within(deformation[i], holds[i]) * matrix_of(wp.vec4d(quats0[i])) * wp.diag(s0) * v
     a, v = orthogonal_columns(a, v, TOLERANCE)
     lengths = wp.vec3d(wp.length(column(a, 0)), wp.length(column(a, 1)), wp.length(column(a, 2)))
     u = orientation(a, lengths, previous)
@@ -114,48 +117,32 @@ def shape_of(
     q = quaternion_of(u * labels)
     if wp.dot(q, last) < wp.float64(0.0):
         q = -q
-    limit = wp.min(LARGEST, max_stretch * wp.max(s0))
+    limit = wp.min(LARGEST, limits[i] * wp.max(s0))
     lengths = wp.transpose(labels) * lengths
-    if becomes_ball:
+    if rounds[i]:
         lengths = round_lengths(
             wp.vec3d(wp.abs(lengths[0]), wp.abs(lengths[1]), wp.abs(lengths[2])), s0
         )
     s = wp.vec3f()
     for k in range(3):
         s[k] = wp.float32(wp.min(wp.abs(lengths[k]), limit))
-    return wp.vec4f(quaternion_of(v * labels)), wp.vec4f(q), s
+    inner_out[i] = wp.vec4f(quaternion_of(v * labels))
+    quats_out[i] = wp.vec4f(q)
+    scales_out[i] = s
 
 
-@kernel(MODULE, seconds=1.5)
+@kernel(MODULE, wp.float64, seconds=1.5)
 def deform_shapes(
-    quats0: wp.array(dtype=wp.vec4f),
-    scales0: wp.array(dtype=wp.vec3f),
-    holds: wp.array(dtype=wp.float64),
-    max_stretch: wp.array(dtype=wp.float64),
-    rounds: wp.array(dtype=wp.bool),
-    # from the previous frame
-    quats: wp.array(dtype=wp.vec4f),
-    deformation: wp.array(dtype=wp.mat33d),
-    # in place: read from the previous frame, written for this frame
-    inner_out: wp.array(dtype=wp.vec4f),
-    quats_out: wp.array(dtype=wp.vec4f),
-    scales_out: wp.array(dtype=wp.vec3f),
+    quats0, scales0, holds, limits, rounds, quats, deformation, inner_out, quats_out, scales_out
 ):
-    """Compute the covariances Sigma_t = F Sigma0 F^T of a frame, as quaternions and scales."""
-    i = wp.tid()
-    inner, quat, scale = shape_of(
-        deformation[i],
-        quats0[i],
-        scales0[i],
-        holds[i],
-        max_stretch[i],
-        rounds[i],
-        inner_out[i],
-        quats[i],
-    )
-    inner_out[i] = inner
-    quats_out[i] = quat
-    scales_out[i] = scale
+    """Compute the covariances Sigma_t = F Sigma0 F^T of a frame, as quaternions and scales.
+
+    `inner_out` contains the values of the previous frame, and receives those of this frame.
+    """
+    deform_shape(
+        wp.tid(), quats0, scales0, holds, limits, rounds, quats, deformation, inner_out,
+        quats_out, scales_out,
+    )  # fmt: skip
 
 
 shapes_of_eight = native_func(
@@ -175,58 +162,29 @@ shapes_of_eight = native_func(
     returns=int,
 )
 """Deforms the Gaussians `8 thread` to `8 thread + 7`; returns one bit per Gaussian, set if
-`shape_of` must handle the Gaussian.
+`deform_shape` must handle the Gaussian.
 """
 
 
-@kernel("phy124_deform_simd", seconds=1.5)
+@kernel("phy124_deform_simd", wp.float64, seconds=1.5)
 def deform_shapes_simd(
-    quats0: wp.array(dtype=wp.vec4f),
-    scales0: wp.array(dtype=wp.vec3f),
-    holds: wp.array(dtype=wp.float64),
-    max_stretch: wp.array(dtype=wp.float64),
-    rounds: wp.array(dtype=wp.bool),
-    # from the previous frame
-    quats: wp.array(dtype=wp.vec4f),
-    deformation: wp.array(dtype=wp.mat33d),
-    # in place: read from the previous frame, written for this frame
-    inner_out: wp.array(dtype=wp.vec4f),
-    quats_out: wp.array(dtype=wp.vec4f),
-    scales_out: wp.array(dtype=wp.vec3f),
+    quats0, scales0, holds, limits, rounds, quats, deformation, inner_out, quats_out, scales_out
 ):
-    """Deform eight Gaussians per thread; `shape_of` handles Gaussians that the vectorised code
+    """Deform eight Gaussians per thread; `deform_shape` handles Gaussians that the vectorised code
     cannot handle.
     """
     group = wp.tid()
     left = shapes_of_eight(
-        group,
-        quats0,
-        scales0,
-        holds,
-        max_stretch,
-        rounds,
-        quats,
-        deformation,
-        inner_out,
-        quats_out,
-        scales_out,
-    )
+        group, quats0, scales0, holds, limits, rounds, quats, deformation, inner_out,
+        quats_out, scales_out,
+    )  # fmt: skip
     i = int(8 * group)
     while left > 0:
         if (left & 1) == 1:
-            inner, quat, scale = shape_of(
-                deformation[i],
-                quats0[i],
-                scales0[i],
-                holds[i],
-                max_stretch[i],
-                rounds[i],
-                inner_out[i],
-                quats[i],
-            )
-            inner_out[i] = inner
-            quats_out[i] = quat
-            scales_out[i] = scale
+            deform_shape(
+                i, quats0, scales0, holds, limits, rounds, quats, deformation, inner_out,
+                quats_out, scales_out,
+            )  # fmt: skip
         left = left >> 1
         i += 1
 

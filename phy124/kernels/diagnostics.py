@@ -85,7 +85,7 @@ def make_totals(law: Law, real: Any, on_lattice: bool = False):
         mass,
         volume,
         dx,
-        start: int,
+        start,
         x,
         v,
         C,
@@ -268,7 +268,7 @@ def make_apart(real: Any):
     t = types(real)
 
     @kernel(f"phy124_apart_{real.__name__}", real, seconds=0.2)
-    def apart(most: t.reals, start: int, F, faults_out, max_out: t.reals):
+    def apart(most: t.reals, start, F, faults_out, max_out: t.reals):
         p = wp.tid()
         square = largest_stretch_squared(F[p])
         if square > most[p]:
@@ -292,7 +292,7 @@ def make_neighbours_lost(real: Any):
     @kernel(f"phy124_lost_{real.__name__}", real, seconds=0.2)
     def neighbours_lost(
         square: t.real,
-        chosen: wp.array(dtype=wp.int32),
+        chosen,
         neighbours: wp.array2d(dtype=wp.int32),
         x,
         lost_out: wp.array(dtype=wp.uint8),

@@ -57,8 +57,8 @@ def make_measure(law: Law, real: Any):
         C,
         F,
         history,
-        maxima_out: t.reals,
-        stray_out: Ints,
+        maxima_out,
+        stray_out,
     ):
         # Squares start from 0, because the root of -inf would be NaN in a thread without particles.
         speed = real(0.0)
@@ -130,12 +130,9 @@ def make_measure_speeds(real: Any):
 
     Thread i handles the same particles as thread i of `make_measure`.
     """
-    t = types(real)
 
     @kernel(f"phy124_measure_speeds_{real.__name__}", real)
-    def measure_speeds(
-        first, each, stride, count, chosen, v, C, maxima_out: t.reals, stray_out: Ints
-    ):
+    def measure_speeds(first, each, stride, count, chosen, v, C, maxima_out, stray_out):
         largest = fastest(wp.tid() * first, each, stride, count, chosen, v, C)
         raise_to(maxima_out, SPEED, wp.sqrt(largest[0]))
         raise_to(maxima_out, GRADIENT, wp.sqrt(largest[1]))

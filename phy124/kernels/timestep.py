@@ -210,8 +210,8 @@ def make_timestep(real: Any):
     def timestep(
         limits: wp.array(dtype=Limits),
         window,
-        maxima: wp.array(dtype=real),
-        stray: Ints,
+        maxima,
+        stray,
         progress_out: wp.array(dtype=Progress),
         clock_out: wp.array(dtype=real),
         limiters_out: Doubles,

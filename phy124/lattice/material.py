@@ -66,11 +66,7 @@ class Material:
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
         """Impulse of the particles on the body, and the impulse's moment about the origin."""
-        self._points = [
-            wp.array(surface.nodes, dtype=int, device=device),
-            model.array(surface.weights, model.real),
-            model.array(surface.x, t.vec3),
-        ]
+        self._points = nodes.points
         self.due = True
         """Whether the points near the particles must be listed in the next substep."""
         self._passed: wp.Launch | None = None
@@ -110,8 +106,8 @@ class Material:
             passed: Records launches that transfer impulses on clamped nodes to clamps; None if
                 there are no clamps.
         """
-        points = self._points[0], self._points[1]
-        self._passed = None if passed is None else passed.of(self._list, points, self.force)
+        near = self._list, self._points[:2], self.force
+        self._passed = None if passed is None else passed.of(*near)
         return [[("pairs", self._stage(number))] for number in range(3)]
 
     def _stage(self, number: int) -> Callable[[], None]:

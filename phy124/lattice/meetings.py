@@ -74,9 +74,7 @@ class Meetings:
             len(sample),
             [
                 wp.array(sample.astype(np.int32), dtype=int, device=model.device),
-                wp.array(surface.nodes, dtype=int, device=model.device),
-                model.array(surface.weights, model.real),
-                model.array(surface.x, types(model.real).vec3),
+                *nodes.points,
                 nodes.u,
             ],
             [self._x],

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.rows import rows_for
 from phy124.lattice.rest import RestLattice
+from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model, State
 
 
-def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: bool) -> Nodes:
+def make_nodes(
+    model: Model, lattice: RestLattice, surface: Surface, state: State, *, vectors: bool
+) -> Nodes:
     """Return nodes at rest positions, with velocities from the points (exact for affine motions).
 
     Args:
         model: The constants of the run; the nodes of fixed bodies do not move.
         lattice: The lattice at rest.
+        surface: Points that may touch walls and bodies.
         state: The motion of the points.
         vectors: Whether rows of nodes are read with vector instructions of a CPU.
     """
@@ -35,6 +40,11 @@ def make_nodes(model: Model, lattice: RestLattice, state: State, *, vectors: boo
         lagging=model.array(v, t.vec3),
         inverse=model.array(inverse, model.real),
         movable=model.array(inverse, model.real),
+        points=(
+            wp.array(surface.nodes, dtype=int, device=model.device),
+            model.array(surface.weights, model.real),
+            model.array(surface.x, t.vec3),
+        ),
         rows=rows_for(model.real, model.device, vectors=vectors),
     )
 

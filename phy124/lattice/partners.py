@@ -162,9 +162,7 @@ class Partners:
         surface, model = self._surface, self._model
         t = types(model.real)
         return {
-            "nodes": wp.array(surface.nodes, dtype=int, device=model.device),
-            "weights": model.array(surface.weights, model.real),
-            "rest": model.array(surface.x, t.vec3),
+            **dict(zip(("nodes", "weights", "rest"), self._nodes.points, strict=True)),
             "normal": model.array(surface.normal, t.vec3),
             "body": self._numbers(surface.body),
             "side": self._numbers(surface.side),

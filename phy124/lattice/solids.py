@@ -65,11 +65,6 @@ class Solids(FreeBodies):
         super().__init__(model, solids)
         self.recovery = 0.0
         """Speed at which points inside a solid are moved out, per unit depth [1/s]."""
-        self._points = [
-            wp.array(surface.nodes, dtype=int, device=model.device),
-            model.array(surface.weights, model.real),
-            model.array(surface.x, types(model.real).vec3),
-        ]
         self._touches: list[_Touch] = []
         self._reach_points = 0.0
         """Distance at which points may touch solids before the next measurement [m]."""
@@ -218,9 +213,9 @@ class _Touch:
         self._passed: wp.Launch | None = None
         place = wp.zeros_like(self.force)
         yields = wp.zeros_like(self._gaps)
-        solid, nodes, points = solids.all[index], solids._nodes, solids._points
+        solid, nodes, points = solids.all[index], solids._nodes, solids._nodes.points
         self._u, self._is_box = nodes.u, solid.shape == "box"
-        self._points = points[0], points[1]
+        self._points = points[:2]
         self._sums = sums = cast("wp.array", solids._sums[index, body])
         shape, moments = t.mat33(*np.ravel(solid.geometry())), wp.vec3d(*solid.moments)
         state, trial = solids._bodies[index], solids._trials[index]

@@ -109,7 +109,9 @@ class LatticeSolver:
         self.lattice = RestLattice.of(model.rest, mass, volume, model.dx, spans, copies)
         self.model = model = replace(model, respond=self.lattice.respond)
         self.surface = make_surface(surface, self.lattice)
-        self.nodes_state = make_nodes(model, self.lattice, self.state, vectors=vectors)
+        self.nodes_state = make_nodes(
+            model, self.lattice, self.surface, self.state, vectors=vectors
+        )
         count = usable_workers(len(model), model.device, threads)
         self.crew = Crew(model, self.state, self.lattice, self.nodes_state, count, vectors=vectors)
         self.workers = self.crew.workers

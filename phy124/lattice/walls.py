@@ -94,6 +94,8 @@ class Nodes:
     """Inverse masses [N], 1/kg; 0 for tied nodes."""
     movable: wp.array
     """Inverse masses [N], 1/kg; 0 for tied nodes and for nodes in a clamp."""
+    points: tuple[wp.array, wp.array, wp.array]
+    """Nodes [S,27], weights [S,27] and positions at rest [S,3], m, of the surface points."""
     rows: Rows
     """Functions on the nodes of a surface point."""
 
@@ -139,8 +141,8 @@ class Walls:
         """Rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0
         self._around = model, surface.count, nodes, tracks
-        points = _Points.of(surface, lattice, model, substep)
-        self.recovery = RESTORE["separate"] * points.slowest
+        slowest = (math.pi / 2 / lattice.across) ** 2 / substep
+        self.recovery = RESTORE["separate"] * slowest
         """Speed at which points inside a wall are moved out, per unit depth [1/s]."""
         self._holder = wp.zeros(len(nodes.rest), dtype=int, device=model.device)
         # Clamps that no longer exist have released their nodes.
@@ -152,8 +154,8 @@ class Walls:
             if holds:
                 record = sums, number, self._holder
                 self._clamps.append(Clamp(part, model, lattice, nodes, tracks, *record))
-            elif points.count:
-                everywhere = model, points, nodes, tracks, division
+            elif surface.count:
+                everywhere = model, surface, nodes, tracks, division, slowest
                 self._contacts.append(_Contact(part, *everywhere, sums))
         for contact in self._contacts:
             contact.clamped = bool(self._clamps)
@@ -266,28 +268,6 @@ class Walls:
             self.impulses.sums.assign(snapshot["impulses"])
 
 
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Surface points on the device."""
-
-    count: int
-    nodes: wp.array
-    weights: wp.array
-    rest: wp.array
-    body: NDArray[np.int64]
-    slowest: float
-    """(pi / 2 H)^2 / dt for bodies with a total extent of H cells and substeps dt at rest [1/s]."""
-
-    @classmethod
-    def of(cls, surface: Surface, lattice: RestLattice, model: Model, substep: float) -> _Points:
-        """Copy the points to the device."""
-        nodes = wp.array(surface.nodes, dtype=int, device=model.device)
-        weights = model.array(surface.weights, model.real)
-        rest = model.array(surface.x, types(model.real).vec3)
-        slowest = (math.pi / 2 / lattice.across) ** 2 / substep
-        return cls(surface.count, nodes, weights, rest, surface.body, slowest)
-
-
 class _Contact:
     """The contact of the surface points with one simple wall."""
 
@@ -295,27 +275,28 @@ class _Contact:
         self,
         part: Any,
         model: Model,
-        points: _Points,
+        surface: Surface,
         nodes: Nodes,
         tracks: Tracks,
         division: Division,
+        slowest: float,
         sums: wp.array,
     ) -> None:
         t = types(model.real)
-        self._model, self._points, self._nodes, self._tracks = model, points, nodes, tracks
+        self._model, self._nodes, self._tracks = model, nodes, tracks
         self._part, self._sums = part, sums
-        self._division = division
+        self._division, self._slowest = division, slowest
         self._slot = tracks.add(part.track(model) or STILL)
         self._shape = t.mat33(*np.ravel(part.geometry(model)))
         self._near: NDArray[np.int32] = np.zeros(0, np.int32)
-        self._affected = acts_on(part, model, points.body)
+        self._affected = acts_on(part, model, surface.body)
         self.reach = REACH * model.dx
         """Largest distance from the wall at which contact is computed [m]."""
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
         """Whether clamps exist; if so, the response of points changes between substeps."""
-        count, device = points.count, model.device
+        self._count, device = (count := surface.count), model.device
         self._list = wp.zeros(count, dtype=int, device=device)
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
         self.force = wp.zeros(count, dtype=t.vec3, device=device)
@@ -326,7 +307,7 @@ class _Contact:
 
     def look(self) -> None:
         """Measure the distances of all points from the wall."""
-        self._measure(self._points.count)
+        self._measure(self._count)
 
     def distances(self) -> NDArray[np.float64]:
         """Return the distance of each point from the wall [S], m; infinite for points on which the
@@ -340,11 +321,10 @@ class _Contact:
     @cached_property
     def _measure(self) -> Callable[[int], None]:
         """Function that measures the distances of the first points from the wall."""
-        points, tracks, rows = self._points, self._tracks, self._nodes.rows
-        inputs = [self._shape, self._slot, points.nodes, points.weights, points.rest]
-        inputs += [self._nodes.u, tracks.values]
-        kernel = make_reach(self._part.outline(), self._model.real, rows)
-        return self._division.record(kernel, points.count, inputs, [self._gaps])
+        nodes = self._nodes
+        inputs = [self._shape, self._slot, *nodes.points, nodes.u, self._tracks.values]
+        kernel = make_reach(self._part.outline(), self._model.real, nodes.rows)
+        return self._division.record(kernel, self._count, inputs, [self._gaps])
 
     def list_near(self, approach: float) -> None:
         """List the points that were within `REACH` cells plus `approach` [m] of the wall."""
@@ -353,7 +333,7 @@ class _Contact:
         if not np.array_equal(near, self._near):
             self._near = near.astype(np.int32)
             put(self._list, self._near)
-            self._count()
+            self._pass_count()
 
     def limit(self, reach: float) -> None:
         """Set the distance from the wall within which contact is computed [m]."""
@@ -379,7 +359,7 @@ class _Contact:
         self._of_each = [self._yield(), self._account()]
         if impulses is not None:
             self._of_each.append(impulses.press(self._list, self.force))
-        points = self._points.nodes, self._points.weights
+        points = self._nodes.points[:2]
         if passed is not None:
             self._of_each.append(passed.of(self._list, points, self.force, self._sums))
         self._of_all = [self._touch(), self._resist()]
@@ -388,14 +368,14 @@ class _Contact:
             self._of_all.append(work.of(WALLS, self._list, points, *known))
         (yields, *sums), (first, second, *works) = self._of_each, self._of_all
         # Responses of all points; they change only if clamps fix or release nodes.
-        self._list.assign(np.arange(self._points.count, dtype=np.int32))
+        self._list.assign(np.arange(self._count, dtype=np.int32))
         yields.launch()
         put(self._list, self._near)
-        self._count()
+        self._pass_count()
         sums += works
         return [touch, lambda: second.launch() if len(self._near) else None, account]
 
-    def _count(self) -> None:
+    def _pass_count(self) -> None:
         """Pass the number of listed points to the launches."""
         for launch in self._of_all:
             launch.set_param_at_index(1, len(self._near))
@@ -404,42 +384,41 @@ class _Contact:
 
     def _yield(self) -> wp.Launch:
         """Record the launch that computes the points' velocity change per unit impulse."""
-        points, nodes = self._points, self._nodes
-        inputs = [self._list, points.nodes, points.weights, nodes.movable, nodes.inverse]
+        nodes = self._nodes
+        inputs = [self._list, *nodes.points[:2], nodes.movable, nodes.inverse]
         kernel = make_yields(self._model.real, nodes.rows)
-        return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._yields]))
+        return cast("wp.Launch", self._model.launch(kernel, self._count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
         """Record the launch that finds touching points and applies their previous impulses."""
-        model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
-        inputs = [
-            self._list, 0, self.reach, self._shape, self._slot, points.nodes,
-            points.weights, points.rest, nodes.movable, self._yields, nodes.u, tracks.clock,
-            tracks.values,
-        ]  # fmt: skip
+        model, nodes, tracks = self._model, self._nodes, self._tracks
+        inputs = [self._list, 0, self.reach, self._shape, self._slot, *nodes.points]
+        inputs += [nodes.movable, self._yields, nodes.u, tracks.clock, tracks.values]
         outputs = [nodes.v, self._gap, self._place, self.force]
         kernel = make_touch(self._part.outline(), model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
     def _resist(self) -> wp.Launch:
         """Record the launch that corrects the impulses."""
-        model, points, nodes, tracks = self._model, self._points, self._nodes, self._tracks
-        response = self._part.response()
-        restore = RESTORE[response] * points.slowest
-        inputs = [
-            self._list, 0, restore, self._part.friction, self._slot, points.nodes,
-            points.weights, nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates,
-        ]  # fmt: skip
+        model, nodes, tracks, response = (
+            self._model,
+            self._nodes,
+            self._tracks,
+            self._part.response(),
+        )
+        restore = RESTORE[response] * self._slowest
+        inputs = [self._list, 0, restore, self._part.friction, self._slot, *nodes.points[:2]]
+        inputs += [nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates]
         kernel = make_resist(response, model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
     def _account(self) -> wp.Launch:
         """Record the launch that sums the wall's impulse and work."""
-        points, nodes = self._points, self._nodes
-        inputs = [self._list, points.nodes, points.weights, self._place, self.force]
+        nodes = self._nodes
+        inputs = [self._list, *nodes.points[:2], self._place, self.force]
         inputs += [self._tracks.clock, nodes.before, nodes.v]
         kernel = make_account(self._model.real, nodes.rows)
-        return cast("wp.Launch", self._model.launch(kernel, points.count, inputs, [self._sums]))
+        return cast("wp.Launch", self._model.launch(kernel, self._count, inputs, [self._sums]))
 
 
 def kernels(

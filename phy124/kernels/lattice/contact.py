@@ -23,7 +23,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.columns import xyz
 from phy124.kernels.contacts import MOMENT as PAIR_MOMENT
@@ -68,23 +68,23 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
     @kernel(f"phy124_lattice_touch_{shape}_{rows.name}{real.__name__}", real, seconds=0.6)
     def touch(
-        near: Ints,
+        near,
         count,
         reach: real,
         geometry,
         slot,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        inverse: t.reals,
-        yields: t.reals,
-        u: t.vec3s,
+        nodes,
+        weights,
+        rest,
+        inverse,
+        yields,
+        u,
         clock,
         values,
-        v_out: t.vec3s,
-        gap_out: t.vec4s,
-        place_out: t.vec3s,
-        force_out: t.vec3s,
+        v_out,
+        gap_out,
+        place_out,
+        force_out,
     ):
         moved = xyz(values[slot])
         active = values[slot][3]
@@ -113,18 +113,10 @@ def make_yields(real: Any, rows: Rows):
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
     `whole` is not). Without this rule, an impulse would move the few other nodes violently.
     """
-    t = types(real)
     yielding = rows.yielding
 
     @kernel(f"phy124_lattice_yields_{rows.name}{real.__name__}", real, seconds=0.3)
-    def lattice_yields(
-        near: Ints,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        inverse: t.reals,
-        whole: t.reals,
-        yields_out: t.reals,
-    ):
+    def lattice_yields(near, nodes, weights, inverse, whole, yields_out):
         s = near[wp.tid()]
         yields = yielding(inverse, nodes, weights, s)
         if yields > real(LOOSE) * yielding(whole, nodes, weights, s):
@@ -148,25 +140,24 @@ def make_resist(response: str, real: Any, rows: Rows):
         real: wp.float32 or wp.float64.
         rows: Functions on the nodes of a point.
     """
-    t = types(real)
     moved_by, strike, limit = rows.moved_by, rows.strike, LIMITS[response]
 
     @kernel(f"phy124_lattice_resist_{response}_{rows.name}{real.__name__}", real, seconds=0.6)
     def resist(
-        near: Ints,
+        near,
         count,
-        restore: real,
+        restore,
         friction,
         slot,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        inverse: t.reals,
-        gap: t.vec4s,
-        yields: t.reals,
+        nodes,
+        weights,
+        inverse,
+        gap,
+        yields,
         clock,
         rates,
-        v_out: t.vec3s,
-        force_out: t.vec3s,
+        v_out,
+        force_out,
     ):
         wall = xyz(rates[slot])
         zero = real(0.0)
@@ -230,25 +221,25 @@ def make_meet(real: Any, rows: Rows):
 
     @kernel(f"phy124_lattice_meet_{rows.name}{real.__name__}", real, seconds=0.5)
     def meet(
-        count: int,
+        count,
         far: real,
         reach: real,
         between: int,
-        nodes: wp.array2d(dtype=int),
+        nodes,
         normal: t.vec3s,
         slopes: wp.array2d(dtype=t.vec3),
         back: wp.array(dtype=t.mat33),
-        inverse: t.reals,
-        whole: t.reals,
-        u: t.vec3s,
+        inverse,
+        whole,
+        u,
         clock,
         weights_out: wp.array2d(dtype=real),
         rest_out: t.vec3s,
         shift_out: t.vec3s,
-        v_out: t.vec3s,
-        gap_out: t.vec4s,
-        yields_out: t.reals,
-        force_out: t.vec3s,
+        v_out,
+        gap_out,
+        yields_out,
+        force_out,
     ):
         for s in range(count):
             n = normal[s]
@@ -292,17 +283,7 @@ def make_exchange(real: Any):
     t = types(real)
 
     @kernel(f"phy124_lattice_exchange_{real.__name__}", real, seconds=0.3)
-    def exchange(
-        count: int,
-        sign: t.reals,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        u: t.vec3s,
-        force: t.vec3s,
-        clock,
-        sums_out,
-    ):
+    def exchange(count, sign: t.reals, nodes, weights, rest, u, force, clock, sums_out):
         for s in range(count):
             impulse = wide((sign[s] * clock[0]) * force[s])
             if wp.dot(impulse, impulse) > wp.float64(0.0):
@@ -319,18 +300,10 @@ def make_exchange(real: Any):
 @build_once
 def make_place(real: Any, rows: Rows):
     """Kernel over selected surface points: computes the positions of these points."""
-    t = types(real)
     moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_place_{rows.name}{real.__name__}", real, seconds=0.3)
-    def lattice_place(
-        chosen: Ints,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        u: t.vec3s,
-        x_out: t.vec3s,
-    ):
+    def lattice_place(chosen, nodes, weights, rest, u, x_out):
         s = chosen[wp.tid()]
         x_out[wp.tid()] = rest[s] + moved_by(u, nodes, weights, s)
 
@@ -346,21 +319,10 @@ def make_account(real: Any, rows: Rows):
     With this mean, the work of all impulses equals the change of the kinetic energy exactly. The
     mean of the velocities before and after the contact would include work of the stress.
     """
-    t = types(real)
     moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_account_{rows.name}{real.__name__}", real, seconds=0.4)
-    def account(
-        near: Ints,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        place: t.vec3s,
-        force: t.vec3s,
-        clock,
-        v_before: t.vec3s,
-        v: t.vec3s,
-        sums_out,
-    ):
+    def account(near, nodes, weights, place, force, clock, v_before, v, sums_out):
         s = near[wp.tid()]
         impulse = wide(clock[0] * force[s])
         if wp.dot(impulse, impulse) > wp.float64(0.0):
@@ -388,17 +350,7 @@ def make_reach(shape: str, real: Any, rows: Rows):
     distance = SHAPES[shape]
 
     @kernel(f"phy124_lattice_reach_{shape}_{rows.name}{real.__name__}", real, seconds=0.4)
-    def lattice_reach(
-        start: int,
-        geometry,
-        slot,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        u: t.vec3s,
-        values,
-        gap_out: t.reals,
-    ):
+    def lattice_reach(start, geometry, slot, nodes, weights, rest, u, values, gap_out: t.reals):
         s = start + wp.tid()
         y = rest[s] + moved_by(u, nodes, weights, s)
         d = distance(y - xyz(values[slot]), geometry)

@@ -34,19 +34,10 @@ values.
 @build_once
 def make_grid_near(real: Any, rows: Rows):
     """Kernel over surface points: flags each point that is close to a grid node with mass."""
-    t, moved_by = types(real), rows.moved_by
+    moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_grid_near_{rows.name}{real.__name__}", real, seconds=0.4)
-    def grid_near(
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        u: t.vec3s,
-        lattice,
-        window,
-        grid,
-        near_out: Ints,
-    ):
+    def grid_near(nodes, weights, rest, u, lattice, window, grid, near_out: Ints):
         s = wp.tid()
         f = (rest[s] + moved_by(u, nodes, weights, s) - xyz(lattice)) / lattice[3]
         first = wp.vec3i(
@@ -80,25 +71,25 @@ def make_grid_touch(real: Any, rows: Rows):
 
     @kernel(f"phy124_lattice_grid_touch_{rows.name}{real.__name__}", real, seconds=0.8)
     def grid_touch(
-        near: Ints,
-        count: int,
+        near,
+        count,
         fill: real,
         moves: int,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        inverse: t.reals,
-        u: t.vec3s,
+        nodes,
+        weights,
+        rest,
+        inverse,
+        u,
         clock,
         lattice,
         window,
         grid,
-        v_out: t.vec3s,
-        gap_out: t.vec4s,
+        v_out,
+        gap_out,
         on_out: t.vec4s,
-        place_out: t.vec3s,
-        yields_out: t.reals,
-        force_out: t.vec3s,
+        place_out,
+        yields_out,
+        force_out,
     ):
         zero = real(0.0)
         for a in range(count):
@@ -209,22 +200,22 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
 
     @kernel(f"phy124_lattice_grid_resist_{kind}_{rows.name}{real.__name__}", real, seconds=0.8)
     def grid_resist(
-        near: Ints,
-        count: int,
-        restore: real,
+        near,
+        count,
+        restore,
         friction,
         moves: int,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        inverse: t.reals,
-        gap: t.vec4s,
+        nodes,
+        weights,
+        inverse,
+        gap,
         on: t.vec4s,
-        yields: t.reals,
+        yields,
         clock,
         window,
         grid,
-        v_out: t.vec3s,
-        force_out: t.vec3s,
+        v_out,
+        force_out,
     ):
         zero = real(0.0)
         for b in range(2 * count):
@@ -251,12 +242,9 @@ def make_grid_resist(sticky: bool, real: Any, rows: Rows):
 @build_once
 def make_grid_sum(real: Any):
     """Single-thread kernel: adds the points' impulses and moments to the sums of each body."""
-    t = types(real)
 
     @kernel(f"phy124_lattice_grid_sum_{real.__name__}", real, seconds=0.3)
-    def grid_sum(
-        near: Ints, count: int, body: Ints, place: t.vec3s, force: t.vec3s, clock, sums_out
-    ):
+    def grid_sum(near, count, body: Ints, place, force, clock, sums_out):
         for a in range(count):
             s = near[a]
             impulse = wide(clock[0] * force[s])

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import Ints
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.lattice.contact import DRIVEN, MOMENT
@@ -26,10 +26,9 @@ def make_add_impulse(real: Any):
     """Kernel over the points near a wall: adds the wall's impulse in a substep [N s] to each
     point's sum.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_add_impulse_{real.__name__}", real, seconds=0.2)
-    def add_impulse(near: Ints, force: t.vec3s, clock, impulse_out: Impulses):
+    def add_impulse(near, force, clock, impulse_out: Impulses):
         s = near[wp.tid()]
         impulse_out[s] += wide(clock[0] * force[s])
 
@@ -41,12 +40,9 @@ def make_add_momentum(real: Any):
     """Kernel over nodes in clamps: adds `sign` times each node's momentum [N s] to the node's sum.
     Tied nodes have no momentum.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_add_momentum_{real.__name__}", real, seconds=0.2)
-    def add_momentum(
-        sign: wp.float64, held: Ints, inverse: t.reals, v: t.vec3s, impulse_out: Impulses
-    ):
+    def add_momentum(sign: wp.float64, held: Ints, inverse, v, impulse_out: Impulses):
         n = held[wp.tid()]
         if inverse[n] > real(0.0):
             impulse_out[n] += sign / wp.float64(inverse[n]) * wide(v[n])
@@ -69,22 +65,21 @@ def make_pass_on(real: Any):
     in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node.
     Either array may be empty.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_pass_on_{real.__name__}", real, seconds=0.4)
     def pass_on(
-        near: Ints,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        inverse: t.reals,
-        whole: t.reals,
+        near,
+        nodes,
+        weights,
+        inverse,
+        whole,
         holder: Ints,
-        rest: t.vec3s,
-        u: t.vec3s,
-        force: t.vec3s,
+        rest,
+        u,
+        force,
         clock,
-        v_before: t.vec3s,
-        v: t.vec3s,
+        v_before,
+        v,
         sums_out,
         clamps_out: wp.array2d(dtype=wp.float64),
         impulse_out: Impulses,

@@ -66,19 +66,19 @@ def make_kick(real: Any):
 
     @kernel(f"phy124_lattice_kick_{real.__name__}", real, seconds=0.3)
     def kick(
-        start: int,
+        start,
         stop: int,
-        inverse: t.reals,
-        pool: t.vec3s,
+        inverse,
+        pool,
         low: Ints,
         high: Ints,
         begin: Ints,
-        donor_starts: Ints,
-        donor_nodes: Ints,
-        donor_weights: t.reals,
+        donor_starts,
+        donor_nodes,
+        donor_weights,
         clock,
         values,
-        v_out: t.vec3s,
+        v_out,
         before_out: t.vec3s,
     ):
         n = start + wp.tid()
@@ -103,14 +103,14 @@ def make_try(real: Any):
 
     @kernel(f"phy124_lattice_try_{real.__name__}", real, seconds=0.3)
     def lattice_try(
-        start: int,
+        start,
         gain: real,
         share: real,
         size: real,
-        tied_starts: Ints,
-        tied_nodes: Ints,
-        tied_weights: t.reals,
-        u: t.vec3s,
+        tied_starts,
+        tied_nodes,
+        tied_weights,
+        u,
         a: t.vec3s,
         shape: t.vec3s,
         mixed_out: t.vec3s,
@@ -135,7 +135,7 @@ def make_compare(real: Any):
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
-    def lattice_compare(start: int, a: t.vec3s, trial: t.vec3s, shape_out: t.vec3s):
+    def lattice_compare(start, a: t.vec3s, trial: t.vec3s, shape_out: t.vec3s):
         n = start + wp.tid()
         shape_out[n] = a[n] - trial[n]
 
@@ -173,13 +173,13 @@ def make_hold(real: Any):
         others: wp.array2d(dtype=int),
         row: int,
         slot,
-        inverse: t.reals,
-        rest: t.vec3s,
-        u: t.vec3s,
+        inverse,
+        rest,
+        u,
         values,
         rates,
-        v_before: t.vec3s,
-        v_out: t.vec3s,
+        v_before,
+        v_out,
         movable_out: t.reals,
         holder_out: Ints,
         sums_out,
@@ -226,13 +226,13 @@ def make_pin(real: Any):
         others_of_free: wp.array2d(dtype=int),
         row: int,
         slot,
-        inverse: t.reals,
-        rest: t.vec3s,
-        u: t.vec3s,
+        inverse,
+        rest,
+        u,
         values,
         rates,
-        v_before: t.vec3s,
-        v_out: t.vec3s,
+        v_before,
+        v_out,
         movable_out: t.reals,
         holder_out: Ints,
         sums_out,
@@ -295,15 +295,15 @@ def make_drift(real: Any):
 
     @kernel(f"phy124_lattice_drift_{real.__name__}", real, seconds=0.3)
     def drift(
-        start: int,
+        start,
         stop: int,
-        tied_starts: Ints,
-        tied_nodes: Ints,
-        tied_weights: t.reals,
+        tied_starts,
+        tied_nodes,
+        tied_weights,
         clock,
         before: t.vec3s,
-        v_out: t.vec3s,
-        u_out: t.vec3s,
+        v_out,
+        u_out,
         residue_out,
         lagging_out: t.vec3s,
     ):
@@ -329,10 +329,9 @@ def make_node_totals(real: Any):
     """Kernel over nodes: sums momentum, angular momentum, kinetic energy, and mass times
     position.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)
-    def node_totals(inverse: t.reals, rest: t.vec3s, u: t.vec3s, v: t.vec3s, sums_out):
+    def node_totals(inverse, rest, u, v, sums_out):
         n = wp.tid()
         if inverse[n] > real(0.0):
             mass = wp.float64(1.0) / wp.float64(inverse[n])

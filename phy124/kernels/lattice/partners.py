@@ -118,14 +118,14 @@ def make_flag(real: Any):
 
     @kernel(f"phy124_lattice_flag_{real.__name__}", real, seconds=0.5)
     def flag(
-        start: int,
+        start,
         cells: wp.uint64,
         between: bool,
         far: real,
-        dx: real,
+        dx,
         sample: Ints,
-        x: t.vec3s,
-        rest: t.vec3s,
+        x,
+        rest,
         normal: t.vec3s,
         body: Ints,
         side: Ints,
@@ -154,11 +154,11 @@ def make_flag_simd():
 
     @kernel("phy124_lattice_flag_simd", wp.float32, seconds=0.4)
     def flag_simd(
-        start: int,
+        start,
         places: wp.array2d(dtype=wp.float32),
         between: bool,
         far: float,
-        dx: float,
+        dx,
         sample: Ints,
         x: wp.array(dtype=wp.vec3),
         rest: wp.array(dtype=wp.vec3),
@@ -190,15 +190,15 @@ def make_expose(real: Any, rows: Rows):
 
     @kernel(f"phy124_lattice_expose_{rows.name}{real.__name__}", real, seconds=0.5)
     def expose(
-        start: int,
-        chosen: Ints,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
+        start,
+        chosen,
+        nodes,
+        weights,
         slopes: wp.array2d(dtype=t.vec3),
-        rest: t.vec3s,
+        rest,
         normal: t.vec3s,
-        u: t.vec3s,
-        x_out: t.vec3s,
+        u,
+        x_out,
         normal_out: t.vec3s,
         turned_out: wp.array(dtype=t.mat33),
         J_out: t.reals,
@@ -231,18 +231,18 @@ def make_partner(real: Any):
 
     @kernel(f"phy124_lattice_partner_{real.__name__}", real, seconds=0.6)
     def partner(
-        start: int,
+        start,
         cells: wp.uint64,
         between: bool,
         reach: real,
-        dx: real,
-        chosen: Ints,
+        dx,
+        chosen,
         flat: Ints,
         body: Ints,
         side: Ints,
-        rest: t.vec3s,
+        rest,
         normal: t.vec3s,
-        x: t.vec3s,
+        x,
         turned: t.vec3s,
         partner_out: Ints,
         direction_out: t.vec3s,

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.elastic import safe_volume
 from phy124.kernels.transfer import slope, spline
@@ -111,22 +111,9 @@ def inverse_rows(F: Any):
 @build_once
 def make_follow(real: Any):
     """Kernel over points: computes x, v, F and C = dF/dt F^-1 from the nodes."""
-    t = types(real)
 
     @kernel(f"phy124_lattice_follow_{real.__name__}", real, seconds=0.4)
-    def follow(
-        start: int,
-        dx,
-        rows: Ints,
-        offset: t.vec3s,
-        rest: t.vec3s,
-        u: t.vec3s,
-        v: t.vec3s,
-        x_out,
-        v_out,
-        C_out,
-        F_out,
-    ):
+    def follow(start, dx, rows, offset, rest, u, v, x_out, v_out, C_out, F_out):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
@@ -146,17 +133,7 @@ def make_locate(real: Any):
     t = types(real)
 
     @kernel(f"phy124_lattice_locate_{real.__name__}", real, seconds=0.3)
-    def locate(
-        start: int,
-        rows: Ints,
-        offset: t.vec3s,
-        rest: t.vec3s,
-        u: t.vec3s,
-        v: t.vec3s,
-        x_out,
-        v_out,
-        kept_out: t.vec3s,
-    ):
+    def locate(start, rows, offset, rest, u, v, x_out, v_out, kept_out: t.vec3s):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
@@ -174,17 +151,7 @@ def make_push(real: Any):
     t = types(real)
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
-    def push(
-        start: int,
-        low: int,
-        mass,
-        clock,
-        rows: Ints,
-        offset: t.vec3s,
-        v,
-        kept: t.vec3s,
-        force_out: t.vec3s,
-    ):
+    def push(start, low: int, mass, clock, rows, offset, v, kept: t.vec3s, force_out):
         p = start + wp.tid()
         change = v[p] - kept[p]
         if wp.dot(change, change) > real(0.0) and clock[0] > real(0.0):
@@ -208,16 +175,7 @@ def make_press(real: Any):
 
     @kernel(f"phy124_lattice_press_{real.__name__}", real, seconds=0.3)
     def press(
-        start: int,
-        low: int,
-        mass,
-        dx,
-        rows: Ints,
-        offset: t.vec3s,
-        F,
-        pushes: t.vec3s,
-        turns: t.mat33s,
-        force_out: t.vec3s,
+        start, low: int, mass, dx, rows, offset, F, pushes: t.vec3s, turns: t.mat33s, force_out
     ):
         p = start + wp.tid()
         f = offset[p]

@@ -39,9 +39,6 @@ ALIGNED = 1e-4
 """Largest distance between a point and its Gauss point in a full cell [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
 """Names of the C++ snippets that compute the strains and the strain rates of a block's points."""
-Vectors = wp.array(dtype=wp.vec3)
-Matrices = wp.array(dtype=wp.mat33)
-Numbers = wp.array(dtype=wp.float32)
 
 
 def usable(real: Any, device: str) -> bool:
@@ -103,21 +100,23 @@ def make_stress_simd(law: Law, viscous: bool):
     pieces = f"lattice:{kind}", "lattice:laws", "lattice:stress", "lattice:scatter"
     body = f"const int width = {law.width};\n" + code(*motion, *pieces)
 
-    @native_kernel(f"phy124_lattice_{law.name}_{kind}_simd", body, seconds=1.0)
+    @native_kernel(
+        f"phy124_lattice_{law.name}_{kind}_simd", body, wp.float32, width=law.width, seconds=1.0
+    )
     def lattice_stress_simd(
-        full_blocks: int,
-        first: int,
-        low: int,
-        dx: float,
-        theta: wp.array(dtype=wp.types.vector(law.width, wp.float32)),
-        order: Ints,
-        packed: Numbers,
-        rows: Ints,
-        u: Vectors,
-        v: Vectors,
-        force_out: Vectors,
-        maxima_out: Numbers,
-        stray_out: Ints,
+        full_blocks,
+        first,
+        low,
+        dx,
+        theta,
+        order,
+        packed,
+        rows,
+        u,
+        v,
+        force_out,
+        maxima_out,
+        stray_out,
     ):
         """Add the forces of the points of sixteen cells to the nodes."""
 
@@ -130,20 +129,8 @@ def make_shock_simd():
     pieces = *MOTION, "lattice:shock", "lattice:scatter"
     body = constants("float", QUADRATIC=QUADRATIC, STEEPEST=STEEPEST) + code(*pieces)
 
-    @native_kernel("phy124_lattice_shock_simd", body, seconds=1.0)
-    def lattice_shock_simd(
-        full_blocks: int,
-        low: int,
-        dx: float,
-        mass: Numbers,
-        order: Ints,
-        packed: Numbers,
-        rows: Ints,
-        clock: Numbers,
-        u: Vectors,
-        v: Vectors,
-        force_out: Vectors,
-    ):
+    @native_kernel("phy124_lattice_shock_simd", body, wp.float32, seconds=1.0)
+    def lattice_shock_simd(full_blocks, low, dx, mass, order, packed, rows, clock, u, v, force_out):
         """Add the forces of the artificial viscosity in sixteen cells to the nodes."""
 
     return lattice_shock_simd
@@ -155,26 +142,11 @@ def make_measure_simd():
 
     @native_kernel(
         "phy124_lattice_measure_simd",
-        code(
-            "lattice",
-            "lattice:strains",
-            "lattice:rates",
-            "lattice:survey",
-            "lattice_points:measure",
-        ),
+        code(*MOTION, "lattice:survey", "lattice_points:measure"),
+        wp.float32,
         seconds=1.0,
     )
-    def lattice_measure_simd(
-        full_blocks: int,
-        dx: float,
-        order: Ints,
-        packed: Numbers,
-        rows: Ints,
-        u: Vectors,
-        v: Vectors,
-        maxima_out: Numbers,
-        stray_out: Ints,
-    ):
+    def lattice_measure_simd(full_blocks, dx, order, packed, rows, u, v, maxima_out, stray_out):
         """Update the maxima of speed and strain rate with the values of sixteen cells."""
 
     return lattice_measure_simd
@@ -187,24 +159,25 @@ def make_totals_simd(law: Law):
     Momentum and kinetic energy are computed as sums over nodes.
     """
     numbers = f"const int width = {law.width}, ELASTIC = {ELASTIC}, POWER = {POWER};\n"
-    pieces = ["lattice", "lattice:strains", "lattice:rates", "lattice:laws"]
 
     @native_kernel(
         f"phy124_lattice_totals_{law.name}_simd",
-        numbers + code(*pieces, "lattice_points:totals"),
+        numbers + code(*MOTION, "lattice:laws", "lattice_points:totals"),
+        wp.float32,
+        width=law.width,
         seconds=1.0,
     )
     def lattice_totals_simd(
-        full_blocks: int,
-        first: int,
-        dx: float,
-        theta: wp.array(dtype=wp.types.vector(law.width, wp.float32)),
-        order: Ints,
-        packed: Numbers,
-        rows: Ints,
-        u: Vectors,
-        v: Vectors,
-        sums_out: Doubles,
+        full_blocks,
+        first,
+        dx,
+        theta,
+        order,
+        packed,
+        rows,
+        u,
+        v,
+        sums_out,
         range_out: Doubles,
         counts_out: Ints,
         first_out: Ints,
@@ -221,21 +194,11 @@ def make_follow_simd():
     @native_kernel(
         "phy124_lattice_follow_simd",
         code(*MOTION, "lattice_points:places", "lattice_points:follow"),
+        wp.float32,
         seconds=1.0,
     )
     def lattice_follow_simd(
-        full_blocks: int,
-        dx: float,
-        order: Ints,
-        packed: Numbers,
-        rows: Ints,
-        rest: Vectors,
-        u: Vectors,
-        v: Vectors,
-        x_out: Vectors,
-        v_out: Vectors,
-        C_out: Matrices,
-        F_out: Matrices,
+        full_blocks, dx, order, packed, rows, rest, u, v, x_out, v_out, C_out, F_out
     ):
         """Compute x, v, C and F of the points of sixteen cells."""
 
@@ -249,20 +212,21 @@ def make_locate_simd():
     @native_kernel(
         "phy124_lattice_locate_simd",
         code("lattice", "lattice_points:places", "lattice_points:locate"),
+        wp.float32,
         seconds=0.6,
     )
     def lattice_locate_simd(
-        full_blocks: int,
-        dx: float,
-        order: Ints,
-        packed: Numbers,
-        rows: Ints,
-        rest: Vectors,
-        u: Vectors,
-        v: Vectors,
-        x_out: Vectors,
-        v_out: Vectors,
-        kept_out: Vectors,
+        full_blocks,
+        dx,
+        order,
+        packed,
+        rows,
+        rest,
+        u,
+        v,
+        x_out,
+        v_out,
+        kept_out: wp.array(dtype=wp.vec3),
     ):
         """Compute x and v of the points of sixteen cells."""
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
@@ -56,7 +56,7 @@ def make_solid_begin(real: Any):
         half: wp.vec3d,
         points: int,
         planes: wp.array2d(dtype=wp.vec3d),
-        impulses: wp.array(dtype=wp.vec3d),
+        impulses,
         clock,
         values,
         body_out,
@@ -130,15 +130,7 @@ def make_solid_near(shape: str, real: Any, rows: Rows):
     distance = SHAPES[shape]
 
     @kernel(f"phy124_lattice_solid_near_{shape}_{rows.name}{real.__name__}", real, seconds=0.4)
-    def solid_near(
-        geometry,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
-        u: t.vec3s,
-        body,
-        gap_out: t.reals,
-    ):
+    def solid_near(geometry, nodes, weights, rest, u, body, gap_out: t.reals):
         s = wp.tid()
         y = wide(rest[s] + moved_by(u, nodes, weights, s))
         d = distance(t.vec3(wp.transpose(axes(body)) @ (y - at3(body, PLACE))), geometry)
@@ -173,27 +165,27 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
 
     @kernel(f"phy124_lattice_solid_touch_{shape}_{rows.name}{real.__name__}", real, seconds=0.6)
     def solid_touch(
-        near: Ints,
-        count: int,
+        near,
+        count,
         reach: real,
         deepest: real,
         geometry,
         mass: wp.float64,
         moments,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        rest: t.vec3s,
+        nodes,
+        weights,
+        rest,
         side: t.vec3s,
-        inverse: t.reals,
-        u: t.vec3s,
+        inverse,
+        u,
         clock,
         body,
         trial_out,
-        v_out: t.vec3s,
-        gap_out: t.vec4s,
-        place_out: t.vec3s,
-        yields_out: t.reals,
-        force_out: t.vec3s,
+        v_out,
+        gap_out,
+        place_out,
+        yields_out,
+        force_out,
     ):
         R = axes(body)
         turning = turning_of(body, moments)
@@ -247,23 +239,23 @@ def make_solid_resist(sticky: bool, real: Any, rows: Rows):
         seconds=0.6,
     )
     def solid_resist(
-        near: Ints,
-        count: int,
-        restore: real,
+        near,
+        count,
+        restore,
         friction,
         mass: wp.float64,
         moments,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        inverse: t.reals,
-        gap: t.vec4s,
-        place: t.vec3s,
-        yields: t.reals,
+        nodes,
+        weights,
+        inverse,
+        gap,
+        place,
+        yields,
         clock,
         body,
         trial_out,
-        v_out: t.vec3s,
-        force_out: t.vec3s,
+        v_out,
+        force_out,
     ):
         turning = turning_of(body, moments)
         zero = real(0.0)

@@ -10,7 +10,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.elastic import safe_volume, signed_volume
 from phy124.kernels.lattice.points import (
@@ -56,19 +56,7 @@ def make_stress(law: Law, real: Any, viscous: bool):
         width=law.width,
         seconds=0.6,
     )
-    def lattice_stress(
-        start: int,
-        first: int,
-        low: int,
-        theta,
-        volume,
-        dx,
-        rows: Ints,
-        offset: t.vec3s,
-        u: t.vec3s,
-        v: t.vec3s,
-        force_out: t.vec3s,
-    ):
+    def lattice_stress(start, first, low: int, theta, volume, dx, rows, offset, u, v, force_out):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
@@ -99,21 +87,9 @@ def make_shock(real: Any):
 
     The pressure is limited so that it only removes energy, even in a long kick.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_shock_{real.__name__}", real, seconds=0.4)
-    def lattice_shock(
-        start: int,
-        low: int,
-        mass,
-        dx,
-        rows: Ints,
-        offset: t.vec3s,
-        clock,
-        u: t.vec3s,
-        v: t.vec3s,
-        force_out: t.vec3s,
-    ):
+    def lattice_shock(start, low: int, mass, dx, rows, offset, clock, u, v, force_out):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
@@ -152,10 +128,9 @@ def make_lattice_measure(real: Any):
     the side of the cell at rest. This rate is the rate of compression times the volume ratio. In
     material that is squeezed flat, even a slow motion has a high rate of compression.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_measure_{real.__name__}", real, seconds=0.3)
-    def lattice_measure(start: int, v, C, F, maxima_out: t.reals, stray_out: Ints):
+    def lattice_measure(start, v, C, F, maxima_out, stray_out):
         p = start + wp.tid()
         fast = wp.dot(v[p], v[p])
         J = wp.determinant(F[p])

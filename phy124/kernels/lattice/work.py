@@ -8,7 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints, types
+from phy124.kernels.arguments import Ints
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
@@ -42,24 +42,23 @@ def make_node_work(real: Any):
     phy124/kernels/lattice/nodes.py explains `pool` and tied nodes. Tied nodes move with their
     donors, so forces on tied nodes act on the donors.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_node_work_{real.__name__}", real, seconds=0.3)
     def node_work(
-        start: int,
+        start,
         at: int,
-        inverse: t.reals,
-        pool: t.vec3s,
+        inverse,
+        pool,
         low: Ints,
         high: Ints,
         begin: Ints,
-        donor_starts: Ints,
-        donor_nodes: Ints,
-        donor_weights: t.reals,
+        donor_starts,
+        donor_nodes,
+        donor_weights,
         clock,
         values,
-        v_before: t.vec3s,
-        v: t.vec3s,
+        v_before,
+        v,
         sums_out,
     ):
         n = start + wp.tid()
@@ -83,7 +82,6 @@ def make_push_work(real: Any):
     The result is added to `EXCHANGE` sums. Each thread sums over `each` nodes before it writes.
     `make_node_work` explains the other arguments.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_push_work_{real.__name__}", real, seconds=0.3)
     def push_work(
@@ -91,18 +89,18 @@ def make_push_work(real: Any):
         each,
         stride,
         count,
-        start: int,
-        inverse: t.reals,
-        pool: t.vec3s,
+        start,
+        inverse,
+        pool,
         low: Ints,
         high: Ints,
         begin: Ints,
-        donor_starts: Ints,
-        donor_nodes: Ints,
-        donor_weights: t.reals,
+        donor_starts,
+        donor_nodes,
+        donor_weights,
         clock,
-        v_before: t.vec3s,
-        v: t.vec3s,
+        v_before,
+        v,
         exchange_out,
     ):
         impulse = wp.vec3d()
@@ -133,23 +131,22 @@ def make_contact_work(real: Any):
     `gap` contains the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act
     on nodes whose `inverse` is zero.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_contact_work_{real.__name__}", real, seconds=0.3)
     def contact_work(
-        near: Ints,
+        near,
         count,
         at: int,
         slot,
-        nodes: wp.array2d(dtype=int),
-        weights: wp.array2d(dtype=real),
-        inverse: t.reals,
-        gap: t.vec4s,
-        force: t.vec3s,
+        nodes,
+        weights,
+        inverse,
+        gap,
+        force,
         clock,
         rates,
-        v_before: t.vec3s,
-        v: t.vec3s,
+        v_before,
+        v,
         sums_out,
     ):
         wall = wide(rates[slot])

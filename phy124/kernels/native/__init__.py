@@ -11,14 +11,15 @@ comment at the top of each file names the Python function and the test.
 
 import inspect
 import linecache
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from phy124.kernels.build import kernel
+from phy124.kernels.arguments import arguments
+from phy124.kernels.build import declare, kernel
 
 FOLDER = Path(__file__).parent
 
@@ -65,7 +66,14 @@ def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any 
 
 
 def native_kernel(
-    module: str, body: str, *, name: str = "", seconds: float = 0.0
+    module: str,
+    body: str,
+    real: Any = None,
+    *,
+    width: int = 0,
+    types: Mapping[str, Any] | None = None,
+    name: str = "",
+    seconds: float = 0.0,
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
@@ -75,11 +83,15 @@ def native_kernel(
     Args:
         module: The module's name.
         body: The C++ body, in which `thread` is the thread index.
+        real: Precision of the parameters without annotation, as for `build.kernel`.
+        width: Number of parameters of the law, as for `build.kernel`.
+        types: Types of the parameters without annotation, as for `build.kernel`.
         name: Name of the kernel; by default the name of the decorated function.
         seconds: CPU time to compile the kernel, as for `build.kernel`.
     """
 
     def build(like: Callable[..., Any]) -> Any:
+        declare(like, types or arguments(real, width))
         title = name or like.__name__
         call = ", ".join(["wp.tid()", *inspect.signature(like).parameters])
         source = f"def {title}({_declare(like)}):\n    body({call})\n"

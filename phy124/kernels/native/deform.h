@@ -1,6 +1,6 @@
 // Deforms eight Gaussians in float64. Gaussians of torn material, with axes of zero length, or with
 // axes that change order are not changed; a bit is set for each such Gaussian.
-// Python version: `shape_of` of deform.py.
+// Python version: `deform_shape` of deform.py.
 // Test: tests/test_deform.py, test_eight_at_a_time_are_deformed_as_one_by_one.
 
 enum { N = 8 };
@@ -18,7 +18,7 @@ for (int i = 0; i < N; ++i) {
         last[k][i] = quats.data[g][k];
         inside[k][i] = inner_out.data[g][k];
     }
-    most[i] = max_stretch.data[g];
+    most[i] = limits.data[g];
     hold[i] = holds.data[g];
     ball[i] = rounds.data[g] ? 1.0 : 0.0;
 }

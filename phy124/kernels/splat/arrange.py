@@ -6,6 +6,7 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.reduction import finite
+from phy124.kernels.splat.arguments import DRAWN
 from phy124.kernels.splat.glass import Outline, Solid
 from phy124.kernels.splat.screen import View
 
@@ -120,16 +121,8 @@ def outline(view: View, solid: Solid) -> Outline:
     return seen
 
 
-@kernel("phy124_arrange")
-def arrange(
-    view: View,
-    low: wp.vec3,
-    high: wp.vec3,
-    solids: wp.array(dtype=Solid),
-    arranged_out: wp.array(dtype=Solid),
-    outlines_out: wp.array(dtype=Outline),
-    counts_out: wp.array(dtype=int),
-):
+@kernel("phy124_arrange", types=DRAWN)
+def arrange(view, low, high, solids, arranged_out: wp.array(dtype=Solid), outlines_out, counts_out):
     """Sort the solids by rank and compute their outlines, one thread per solid.
 
     `low` and `high` are the corners of a box around all Gaussians; `counts_out` receives the

@@ -9,13 +9,12 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code, constants, native_kernel
+from phy124.kernels.splat.arguments import DRAWN
 from phy124.kernels.splat.screen import (
     MAX_ALPHA,
     MIN_ALPHA,
     MIN_TRANSMITTANCE,
     TILE,
-    Splat,
-    View,
     alpha_at,
     blend_over,
 )
@@ -24,18 +23,8 @@ PIXELS = wp.constant(256)
 """Number of pixels of a tile."""
 
 
-@kernel("phy124_blend")
-def blend_pixels(
-    view: View,
-    background: wp.vec3,
-    first: int,
-    starts: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    pairs: wp.array(dtype=int),
-    splats: wp.array(dtype=Splat),
-    image_out: wp.array(dtype=wp.vec3),
-    alpha_out: wp.array(dtype=float),
-):
+@kernel("phy124_blend", types=DRAWN)
+def blend_pixels(view, background, first, starts, ends, pairs, splats, image_out, alpha_out):
     """Blend the splats with one thread per pixel; 256 consecutive threads process a tile, from tile
     `first` on.
     """
@@ -61,8 +50,8 @@ def blend_pixels(
     alpha_out[pixel] = 1.0 - transmittance
 
 
-@kernel("phy124_blend")
-def quantise(image: wp.array(dtype=wp.vec3), bytes_out: wp.array2d(dtype=wp.uint8)):
+@kernel("phy124_blend", types=DRAWN)
+def quantise(image, bytes_out: wp.array2d(dtype=wp.uint8)):
     """Convert an image with values in 0..1 to bytes [pixels,3], rounded to the nearest integer."""
     pixel = wp.tid()
     colour = 255.0 * image[pixel] + wp.vec3(0.5, 0.5, 0.5)
@@ -70,18 +59,8 @@ def quantise(image: wp.array(dtype=wp.vec3), bytes_out: wp.array2d(dtype=wp.uint
         bytes_out[pixel, channel] = wp.uint8(colour[channel])
 
 
-@kernel("phy124_blend")
-def blend_tiles(
-    view: View,
-    background: wp.vec3,
-    first: int,
-    starts: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    pairs: wp.array(dtype=int),
-    splats: wp.array(dtype=Splat),
-    image_out: wp.array(dtype=wp.vec3),
-    alpha_out: wp.array(dtype=float),
-):
+@kernel("phy124_blend", types=DRAWN)
+def blend_tiles(view, background, first, starts, ends, pairs, splats, image_out, alpha_out):
     """Blend the splats, one after the other, with one thread per tile; if T < 0, a pixel is
     finished.
     """
@@ -136,18 +115,8 @@ blend_tiles_simd = native_kernel(
 """Blend as `blend_tiles` does, with vector instructions of a CPU."""
 
 
-@kernel("phy124_gather")
-def gather_pixels(
-    view: View,
-    first: int,
-    values: wp.array(dtype=wp.vec3),
-    starts: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    pairs: wp.array(dtype=int),
-    splats: wp.array(dtype=Splat),
-    sums_out: wp.array(dtype=wp.vec3),
-    weights_out: wp.array(dtype=float),
-):
+@kernel("phy124_gather", types=DRAWN)
+def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, weights_out):
     """Add each pixel's weighted value, and the weight, to the pixel's splats, with one thread per
     pixel.
     """

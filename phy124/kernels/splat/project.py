@@ -10,6 +10,7 @@ from phy124.gaussians import SH_C0, SH_C1, SH_C2, SH_C3
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code, constants, native_func, native_kernel
 from phy124.kernels.reduction import finite
+from phy124.kernels.splat.arguments import DRAWN
 from phy124.kernels.splat.screen import MIN_ALPHA, Splat, View, tiles_of
 
 LOG2_E = wp.constant(1.4426950408889634)
@@ -126,20 +127,20 @@ def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: Vi
     return splat
 
 
-@kernel("phy124_project")
+@kernel("phy124_project", types=DRAWN)
 def project(
-    means: wp.array(dtype=wp.vec3),
-    quats: wp.array(dtype=wp.vec4),
-    scales: wp.array(dtype=wp.vec3),
-    opacities: wp.array(dtype=float),
-    sh: wp.array2d(dtype=wp.vec3),
-    degree: int,
-    view: View,
-    splats_out: wp.array(dtype=Splat),
-    tiles_out: wp.array(dtype=wp.vec4i),
-    depths_out: wp.array(dtype=float),
-    order_out: wp.array(dtype=int),
-    corners_out: wp.array2d(dtype=int),
+    means,
+    quats,
+    scales,
+    opacities,
+    sh,
+    degree,
+    view,
+    splats_out,
+    tiles_out,
+    depths_out,
+    order_out,
+    corners_out,
 ):
     """Project one Gaussian per thread; write +1 and -1 to `corners_out` at the corners of the
     Gaussian's tiles.
@@ -177,38 +178,27 @@ project_sixteen = native_func(
 """Projects the Gaussians `16 thread` to `16 thread + 15`, without colours of a degree above 0."""
 
 
-@kernel("phy124_project_simd")
+@kernel("phy124_project_simd", types=DRAWN)
 def project_simd(
-    means: wp.array(dtype=wp.vec3),
-    quats: wp.array(dtype=wp.vec4),
-    scales: wp.array(dtype=wp.vec3),
-    opacities: wp.array(dtype=float),
-    sh: wp.array2d(dtype=wp.vec3),
-    degree: int,
-    view: View,
-    splats_out: wp.array(dtype=Splat),
-    tiles_out: wp.array(dtype=wp.vec4i),
-    depths_out: wp.array(dtype=float),
-    order_out: wp.array(dtype=int),
-    corners_out: wp.array2d(dtype=int),
+    means,
+    quats,
+    scales,
+    opacities,
+    sh,
+    degree,
+    view,
+    splats_out,
+    tiles_out,
+    depths_out,
+    order_out,
+    corners_out,
 ):
     """Project sixteen Gaussians per thread."""
     group = wp.tid()
     project_sixteen(
-        group,
-        means,
-        quats,
-        scales,
-        opacities,
-        sh,
-        degree,
-        view,
-        splats_out,
-        tiles_out,
-        depths_out,
-        order_out,
-        corners_out,
-    )
+        group, means, quats, scales, opacities, sh, degree, view, splats_out, tiles_out,
+        depths_out, order_out, corners_out,
+    )  # fmt: skip
     if degree == 0:
         return
     for i in range(16 * group, wp.min(16 * group + 16, means.shape[0])):
@@ -225,19 +215,12 @@ def project_simd(
                 wp.atomic_add(corners_out, tiles[3], tiles[2], -1)
 
 
-@native_kernel("phy124_bin_serial", code("tile:bin"))
-def bin_serial(
-    count: int,
-    columns: int,
-    first: int,
-    last: int,
-    order: wp.array(dtype=int),
-    tiles: wp.array(dtype=wp.vec4i),
-    # in place: start of each tile's list, finally its end
-    ends_out: wp.array(dtype=int),
-    pairs_out: wp.array(dtype=int),
-):
-    """Fill the lists of all tiles in a single thread, for CPUs; `order` sorts splats by depth."""
+@native_kernel("phy124_bin_serial", code("tile:bin"), types=DRAWN)
+def bin_serial(count: int, columns, first, last, order, tiles, ends_out, pairs_out):
+    """Fill the lists of all tiles in a single thread, for CPUs.
+
+    `ends_out` contains the start of each tile's list before, and the list's end afterwards.
+    """
     ...
 
 
@@ -253,8 +236,8 @@ def sum_columns(corners_out: wp.array2d(dtype=int)):
         corners_out[row, column] = total
 
 
-@kernel("phy124_bin")
-def count_splats(columns: int, sums: wp.array2d(dtype=int), counts_out: wp.array(dtype=int)):
+@kernel("phy124_bin", types=DRAWN)
+def count_splats(columns, sums: wp.array2d(dtype=int), counts_out):
     """Count the splats of each tile from the sums of the columns, with one thread per row of
     tiles.
     """
@@ -265,13 +248,8 @@ def count_splats(columns: int, sums: wp.array2d(dtype=int), counts_out: wp.array
         counts_out[row * columns + column] = count
 
 
-@kernel("phy124_bin")
-def start_lists(
-    room: int,
-    before: wp.array(dtype=int),
-    starts_out: wp.array(dtype=int),
-    ends_out: wp.array(dtype=int),
-):
+@kernel("phy124_bin", types=DRAWN)
+def start_lists(room, before: wp.array(dtype=int), starts_out, ends_out):
     """Set the start of each tile's list after the entries of all previous tiles.
 
     There is space for `room` entries in all lists together; a start beyond this space is moved to
@@ -283,23 +261,12 @@ def start_lists(
     ends_out[tile] = start
 
 
-@kernel("phy124_bin")
-def bin_parallel(
-    columns: int,
-    first: int,
-    last: int,
-    room: int,
-    total: wp.array(dtype=int),
-    order: wp.array(dtype=int),
-    tiles: wp.array(dtype=wp.vec4i),
-    # in place: start of each tile's list, finally its end
-    ends_out: wp.array(dtype=int),
-    ranks_out: wp.array(dtype=int),
-    pairs_out: wp.array(dtype=int),
-):
+@kernel("phy124_bin", types=DRAWN)
+def bin_parallel(columns, first, last, room, total, order, tiles, ends_out, ranks_out, pairs_out):
     """Fill the lists of all tiles with one thread per splat, for GPUs; the caller sorts the lists.
 
-    If the number of entries, `total`, exceeds the available space, `room`, the lists stay empty.
+    `ends_out` contains the start of each tile's list before, and the list's end afterwards. If the
+    number of entries, `total`, exceeds the available space, `room`, the lists stay empty.
     """
     if total[0] > room:
         return

@@ -7,6 +7,7 @@ import warp as wp
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.reduction import finite
+from phy124.kernels.splat.arguments import DRAWN
 
 NARROW = wp.constant(0.9)
 """Width [cells] below which a Gaussian is treated as a point between four cells. The point is
@@ -34,21 +35,21 @@ def put(layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: floa
         wp.atomic_add(layers, layer + 1, i, j, upper * amount)
 
 
-@kernel("phy124_shadow")
+@kernel("phy124_shadow", types=DRAWN)
 def cover(
     origin: wp.vec3,
     cell: float,
     slope: wp.vec2,
     tallest: float,
     weight: float,
-    opacities: wp.array(dtype=float),
-    means: wp.array(dtype=wp.vec3),
-    quats: wp.array(dtype=wp.vec4),
-    scales: wp.array(dtype=wp.vec3),
-    # optical depth [layers, cells, cells], changed in place
+    opacities,
+    means,
+    quats,
+    scales,
     layers_out: wp.array3d(dtype=float),
 ):
-    """Add the optical depth of each Gaussian to the layers, with one thread per Gaussian.
+    """Add the optical depth of each Gaussian to the layers [layers, cells, cells], with one thread
+    per Gaussian.
 
     Layer k is at height tallest (k / last)^2 above the floor. `origin` is the corner of the map on
     the floor. `slope` is the horizontal displacement of the light's rays per metre of descent.

@@ -10,9 +10,10 @@ import warp as wp
 
 from phy124.kernels.build import kernel
 from phy124.kernels.native import code, native_kernel
+from phy124.kernels.splat.arguments import DRAWN
 from phy124.kernels.splat.blend import STORE_TILE, SUM_TILE
-from phy124.kernels.splat.glass import TINT, VEIL, Outline, Solid, veil, within
-from phy124.kernels.splat.screen import Splat, View
+from phy124.kernels.splat.glass import TINT, VEIL, veil, within
+from phy124.kernels.splat.screen import View
 
 
 @wp.struct
@@ -74,23 +75,15 @@ def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
     return 1.0e30
 
 
-@kernel("phy124_stage")
+@kernel("phy124_stage", types=DRAWN)
 def draw_setting(
-    view: View,
-    setting: Setting,
-    shade: wp.array2d(dtype=wp.uint16),
-    picture: wp.array(dtype=wp.vec3),
-    before: int,
-    solids: wp.array(dtype=Solid),
-    outlines: wp.array(dtype=Outline),
-    coverage: wp.array(dtype=float),
-    # in place: light of the Gaussians, finally the whole frame
-    image_out: wp.array(dtype=wp.vec3),
+    view, setting: Setting, shade, picture, before, solids, outlines, coverage, image_out
 ):
     """Draw the surroundings with one thread per pixel. This kernel is the plain version of
     `blend_staged_simd`, and also runs on GPUs.
 
-    The solids are sorted by depth; the first `before` of them are in front of all Gaussians.
+    `image_out` contains the light of the Gaussians before, and the whole frame afterwards. The
+    solids are sorted by depth; the first `before` of them are in front of all Gaussians.
     """
     pixel = wp.tid()
     open = 1.0 - coverage[pixel]
@@ -128,16 +121,8 @@ def draw_setting(
     image_out[pixel] = wp.min(light + open * colour, wp.vec3(1.0, 1.0, 1.0))
 
 
-@kernel("phy124_stage")
-def tint_splats(
-    view: View,
-    first: int,
-    last: int,
-    solids: wp.array(dtype=Solid),
-    outlines: wp.array(dtype=Outline),
-    means: wp.array(dtype=wp.vec3),
-    splats_out: wp.array(dtype=Splat),
-):
+@kernel("phy124_stage", types=DRAWN)
+def tint_splats(view, first, last, solids, outlines, means, splats_out):
     """Tint Gaussians behind glass solids that are among Gaussians, with one thread per Gaussian.
 
     The solids `first` <= k < `last` are the glass among the Gaussians.
@@ -158,26 +143,23 @@ APART = "__attribute__((noinline))"
 DRAW = f"const auto draw = [&]() {APART} {{ {VEIL + code('stage')} }};\ndraw();"
 
 
-@native_kernel(
-    "phy124_stage_simd",
-    SUM_TILE + DRAW + STORE_TILE,
-)
+@native_kernel("phy124_stage_simd", SUM_TILE + DRAW + STORE_TILE, types=DRAWN)
 def blend_staged_simd(
-    view: View,
-    background: wp.vec3,
-    first: int,
+    view,
+    background,
+    first,
     setting: Setting,
-    shade: wp.array2d(dtype=wp.uint16),
-    picture: wp.array(dtype=wp.vec3),
-    before: int,
-    solids: wp.array(dtype=Solid),
-    outlines: wp.array(dtype=Outline),
-    starts: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    pairs: wp.array(dtype=int),
-    splats: wp.array(dtype=Splat),
-    image_out: wp.array(dtype=wp.vec3),
-    alpha_out: wp.array(dtype=float),
+    shade,
+    picture,
+    before,
+    solids,
+    outlines,
+    starts,
+    ends,
+    pairs,
+    splats,
+    image_out,
+    alpha_out,
 ):
     """Blend the splats of a tile and draw the surroundings, with one thread per tile."""
     ...
