@@ -46,18 +46,21 @@ def test_floor_carries_the_weight(offset):
     assert impulse[3] == pytest.approx(weight / 2, rel=0.015)  # acts at the tank's middle
 
 
-def test_pile_slides_down_a_smooth_slope():
-    """The centroid gains g sin(20 degrees) t, whatever the shape of the pile."""
-    tilt, cells = np.radians(20), 32
-    normal = (-np.sin(tilt), 0.0, np.cos(tilt))
-    along = np.array([-np.cos(tilt), 0.0, -np.sin(tilt)])
+@pytest.mark.parametrize("tilt", [5, 20])
+def test_pile_slides_down_a_smooth_slope(tilt):
+    """The centroid gains g sin(tilt) t, even if the pile has spread into thin layers."""
+    angle, cells = np.radians(tilt), 32
+    normal = (-np.sin(angle), 0.0, np.cos(angle))
+    along = np.array([-np.cos(angle), 0.0, -np.sin(angle)])
     rotation = np.array([along, [0, 1, 0], normal])
     x = block((-0.25, -0.125, 0.0), (0.25, 0.125, 0.1875), cells) @ rotation
     slope = HalfSpace(point=(0, 0, 0), normal=normal, contact="slip")
-    solver = run(liquid(x, cells, [slope]), 12)
-    duration = solver.clock.time - solver.clock.last_dt / 2
-    speed = solver.state.v.numpy().mean(axis=0) @ along
-    assert speed == pytest.approx(G * np.sin(tilt) * duration, rel=0.02)
+    solver = liquid(x, cells, [slope])
+    for _ in range(2):
+        run(solver, 12)
+        duration = solver.clock.time - solver.clock.last_dt / 2
+        speed = solver.state.v.numpy().mean(axis=0) @ along
+        assert speed == pytest.approx(G * np.sin(angle) * duration, rel=0.01)
 
 
 def test_immersed_box_is_lifted_by_the_water_that_it_displaces():
@@ -129,17 +132,30 @@ def test_tilted_plank_is_lifted_and_turned_back_by_the_water(tilt):
     assert -torque[1] / push[2] == pytest.approx(arm, abs=0.15 / cells)
 
 
-def test_momentum_of_liquid_and_solid_is_conserved():
-    """Without walls and gravity, a solid that hits a blob moves it."""
+def momentum_errors(height: float, frames: int, **options) -> list[float]:
+    """Relative change of the total momentum, after each frame, while a solid hits a blob."""
     x = block((0, 0, 0), (0.5, 0.5, 0.5), 16)
-    body = FreeBody("stone", "sphere", (0.1,) * 3, (0.25, 0.25, 0.7), velocity=(0, 0, -2))
-    solver = liquid(x, 16, gravity=(0, 0, 0), free=[body])
-    start = body.mass * np.array(body.velocity)
-    run(solver, 8)
-    moved = solver.model.mass.numpy() @ solver.state.v.numpy()
+    place = (0.25, 0.25, height)
+    body = FreeBody("stone", "sphere", (0.1,) * 3, place, velocity=(0, 0, -2))
+    solver = liquid(x, 16, gravity=(0, 0, 0), free=[body], **options)
+    start, errors = body.mass * np.array(body.velocity), []
+    for _ in range(frames):
+        moved = solver.model.mass.numpy() @ run(solver, 1).state.v.numpy()
+        total = moved + body.mass * solver.free.motions()[0, :3]
+        errors.append(np.linalg.norm(total - start) / np.linalg.norm(start))
     assert moved[2] < 0.1 * start[2]
-    total = moved + body.mass * solver.free.motions()[0, :3]
-    np.testing.assert_allclose(total, start, atol=0.03 * abs(start[2]))
+    return errors
+
+
+def test_momentum_of_liquid_and_solid_is_conserved():
+    """Without walls and gravity, the error depends on the solid's position between grid lines."""
+    errors = [momentum_errors(height, 8)[-1] for height in (0.69, 0.7, 0.71, 0.72, 0.73)]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.03
+
+
+def test_momentum_is_conserved_in_short_steps():
+    """Faces without pressure must not lose their own momentum once per step."""
+    assert max(momentum_errors(0.7, 16, ceiling=1 / (5 * FPS))) < 0.03
 
 
 @pytest.mark.slow

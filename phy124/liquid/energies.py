@@ -91,15 +91,16 @@ class Energies:
         kernel = kernels.make_wall_work(self._model.real)
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
-    def of_faces(self, worker: int) -> list[Recorded]:
+    def of_faces(self, worker: int, viscosity: float) -> list[Recorded]:
         """Return the launch with which a worker sums the work on faces, after their velocities are
-        known.
+        known. `viscosity` is 0 if no liquid is viscous.
         """
         if not self.on:
             return []
         cells, tracks = self._cells, self._tracks
-        inputs = [cells.window, tracks.clock, tracks.values]
-        inputs += [cells.open, cells.liquid, part_of(cells.sums, slice(0, cells.count))]
+        inputs = [viscosity, cells.window, tracks.clock, tracks.values]
+        inputs += [cells.open, cells.liquid, cells.known]
+        inputs += [part_of(cells.sums, slice(0, cells.count))]
         inputs += [self._gains, self._before, cells.velocity, cells.other]
         kernel = kernels.make_face_work(self._model.real)
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]

@@ -85,6 +85,7 @@ class Phases:
         device = model.device
         self._form = "simd" if model.form == "simd" else "plain"
         shape = (len(workers), EXTENT)
+        self._no_sums = wp.zeros(0, dtype=faces.sums(model.real), device=device)
         self.extents = wp.zeros(shape, dtype=model.real, device=device)
         """Extent of each worker's particles."""
         self.stray = wp.zeros(1, dtype=int, device=device)
@@ -233,9 +234,9 @@ class Phases:
         yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
         yield self._respond(worker)
         for turn in range(LAYERS):
-            yield [self._spread(worker, turn)]
+            yield [self._spread(worker, turn, self._copy(self._cells.sums, 0))]
         slide = self._slide(worker, self._walls.motions, rubs=self._walls.rub)
-        yield [slide, *energies.of_faces(worker)]
+        yield [slide, *energies.of_faces(worker, self.viscosity)]
         stop = [*self._push_out(worker, stops=True), *energies.of_walls(AT_END, worker)]
         yield [self._gather(worker), *stop]
         yield self._respond(worker)
@@ -250,7 +251,7 @@ class Phases:
     def _displacements(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield the phases in which a worker displaces particles to correct the density."""
         for turn in range(LAYERS_SHIFT):
-            yield [self._spread(worker, turn)]
+            yield [self._spread(worker, turn, self._no_sums)]
         yield [self._slide(worker, self._walls.still, rubs=False)]
         moves = [self._displace(worker), *self._push_out(worker, stops=False)]
         first, last = (self.energies.of_shifts(worker, self._run(worker), sign) for sign in (-1, 1))
@@ -428,10 +429,14 @@ class Phases:
         kernel = impulses.make_wall_impulses(model.real)
         return "walls", model.launch(kernel, parts, inputs, outputs)
 
-    def _spread(self, worker: int, turn: int) -> Recorded:
+    def _spread(self, worker: int, turn: int, sums: wp.array) -> Recorded:
+        """Record the extrapolation to a layer of faces; `sums` is empty for displacements."""
         cells = self._cells
         known = [cells.known, cells.also]
-        inputs, outputs = [cells.window, known[turn % 2]], [cells.velocity, known[1 - turn % 2]]
+        inputs = [self.viscosity, cells.window, self._tracks.clock, known[turn % 2]]
+        inputs += [self._mixture.densities, self._mixture.viscosities]
+        inputs += [sums, cells.open, cells.owners, self._solids.first(self._walls)]
+        outputs = [cells.velocity, known[1 - turn % 2]]
         kernel = spread.make_spread(self._model.real)
         return self._over_cells(worker, "spread", kernel, inputs, outputs)
 

@@ -3,8 +3,8 @@
 The work of an impulse is the impulse times the mean of the velocities at the start and the end of
 the step. The work of all causes then adds up to the change of a face's kinetic energy. In a liquid
 at rest, where pressure balances gravity, the work of every cause is zero. Faces behind walls and
-above the surface may carry mass of the particles. Such faces move like their neighbours in the
-liquid. The mass of such a face is therefore added to the masses of its neighbours.
+above the surface may carry mass of the particles. The velocities of such faces follow those of
+their neighbours in the liquid (`spread`). The work on such faces is counted, too.
 """
 
 from typing import Any
@@ -53,29 +53,31 @@ def acts(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, axis: i
 
 
 @wp.func
-def mass_with_outside(
+def pressed_outside(
     open: wp.array(dtype=Any),
     liquid: wp.array(dtype=int),
     cells: wp.array(dtype=Any),
+    before: wp.array(dtype=Any),
+    velocity: wp.array(dtype=Any),
     n: int,
     axis: int,
     size: wp.vec3i,
 ):
-    """Return the mass of a face plus parts of the masses of adjacent faces without pressure."""
+    """Return the velocity change by the pressure at a face without pressure: the mean over the
+    adjacent faces with pressure, weighted with their masses.
+    """
+    gain = type(velocity[n][axis])(0.0)
+    mass = type(gain)(0.0)
     across = stride(axis, size)
-    total = cells[n][4 + axis]
     for along in range(3):
         for side in range(2):
             m = n + (2 * side - 1) * stride(along, size)
-            extra = cells[m][4 + axis]
-            if extra > type(extra)(0.0) and acts(open, liquid, m, axis, across) == 0:
-                count = int(0)
-                for other in range(3):
-                    step = stride(other, size)
-                    count += acts(open, liquid, m - step, axis, across)
-                    count += acts(open, liquid, m + step, axis, across)
-                total += extra / type(extra)(count)
-    return total
+            if acts(open, liquid, m, axis, across) == 1:
+                gain += cells[m][4 + axis] * (velocity[m][axis] - before[m][axis])
+                mass += cells[m][4 + axis]
+    if mass > type(gain)(0.0):
+        gain /= mass
+    return gain
 
 
 @wp.func
@@ -95,8 +97,8 @@ def make_face_work(real: Any):
     """Kernel over cells: adds the work of viscosity and pressure on the low faces to `sums_out`.
 
     `before` contains the velocities before the pressure acts, `velocity` the velocities afterwards,
-    and `after` the velocities at the end of the step. The velocities at the start of the step do
-    not include the step's `gains`.
+    and `after` the velocities at the end of the step. `known` contains a bit for each face that has
+    a velocity. The velocities at the start of the step do not include the step's `gains`.
     """
     t = types(real)
     vec8 = sums(real)
@@ -106,11 +108,13 @@ def make_face_work(real: Any):
         worker: int,
         active: Ints,
         ends: Ints,
+        viscosity: real,
         window,
         clock,
         values,
         open: t.vec4s,
         liquid: Ints,
+        known: Ints,
         cells: wp.array(dtype=vec8),
         gains: t.vec4s,
         before: t.vec4s,
@@ -129,16 +133,23 @@ def make_face_work(real: Any):
         viscous = wp.float64(0.0)
         pressed = wp.float64(0.0)
         for axis in range(3):
-            if q[4 + axis] > real(0.0) and acts(open, liquid, n, axis, stride(axis, size)) == 1:
-                m = mass_with_outside(open, liquid, cells, n, axis, size)
-                first = q[axis] / q[4 + axis]
+            m = q[4 + axis]
+            if m > real(0.0) and known[n] & (1 << axis) > 0:
+                first = q[axis] / m
                 both = first + after[n][axis]
                 if gains.shape[0] > 0:
                     both -= gain_at(gains, n, axis, stride(axis, size), before.shape[0])
                 mean = wp.float64(m) * wp.float64(0.5) * wp.float64(both)
-                change = before[n][axis] - (first + clock[0] * a[axis])
-                viscous += mean * wp.float64(change)
-                pressed += mean * wp.float64(velocity[n][axis] - before[n][axis])
+                change = velocity[n][axis] - (first + clock[0] * a[axis])
+                by_pressure = change
+                if acts(open, liquid, n, axis, stride(axis, size)) == 1:
+                    by_pressure = velocity[n][axis] - before[n][axis]
+                elif viscosity > real(0.0):
+                    by_pressure = pressed_outside(
+                        open, liquid, cells, before, velocity, n, axis, size
+                    )
+                viscous += mean * wp.float64(change - by_pressure)
+                pressed += mean * wp.float64(by_pressure)
         add_to(sums_out, VISCOUS, viscous)
         add_to(sums_out, PRESSED, pressed)
 

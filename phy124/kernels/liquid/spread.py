@@ -1,8 +1,12 @@
 """Extrapolates velocities to faces beyond the liquid, for particles near the surface and walls.
 
-Faces that touch no liquid get the mean velocity of their known neighbours, layer by layer. Faces
-inside walls then lose the velocity component normal to the wall. Wall friction acts on the first
-layer of faces: either Coulomb friction, limited to the coefficient times the pressure, or sticking.
+Faces that touch no liquid have no pressure. If such a face carries mass, its velocity changes in
+the step like the velocities of its known neighbours. The face thus keeps its own momentum, instead
+of losing it once per step. Viscosity then reduces the difference from the neighbours' velocities,
+as in `viscous`. Faces without mass, and faces inside freely moving bodies, get the mean velocity of
+their known neighbours. These rules act layer by layer. Faces inside walls then lose the
+velocity component normal to the wall. Wall friction acts on the first layer of faces: either
+Coulomb friction, limited to the coefficient times the pressure, or sticking.
 """
 
 from typing import Any
@@ -11,27 +15,99 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.liquid.faces import cell_of, entry, stride
+from phy124.kernels.liquid.faces import cell_of, entry, stride, sums
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
+
+
+@wp.func
+def in_body(
+    open: wp.array(dtype=Any),
+    owners: wp.array(dtype=int),
+    body: int,
+    n: int,
+    axis: int,
+    size: wp.vec3i,
+):
+    """Return whether a face is inside a freely moving body; `body` is the first such wall."""
+    at = wp.vec3i(1, 1, 1)
+    at[axis] = 0
+    shut = open[n][axis] == type(open[n][axis])(0.0)
+    return shut and owners[point(cell_of(n, size), at[0], at[1], at[2], size)] >= body
+
+
+@wp.func
+def mean_around(
+    known: wp.array(dtype=int),
+    velocity: wp.array(dtype=Any),
+    n: int,
+    axis: int,
+    size: wp.vec3i,
+):
+    """Return the mean velocity of the known neighbours of a face, and their number."""
+    total = type(velocity[n][axis])(0.0)
+    count = type(total)(0.0)
+    for along in range(3):
+        for side in range(2):
+            m = n + (2 * side - 1) * stride(along, size)
+            if known[m] & (1 << axis) > 0:
+                total += velocity[m][axis]
+                count += type(total)(1.0)
+    return total / count, count
+
+
+@wp.func
+def change_around(
+    known: wp.array(dtype=int),
+    cells: wp.array(dtype=Any),
+    velocity: wp.array(dtype=Any),
+    n: int,
+    axis: int,
+    size: wp.vec3i,
+):
+    """Return the momentum that the known neighbours of a face gained in the step, and their mass.
+
+    `cells` contains the momenta before the step and the masses.
+    """
+    gain = type(velocity[n][axis])(0.0)
+    mass = type(gain)(0.0)
+    for along in range(3):
+        for side in range(2):
+            m = n + (2 * side - 1) * stride(along, size)
+            heavy = cells[m][4 + axis]
+            if known[m] & (1 << axis) > 0 and heavy > type(gain)(0.0):
+                gain += heavy * velocity[m][axis] - cells[m][axis]
+                mass += heavy
+    return gain, mass
 
 
 @build_once
 def make_spread(real: Any):
-    """Kernel over cells: sets the velocities at unknown faces to the mean of their known
-    neighbours.
+    """Kernel over cells: sets the velocities at unknown faces from their known neighbours.
 
-    Only unknown faces are written and only known faces are read, so cells may be processed in any
-    order.
+    `cells` contains the sums over the particles. If `cells` is empty, `velocity_out` contains
+    displacements, and every unknown face gets the mean of its known neighbours. The walls from the
+    index `body` on are freely moving bodies. Only unknown faces are written and only known faces
+    are read, so cells may be processed in any order. `viscosity` is eta / (rho dx^2) [1/s] for a
+    relative density and viscosity of 1.
     """
     t = types(real)
+    vec8 = sums(real)
 
-    @kernel(f"phy124_liquid_spread_{real.__name__}", real, seconds=0.3)
+    @kernel(f"phy124_liquid_spread_{real.__name__}", real, seconds=0.4)
     def spread(
         worker: int,
         active: Ints,
         ends: Ints,
+        viscosity: real,
         window,
+        clock,
         known: Ints,
+        densities: t.vec4s,
+        viscosities: t.vec4s,
+        cells: wp.array(dtype=vec8),
+        open: t.vec4s,
+        owners: Ints,
+        body: int,
         velocity_out: t.vec4s,
         known_out: Ints,
     ):
@@ -49,19 +125,21 @@ def make_spread(real: Any):
         if missing > 0:
             v = velocity_out[n]
             for axis in range(3):
-                bit = 1 << axis
-                if missing & bit > 0:
-                    total = real(0.0)
-                    count = real(0.0)
-                    for along in range(3):
-                        step = stride(along, size)
-                        if known[n - step] & bit > 0:
-                            total += velocity_out[n - step][axis]
-                            count += real(1.0)
-                        if known[n + step] & bit > 0:
-                            total += velocity_out[n + step][axis]
-                            count += real(1.0)
-                    v[axis] = total / count
+                if missing & (1 << axis) > 0:
+                    mean, count = mean_around(known, velocity_out, n, axis, size)
+                    v[axis] = mean
+                    mass = real(0.0)
+                    if cells.shape[0] > 0:
+                        mass = cells[n][4 + axis]
+                    if mass > real(0.0) and not in_body(open, owners, body, n, axis, size):
+                        gain, moved = change_around(known, cells, velocity_out, n, axis, size)
+                        if moved > real(0.0):
+                            k = real(0.0)
+                            if viscosity > real(0.0):
+                                k = viscosity * clock[0] * viscosities[n][axis] * count
+                                k /= densities[n][axis]
+                            apart = cells[n][axis] / mass + gain / moved - mean
+                            v[axis] = mean + apart / (real(1.0) + k)
             velocity_out[n] = v
         known_out[n] = mask | missing
 
