@@ -42,6 +42,21 @@ def types(real: Any) -> Types:
 
 
 @cache
+def sparse(real: Any) -> Any:
+    """Return the type of a sparse matrix with one row per node; `real` is wp.float32 or
+    wp.float64.
+    """
+
+    @wp.struct
+    class Sparse:
+        starts: Ints  # first entry of each row, and the number of all entries
+        nodes: Ints  # node of each entry
+        weights: wp.array(dtype=real)
+
+    return Sparse
+
+
+@cache
 def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     """Return a dictionary from the name of each kernel argument to its type.
 
@@ -83,10 +98,18 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     }
     bodies_on_lattices = {
         "start": int,  # first item that this launch handles
+        "stop": int,  # the item after the last
         "low": int,  # first node of the launch's forces
         "full_blocks": int,  # number of blocks of full cells (lattice/simd.py)
         "restore": real,  # gain of the speed at which points that penetrate move out [1/s]
+        "between": bool,  # whether contact is between two bodies, not within one
+        "far": real,  # distance below which parts may touch [m]
+        "cells": wp.uint64,  # a hash grid of points
         "near": Ints,  # indices of the surface points that may be in contact
+        "places": wp.array2d(dtype=wp.float32),  # positions of samples, then at rest [m]
+        "sample": Ints,  # indices of the sampled surface points
+        "side": Ints,  # piece of the body to which each surface point belongs; 0: no piece
+        "slopes": wp.array2d(dtype=t.vec3),  # weights of the nodes in gradients at the points [1/m]
         "nodes": wp.array2d(dtype=int),  # nodes of each surface point
         "weights": wp.array2d(dtype=real),  # weights of these nodes
         "rows": Ints,  # first node of each of a cell's nine rows of nodes (lattice/points.py)
@@ -97,12 +120,9 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "inverse": t.reals,  # inverse masses of the nodes [1/kg]; 0 for tied and clamped nodes
         "whole": t.reals,  # inverse masses of the nodes without clamps [1/kg]
         "pool": t.vec3s,  # forces on the nodes, from all workers [N] (lattice/nodes.py)
-        "donor_starts": Ints,  # tied nodes that depend on each node, as a sparse matrix
-        "donor_nodes": Ints,
-        "donor_weights": t.reals,
-        "tied_starts": Ints,  # donors of each tied node, as a sparse matrix
-        "tied_nodes": Ints,
-        "tied_weights": t.reals,
+        "spans": wp.array(dtype=wp.vec3i),  # nodes of each worker (lattice/nodes.py)
+        "donors": sparse(real),  # tied nodes that depend on each node
+        "tied": sparse(real),  # donors of each tied node
     }
     state = {
         "x": t.vec3s,  # positions of the particles [m]
@@ -127,7 +147,12 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "system": Doubles,  # six equations of motion of the free body
         "u": t.vec3s,  # displacements of the nodes [m]
         "v_before": t.vec3s,  # velocities of the nodes before the kick [m/s]
+        "lagging": t.vec3s,  # velocities on which viscosity acts in the next substep [m/s]
         "force": t.vec3s,  # mean force on each surface point or node in a substep [N]
+        "normal": t.vec3s,  # outward normals at the surface points
+        "turned": t.mat33s,  # cofactors of F at the surface points
+        "J": t.reals,  # volume ratios at the surface points
+        "flagged": Ints,  # whether contact is possible near each sampled point
         "gap": t.vec4s,  # normal of a surface at each point, and distance from it [m]
         "yields": t.reals,  # velocity change of each surface point per unit impulse [1/kg]
         "place": t.vec3s,  # positions of the surface points [m]

@@ -60,7 +60,7 @@ class Trials:
 
     def _try(self, worker: Worker) -> list[Named]:
         span, tied, u = worker.nodes, self._crew.tied, self._crew.nodes.u
-        inputs = [span.start, 0.0, 0.0, 0.0, *tied, u, self.a, self.shape]
+        inputs = [span.start, 0.0, 0.0, 0.0, tied, u, self.a, self.shape]
         kernel, outputs = make_try(self._model.real), [self.mixed, self.u]
         launch = self._model.launch(kernel, span.stop - span.start, inputs, outputs)
         self._tries += [] if launch is None else [launch]

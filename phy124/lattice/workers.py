@@ -15,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 import warp as wp
 
-from phy124.kernels.arguments import types
+from phy124.kernels.arguments import sparse, types
 from phy124.kernels.lattice import nodes as node_kernels
 from phy124.kernels.lattice import points as point_kernels
 from phy124.kernels.lattice import simd
@@ -113,10 +113,8 @@ class Crew:
         self._pool, self._pushes = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
         )
-        low, high = ([getattr(span, end) for span in spans] for end in ("start", "stop"))
-        self._spans = [
-            wp.array(np.array(a, np.int32), device=device) for a in (low, high, begin[:-1])
-        ]
+        numbers = [(span.start, span.stop, at) for span, at in zip(spans, begin, strict=False)]
+        self._spans = wp.array(np.array(numbers, np.int32), dtype=wp.vec3i, device=device)
         self.lasting: wp.array | None = None
         """Forces on the nodes that act in all substeps until they are replaced, N, for each worker;
         None: there are none.
@@ -150,21 +148,23 @@ class Crew:
         for worker in self.workers:
             worker.tasks = {MEASURE: self._measure(worker), PLACE: self._follow(worker)}
 
-    def _sparse(self, lattice: RestLattice, ties: Any) -> list[wp.array]:
-        """Return the sparse matrices of tied nodes and donors on the device; each node is a row."""
+    def _sparse(self, lattice: RestLattice, ties: Any) -> Any:
+        """Return a sparse matrix of tied nodes or donors on the device; each node is a row."""
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
-        if (
-            ties.shape[0] != count
-        ):  # Only tied nodes have entries; the rows of other nodes are empty.
+        if ties.shape[0] != count:  # The rows of nodes that are not tied are empty.
             lengths = np.zeros(count, np.int64)
             lengths[lattice.tied] = np.diff(starts)
             starts = np.concatenate([[0], np.cumsum(lengths)])
         elif ties.shape[1] != count:  # Each tied node is a column.
             columns = lattice.tied[columns]
-        numbers = [np.asarray(values, np.int32) for values in (starts, columns)]
-        arrays = [wp.array(values, dtype=int, device=model.device) for values in numbers]
-        return [*arrays, model.array(ties.data, model.real)]
+        matrix = sparse(model.real)()
+        matrix.starts, matrix.nodes = (
+            wp.array(np.asarray(values, np.int32), dtype=int, device=model.device)
+            for values in (starts, columns)
+        )
+        matrix.weights = model.array(ties.data, model.real)
+        return matrix
 
     def locate(self, worker: Worker) -> list[Named]:
         """Return the launch that computes x and v of a worker's points, before forces act."""
@@ -292,7 +292,7 @@ class Crew:
         nodes, span, model = self.nodes, worker.nodes, self._model
         donors = self._push_donors if pushed else self._donors
         uniform = tracks.values if at == STRESS else self._still
-        inputs = [span.start, at, nodes.inverse, pool, *self._spans, *donors, tracks.clock]
+        inputs = [span.start, at, nodes.inverse, pool, self._spans, donors, tracks.clock]
         inputs += [uniform, nodes.before, nodes.v]
         kernel = make_node_work(model.real)
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
@@ -308,8 +308,8 @@ class Crew:
         nodes, span, model = self.nodes, worker.nodes, self._model
         count = span.stop - span.start
         threads, *fraction = shared_out(count, model.device)
-        inputs = [*fraction, count, span.start, nodes.inverse, self._pushes, *self._spans]
-        inputs += [*self._push_donors, tracks.clock, nodes.before, nodes.v]
+        inputs = [*fraction, count, span.start, nodes.inverse, self._pushes, self._spans]
+        inputs += [self._push_donors, tracks.clock, nodes.before, nodes.v]
         return launches(
             [("work", model.launch(make_push_work(model.real), threads, inputs, [out]))]
         )
@@ -397,16 +397,16 @@ class Crew:
                 kicks += self._kick(*push, self._middle if kicks else before)
         return kicks + self._kick(*stress, self._middle if kicks else before)
 
-    def _kick(self, span: slice, pool: wp.array, donors: list[wp.array], *rest: Any) -> list[Named]:
+    def _kick(self, span: slice, pool: wp.array, donors: Any, *rest: Any) -> list[Named]:
         """Return the launch of `make_kick` on a span of nodes."""
-        inputs = [self.nodes.inverse, pool, *self._spans, *donors, *rest]
+        inputs = [self.nodes.inverse, pool, self._spans, donors, *rest]
         plain = node_kernels.make_kick(self._model.real)
         return self._over_nodes(span, plain, simd.make_kick_simd, inputs)
 
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
         """Return the launch that moves a worker's nodes."""
         nodes = self.nodes
-        inputs = [*self.tied, tracks.clock, nodes.before]
+        inputs = [self.tied, tracks.clock, nodes.before]
         inputs += [nodes.v, nodes.u, nodes.residue, nodes.lagging]
         plain = node_kernels.make_drift(self._model.real)
         return self._over_nodes(worker.nodes, plain, simd.make_drift_simd, inputs)

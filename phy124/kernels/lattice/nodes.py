@@ -1,11 +1,12 @@
 """Kernels that accelerate, clamp and move the nodes of a lattice.
 
 A node with almost no mass is tied: it follows heavier nodes, its donors. Two sparse matrices store
-these constraints. For each node, `donor_*` lists the tied nodes that depend on the node. For each
-tied node, `tied_*` lists its donors.
+these constraints. For each node, `donors` lists the tied nodes that depend on the node. For each
+tied node, `tied` lists its donors.
 
-`pool` contains the forces from all workers. The forces of worker w begin at `begin[w]` and belong
-to the nodes `low[w]` to `high[w]`.
+`pool` contains the forces from all workers. `spans` contains three numbers for each worker: the
+first node on which the worker's forces act, the node after the last, and the index in `pool` of the
+force on the first node.
 """
 
 from typing import Any
@@ -28,30 +29,22 @@ sign changes every second substep would grow.
 
 
 @wp.func
-def sum_workers(pool: wp.array(dtype=Any), low: Ints, high: Ints, begin: Ints, n: int):
+def sum_workers(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), n: int):
     """Return the force on a node: the sum over all workers, always in the same order."""
     total = wp.vector(length=3, dtype=type(pool[0][0]))
-    for w in range(low.shape[0]):
-        if n >= low[w] and n < high[w]:
-            total += pool[begin[w] + n - low[w]]
+    for w in range(spans.shape[0]):
+        span = spans[w]
+        if n >= span[0] and n < span[1]:
+            total += pool[span[2] + n - span[0]]
     return total
 
 
 @wp.func
-def force_on(
-    pool: wp.array(dtype=Any),
-    low: Ints,
-    high: Ints,
-    begin: Ints,
-    donor_starts: Ints,
-    donor_nodes: Ints,
-    donor_weights: wp.array(dtype=Any),
-    n: int,
-):
+def force_on(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), donors: Any, n: int):
     """Return the force on a node, including the forces from the node's tied nodes."""
-    force = sum_workers(pool, low, high, begin, n)
-    for k in range(donor_starts[n], donor_starts[n + 1]):
-        force += donor_weights[k] * sum_workers(pool, low, high, begin, donor_nodes[k])
+    force = sum_workers(pool, spans, n)
+    for k in range(donors.starts[n], donors.starts[n + 1]):
+        force += donors.weights[k] * sum_workers(pool, spans, donors.nodes[k])
     return force
 
 
@@ -60,31 +53,15 @@ def make_kick(real: Any):
     """Kernel over the nodes `start` to `stop`: changes the velocities of nodes by forces and
     gravity.
 
-    `before_out` receives the velocities before the kick, which are needed for the work of walls.
+    `v_before_out` receives the velocities before the kick, which are needed for the work of walls.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_kick_{real.__name__}", real, seconds=0.3)
-    def kick(
-        start,
-        stop: int,
-        inverse,
-        pool,
-        low: Ints,
-        high: Ints,
-        begin: Ints,
-        donor_starts,
-        donor_nodes,
-        donor_weights,
-        clock,
-        values,
-        v_out,
-        before_out: t.vec3s,
-    ):
+    def kick(start, stop, inverse, pool, spans, donors, clock, values, v_out, v_before_out):
         n = start + wp.tid()
-        before_out[n] = v_out[n]
+        v_before_out[n] = v_out[n]
         if inverse[n] > real(0.0):
-            force = force_on(pool, low, high, begin, donor_starts, donor_nodes, donor_weights, n)
+            force = force_on(pool, spans, donors, n)
             a = wp.vector(values[0][0], values[0][1], values[0][2])
             v_out[n] = v_out[n] + clock[0] * (inverse[n] * force + a)
 
@@ -107,9 +84,7 @@ def make_try(real: Any):
         gain: real,
         share: real,
         size: real,
-        tied_starts,
-        tied_nodes,
-        tied_weights,
+        tied,
         u,
         a: t.vec3s,
         shape: t.vec3s,
@@ -119,9 +94,9 @@ def make_try(real: Any):
         n = start + wp.tid()
         mixed = gain * shape[n] + share * a[n]
         mixed_out[n] = mixed
-        for k in range(tied_starts[n], tied_starts[n + 1]):
-            donor = tied_nodes[k]
-            mixed += tied_weights[k] * (gain * shape[donor] + share * a[donor])
+        for k in range(tied.starts[n], tied.starts[n + 1]):
+            donor = tied.nodes[k]
+            mixed += tied.weights[k] * (gain * shape[donor] + share * a[donor])
         trial_out[n] = u[n] + size * mixed
 
     return lattice_try
@@ -289,31 +264,19 @@ def make_drift(real: Any):
 
     `lagging_out` receives the velocity on which viscosity acts in the next substep. This velocity
     is a mean of the present velocity, with the weight `RECENT`, and the velocity one substep
-    earlier (`before`).
+    earlier (`v_before`).
     """
     t = types(real)
 
     @kernel(f"phy124_lattice_drift_{real.__name__}", real, seconds=0.3)
-    def drift(
-        start,
-        stop: int,
-        tied_starts,
-        tied_nodes,
-        tied_weights,
-        clock,
-        before: t.vec3s,
-        v_out,
-        u_out,
-        residue_out,
-        lagging_out: t.vec3s,
-    ):
+    def drift(start, stop, tied, clock, v_before, v_out, u_out, residue_out, lagging_out):
         n = start + wp.tid()
-        if tied_starts[n + 1] > tied_starts[n]:
+        if tied.starts[n + 1] > tied.starts[n]:
             v = t.vec3()
-            for k in range(tied_starts[n], tied_starts[n + 1]):
-                v += tied_weights[k] * v_out[tied_nodes[k]]
+            for k in range(tied.starts[n], tied.starts[n + 1]):
+                v += tied.weights[k] * v_out[tied.nodes[k]]
             v_out[n] = v
-        lagging_out[n] = real(RECENT) * v_out[n] + (real(1.0) - real(RECENT)) * before[n]
+        lagging_out[n] = real(RECENT) * v_out[n] + (real(1.0) - real(RECENT)) * v_before[n]
         # Compensated summation, so that small steps are not lost next to a large displacement.
         step = clock[1] * v_out[n] + residue_out[n]
         last = u_out[n]

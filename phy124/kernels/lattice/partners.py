@@ -114,22 +114,10 @@ def make_flag(real: Any):
 
     `x` contains the current positions of the samples, which have been sorted into `cells`.
     """
-    t = types(real)
 
     @kernel(f"phy124_lattice_flag_{real.__name__}", real, seconds=0.5)
     def flag(
-        start,
-        cells: wp.uint64,
-        between: bool,
-        far: real,
-        dx,
-        sample: Ints,
-        x,
-        rest,
-        normal: t.vec3s,
-        body: Ints,
-        side: Ints,
-        flagged_out: Ints,
+        start, cells, between, far, dx, sample, x, rest, normal, body: Ints, side, flagged_out
     ):
         i = start + wp.tid()
         near = int(0)
@@ -154,18 +142,7 @@ def make_flag_simd():
 
     @kernel("phy124_lattice_flag_simd", wp.float32, seconds=0.4)
     def flag_simd(
-        start,
-        places: wp.array2d(dtype=wp.float32),
-        between: bool,
-        far: float,
-        dx,
-        sample: Ints,
-        x: wp.array(dtype=wp.vec3),
-        rest: wp.array(dtype=wp.vec3),
-        normal: wp.array(dtype=wp.vec3),
-        body: Ints,
-        side: Ints,
-        flagged_out: Ints,
+        start, places, between, far, dx, sample, x, rest, normal, body: Ints, side, flagged_out
     ):
         i = start + wp.tid()
         near = int(0)
@@ -185,23 +162,11 @@ def make_expose(real: Any, rows: Rows):
     """Kernel over surface points: computes current positions, current normals, and the cofactors of
     F, for the points in `chosen` from `start` on.
     """
-    t = types(real)
     moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_expose_{rows.name}{real.__name__}", real, seconds=0.5)
     def expose(
-        start,
-        chosen,
-        nodes,
-        weights,
-        slopes: wp.array2d(dtype=t.vec3),
-        rest,
-        normal: t.vec3s,
-        u,
-        x_out,
-        normal_out: t.vec3s,
-        turned_out: wp.array(dtype=t.mat33),
-        J_out: t.reals,
+        start, chosen, nodes, weights, slopes, rest, normal, u, x_out, normal_out, turned_out, J_out
     ):
         i = start + wp.tid()
         s = chosen[i]
@@ -232,16 +197,16 @@ def make_partner(real: Any):
     @kernel(f"phy124_lattice_partner_{real.__name__}", real, seconds=0.6)
     def partner(
         start,
-        cells: wp.uint64,
-        between: bool,
+        cells,
+        between,
         reach: real,
         dx,
         chosen,
         flat: Ints,
         body: Ints,
-        side: Ints,
+        side,
         rest,
-        normal: t.vec3s,
+        normal,
         x,
         turned: t.vec3s,
         partner_out: Ints,

@@ -8,7 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import Ints
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.columns import xyz
 from phy124.kernels.diagnostics import wide
@@ -45,27 +44,13 @@ def make_node_work(real: Any):
 
     @kernel(f"phy124_lattice_node_work_{real.__name__}", real, seconds=0.3)
     def node_work(
-        start,
-        at: int,
-        inverse,
-        pool,
-        low: Ints,
-        high: Ints,
-        begin: Ints,
-        donor_starts,
-        donor_nodes,
-        donor_weights,
-        clock,
-        values,
-        v_before,
-        v,
-        sums_out,
+        start, at: int, inverse, pool, spans, donors, clock, values, v_before, v, sums_out
     ):
         n = start + wp.tid()
         forced = wp.float64(0.0)
         uniform = wp.float64(0.0)
         if inverse[n] > real(0.0):
-            force = force_on(pool, low, high, begin, donor_starts, donor_nodes, donor_weights, n)
+            force = force_on(pool, spans, donors, n)
             way = wp.float64(0.5) * wp.float64(clock[0]) * (wide(v_before[n]) + wide(v[n]))
             forced = wp.dot(wide(force), way)
             uniform = wp.dot(wide(values[0]), way) / wp.float64(inverse[n])
@@ -92,12 +77,8 @@ def make_push_work(real: Any):
         start,
         inverse,
         pool,
-        low: Ints,
-        high: Ints,
-        begin: Ints,
-        donor_starts,
-        donor_nodes,
-        donor_weights,
+        spans,
+        donors,
         clock,
         v_before,
         v,
@@ -109,9 +90,7 @@ def make_push_work(real: Any):
             i = wp.tid() * first + k * stride
             n = start + i
             if i < count and inverse[n] > real(0.0):
-                force = force_on(
-                    pool, low, high, begin, donor_starts, donor_nodes, donor_weights, n
-                )
+                force = force_on(pool, spans, donors, n)
                 J = wp.float64(clock[0]) * wide(force)
                 impulse += J
                 work += wp.float64(0.5) * wp.dot(J, wide(v_before[n]) + wide(v[n]))
