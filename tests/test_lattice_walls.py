@@ -217,3 +217,24 @@ def test_note_names_walls_between_which_there_is_too_little_space(contact):
         assert depth == pytest.approx(0.9, abs=0.1) and (inside, touching) == (0, 1)
         assert len(messages) == 1 and "0.9 cells inside half_space" in messages[0]
         assert "half_space and sphere" in messages[0]
+
+
+@pytest.mark.parametrize("clamped", [True, False])
+def test_note_names_a_wall_that_has_passed_through_clamped_material(clamped):
+    """A plate moves into the upper half of a ball, which a clamp holds for some time, or not."""
+    down = {"kind": "path", "times": [0, 0.04], "points": [[0, 0, 0], [0, 0, -0.4]]}
+    plate = {"kind": "half_space", "point": [0, 0, 1], "normal": [0, 0, -1], "motion": down}
+    clamp = {"kind": "held", "lower": [-1, -1, 0.55], "upper": [1, 1, 1], "end": 0.035}
+    scene = Scene.from_data(
+        {
+            "material": {"law": "neo_hookean", "E": 2e5, "density": 200.0, "damping": 1000.0},
+            "boundaries": [plate, clamp] if clamped else [plate],
+            "forces": [],
+            "accuracy": {"cells": 6},
+            "time": {"frames": 5, "fps": 100.0},
+        }
+    )
+    report = Simulation(prepare(surface_of_ball(100), scene, RunContext(threads=1))).run().report
+    assert report["complete"]
+    messages = [note for note in report["notes"] if "inside the boundary half_space" in note]
+    assert len(messages) == clamped

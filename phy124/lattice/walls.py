@@ -225,6 +225,14 @@ class Walls:
             for contact in self._contacts:
                 contact.list_near(steps * width)
 
+    def depth(self) -> tuple[float, int]:
+        """Return the largest depth [cells] of a point inside a wall in the last substep, and the
+        wall's index among the walls that are no clamps; the depth is at least 0.
+        """
+        depths = [0.0, *(-contact.closest() / self._dx for contact in self._contacts)]
+        deepest = int(np.argmax(depths))
+        return depths[deepest], max(0, deepest - 1)
+
     def pinch(self) -> tuple[float, int, int]:
         """Return the largest depth [cells] inside a wall of a point that another wall touches, and
         the indices of both walls among the walls that are no clamps; the depth is at least 0.
@@ -334,6 +342,12 @@ class _Contact:
             self._near = near.astype(np.int32)
             put(self._list, self._near)
             self._pass_count()
+
+    def closest(self) -> float:
+        """Return the smallest distance [m] of a point from the wall in the last substep; infinite
+        if no point was near.
+        """
+        return float(self._gap.numpy()[self._near, 3].min(initial=np.inf))
 
     def limit(self, reach: float) -> None:
         """Set the distance from the wall within which contact is computed [m]."""

@@ -1,4 +1,4 @@
-"""Crossing: notes that two walls leave too little space for a body on a lattice."""
+"""Crossing: notes that a body on a lattice is deep inside a wall."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ DEEP = 0.5
 
 
 class LatticeCrossing(Observer):
-    """Finds points that two walls touch, and measures once per frame how deep they are in a
-    wall.
+    """Measures once per frame how deep points are inside a wall, and finds another wall that
+    touches the deepest points.
     """
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether there are walls that may move towards each other."""
-        walls = [wall for wall in subject.scene.boundaries if not wall.holds]
-        return len(walls) > 1 and any(part.tracked for wall in walls for part in wall.parts())
+        """Return whether there are walls that points can be inside."""
+        return not all(wall.holds for wall in subject.scene.boundaries)
 
     def __init__(self) -> None:
         """Assume that no point is inside a wall."""
@@ -43,9 +42,14 @@ class LatticeCrossing(Observer):
 
     def after_attempt(self) -> Violation | None:
         """Measure the depth; a large depth is not a violation."""
-        depth, inside, touching = self._solver.walls.pinch()
+        walls = self._solver.walls
+        depth, inside = walls.depth()
         if depth > max(DEEP, self._deepest):
-            self._deepest, self._between = depth, (self._names[inside], self._names[touching])
+            pinched, first, second = walls.pinch()
+            if pinched > DEEP:
+                self._deepest, self._between = pinched, (self._names[first], self._names[second])
+            else:
+                self._deepest, self._between = depth, (self._names[inside], "")
         return None
 
     def notes(self) -> list[str]:
@@ -53,6 +57,11 @@ class LatticeCrossing(Observer):
         if not self._deepest:
             return []
         inside, touching = self._between
+        if not touching:
+            return [
+                f"Material was up to {self._deepest:.1f} cells inside the boundary {inside}. Start "
+                "the boundary outside the object, move it slowly, and keep it away from clamps."
+            ]
         return [
             f"The boundaries {inside} and {touching} left too little space: material between them "
             f"is up to {self._deepest:.1f} cells inside {inside}. Move them so that they keep more "

@@ -267,7 +267,7 @@ class Simulation:
             "spent": self.spent.before,
             "rejected": self.solver.rejection.rejected,
             "solver": self.solver.snapshot(),
-            "deformer": {} if self.light else self.deformer.snapshot(),
+            "deformer": self.deformer.snapshot() if self._deforms else {},
             "observers": snapshots(self.observers),
             **({"poses": np.array(self.poses)} if self.setup.free else {}),
         }
@@ -278,7 +278,7 @@ class Simulation:
         self.spent.before = snapshot["spent"]
         self.solver.rejection.rejected = snapshot["rejected"]
         self.solver.restore(snapshot["solver"])
-        if not self.light:
+        if self._deforms:
             self.deformer.restore(snapshot["deformer"])
         restore_all(self.observers, snapshot["observers"])
         self.poses = list(snapshot.get("poses", []))
@@ -294,7 +294,7 @@ class Simulation:
         frame = Frame(index, time, scenery.moving)
         with stage("deform"):
             x, F = self.carrying() if self.setup.shapes else (state.x, state.deformation)
-            if self.setup.shapes and not self.light:
+            if self._deforms:
                 v = state.v if self.scene.velocities else None
                 frame = self.deformer(x, F, index=index, time=time, velocities=v)
                 if self.deformer.rotations is not None:
@@ -312,6 +312,11 @@ class Simulation:
                 return frame
             carried = tuple(host(a)[self.carriers].astype(np.float32) for a in (x, F))
             return replace(frame, carried=carried)
+
+    @property
+    def _deforms(self) -> bool:
+        """Whether each frame contains the deformed Gaussians."""
+        return self.setup.shapes and not self.light
 
     @cached_property
     def deformer(self) -> Deformer:
