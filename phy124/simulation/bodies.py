@@ -25,7 +25,6 @@ from phy124.imaging.painted import WHOLE, Crop
 from phy124.io.axes import euler
 from phy124.lattice.refusals import refuse_for_lattice
 from phy124.materials import AnyMaterial
-from phy124.materials.fluid import Fluid
 from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
@@ -248,8 +247,8 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if len(present) or not isinstance(body, SceneObject):
         return present
     if body.shape is not None:
-        # A pattern would flow with the liquid like a dye.
-        patterned = not isinstance(body.material, Fluid)
+        # A pattern and a shade would move with drops and grains like a dye.
+        patterned = not body.material.grains
         return make_shape(body.shape, body.sides, body.colour, patterned=patterned)
     if not body.waits:
         remedy = "Make the Gaussians with `phy124.pipeline.make_gaussians`, which reads the file."
