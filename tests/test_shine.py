@@ -8,7 +8,6 @@ from PIL import Image
 
 from phy124.budget.effects import Effects
 from phy124.gaussians import Gaussians
-from phy124.generators.shapes import make_shape
 from phy124.rendering.film import film
 from phy124.rendering.frames import render_frames
 from phy124.rendering.framing import cameras
