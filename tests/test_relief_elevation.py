@@ -122,6 +122,24 @@ def test_a_bowl_is_recognised_from_high_above():
     assert upright_body(hull([*circle(0.5, 0.2), *circle(0.2, -0.2)], 40)) is not None
 
 
+@pytest.mark.parametrize(
+    ("wall", "elevation"),
+    [
+        ([(0.2, 0), (0.35, 0.12), (0.5, 0.32)], 40),  # a bowl whose lower wall is hidden
+        ([(0.4, 0), (0.42, 0.4)], 40),  # a pot
+        ([(0.45, 0), (0.5, 0.15)], 25),  # a petri dish
+    ],
+)
+def test_only_a_bowl_continues_below_its_visible_wall(wall, elevation):
+    (foot, _), (rim, high) = wall[0], wall[-1]
+    solid = hull(np.concatenate([circle(radius, z - high / 2) for radius, z in wall]), elevation)
+    rows = np.flatnonzero(solid.any(axis=1))
+    lathe = find_lathe(Profile.of(solid), rows[[0, -1]].mean(), DISTANCE)
+    assert lathe is not None
+    assert lathe.radii[0] / lathe.radii[-1] == pytest.approx(foot / rim, abs=0.06)
+    assert np.ptp(lathe.heights) / lathe.radii[-1] == pytest.approx(high / rim, rel=0.12)
+
+
 @pytest.mark.parametrize(("elevation", "high"), [(20, 0.08), (30, 0.12), (45, 0.08)])
 def test_outline_and_hole_show_how_a_ring_lies(elevation, high):
     lying = find_in(ring(elevation, high=high))

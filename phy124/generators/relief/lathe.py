@@ -36,6 +36,13 @@ ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
 EDGE = 1.0
 """A circle touches the first or last row of the outline if it is at most so far away [pixels]."""
+SHALLOW, SLANTED, SMALL_FOOT = 0.5, 0.5, 0.4
+"""Largest height of a bowl's visible wall, relative to the radius of its rim.
+
+The second number is the smallest slope of this wall, relative to the slope at which the camera
+would not see it. The wall of a bowl continues below to a foot, whose radius relative to that of the
+rim is the third number.
+"""
 CLEAR = 0.95
 """Fraction of a ring's visible angle in which the image is not stretched too much."""
 STEEP = 0.2
@@ -80,16 +87,27 @@ class Lathe:
         """Cut off the circles below the base and above the lid; None if nothing is left.
 
         Base and lid are the innermost circles whose images reach the last and the first row of the
-        outline. The circles beyond base and lid form cones, which the camera does not see.
+        outline. The circles beyond base and lid form cones, which the camera does not see. A bowl
+        contains a part of the lower cone.
         """
         row = _images(self.heights, self.radii, self.camera)[1]
         top = np.flatnonzero(row.min(axis=1) <= first + EDGE)
         bottom = np.flatnonzero(row.max(axis=1) >= last - EDGE)
         if not len(top) or not len(bottom) or top[0] - bottom[-1] < 2:
             return None
-        kept = slice(bottom[-1], top[0] + 1)
+        kept = slice(self._foot(bottom[-1], top[0]), top[0] + 1)
         smooth = scipy.ndimage.gaussian_filter1d(self.radii[kept], 1.5, mode="nearest")
         return Lathe(self.heights[kept], smooth, self.camera)
+
+    def _foot(self, base: int, lid: int) -> int:
+        """Return the number of the lowest circle of an object with this base and lid."""
+        rim, middle = float(self.radii[base:lid].max()), (base + lid) // 2
+        height = self.heights[lid] - self.heights[base]
+        slope = np.diff(self.radii[[base, middle]]) / np.diff(self.heights[[base, middle]])
+        hidden = 1 / np.tan(max(self.camera.elevation, 1e-6))
+        if height > SHALLOW * rim or slope < SLANTED * hidden:
+            return base
+        return min(base, int((self.radii >= SMALL_FOOT * rim).argmax()))
 
     @cached_property
     def path(self) -> Field:

@@ -38,6 +38,7 @@ from phy124.generators.relief.solids import (
     apply_depth,
     half_thickness,
     inflate,
+    is_block,
     is_turned,
     make_slab,
 )
@@ -145,7 +146,8 @@ def _inflated_shell(
         surface = inflate(half, silhouette, work, view, thickness)
     limited = None
     if half is not None and not mapped and shape != "round":
-        limited = flatten(half, surface, work, WORK, always=shape == "flat")
+        always = shape == "flat" or (shape == "auto" and is_block(work))
+        limited = flatten(half, surface, work, WORK, always=always)
     if limited is not None:
         surface = inflate(limited, silhouette, work, view, thickness)
     if mapped:

@@ -2,9 +2,10 @@
 
 Round parts are as deep as they are wide. The solid is the union of all balls that fit inside, so a
 disc becomes a ball and a limb becomes a cylinder. An object is assumed to be a solid of revolution
-under two conditions: the outline has a waist, and each row is a single run of pixels, centred on a
-common axis. Each row is then as deep as it is wide. A shape with straight edges and without shading
-is assumed to be a flat slab. If there is a depth map, it replaces the guessed shape of the front.
+under three conditions: the outline has a waist or is compact, each row is a single run of pixels,
+centred on a common axis, and the object is not angular. Each row is then as deep as it is wide. A
+shape with straight edges and without shading is assumed to be a flat slab. If there is a depth map,
+it replaces the guessed shape of the front.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
+from phy124.generators.relief.angular import is_angular
 from phy124.generators.relief.ends import Continued, End, stands
 from phy124.generators.relief.height import Silhouette, nearest_of
+from phy124.generators.relief.outlines import outline_of, solidity
+from phy124.generators.relief.robust import fit_most
 from phy124.generators.relief.surface import Surface, View, smooth
 
 Field = NDArray[np.float64]
@@ -48,8 +52,8 @@ SHADED = 0.1
 FRAME, LEAST_FRAME = 0.2, 4.0
 """Largest width of a frame, relative to half the object's width, and lower bound of this width
 [pixels]."""
-NOISE, ROUNDS = 0.01, 10
-"""Noise relative to the mean brightness, and number of iterations of `_fit_most`."""
+NOISE = 0.01
+"""Noise of the brightness, relative to its mean."""
 
 
 def inflate(
@@ -135,7 +139,8 @@ def half_thickness(
         return round_
     if shape == "auto" and _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
-    turned = shape == "upright" or picture.body is not None or is_turned(picture.object_mask)
+    turned = shape == "upright" or picture.body is not None
+    turned = turned or (is_turned(picture.object_mask) and not is_block(picture))
     if turned:
         lathe = np.maximum(_lathe(silhouette, picture), round_)
         limit = smooth(lathe, silhouette.inside, 2.0)
@@ -198,7 +203,17 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
         return False
     tall = len(rows) / (2 * half.max())
     compact = 1 / COMPACT < tall < COMPACT
-    return compact or _solidity(object_mask) <= WAISTED or (tall < 1 and stands(object_mask))
+    return compact or solidity(object_mask) <= WAISTED or (tall < 1 and stands(object_mask))
+
+
+def is_block(picture: Continued) -> bool:
+    """Return whether a symmetric outline is that of an angular object, such as a printer.
+
+    Objects with arcs at both ends are cylinders.
+    """
+    if picture.body is not None or not is_turned(picture.object_mask):
+        return False
+    return not stands(picture.object_mask) and is_angular(picture.rgba)
 
 
 def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
@@ -230,22 +245,9 @@ def _runs(inside: NDArray[np.bool_]) -> Field:
     return (below - above - 1).astype(np.float64)
 
 
-def _outline(object_mask: NDArray[np.bool_]) -> NDArray:
-    outlines, _ = cv2.findContours(
-        object_mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
-    return max(outlines, key=len)
-
-
-def _solidity(object_mask: NDArray[np.bool_]) -> float:
-    """Return the ratio of the silhouette's area to the area of its convex hull."""
-    hull = cv2.convexHull(_outline(object_mask))
-    return float(np.count_nonzero(object_mask) / max(cv2.contourArea(hull), 1.0))
-
-
 def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
     """Return whether the outline is a polygon of few corners or a rounded rectangle."""
-    outline = _outline(object_mask)
+    outline = outline_of(object_mask)
     width, height = cv2.minAreaRect(outline)[1]
     if np.count_nonzero(object_mask) > BOXED * (width + 1) * (height + 1):
         return True
@@ -280,26 +282,9 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     changes = []
     for band in (rows, columns) if wide else (rows,):
         medians = np.asarray(scipy.ndimage.median(bright, band, np.arange(max(seen.shape))))
-        _, _, towards, _ = _fit_most(known, bright - medians[band], NOISE * float(bright.mean()))
+        _, _, towards, _ = fit_most(known, bright - medians[band], NOISE * float(bright.mean()))
         changes.append(abs(towards))
     return bool(max(changes) > SHADED * bright.mean())
-
-
-def _fit_most(known: Field, values: Field, noise: float) -> list[float]:
-    """Fit values [N] by a linear combination of the columns of `known` [N,C].
-
-    The fit minimises the absolute errors.
-
-    Unlike a least-squares fit, this fit is not affected by a minority of pixels, such as those on
-    letters and frames.
-    """
-    weights = np.ones(len(values))
-    fitted = np.zeros(known.shape[1])
-    for _ in range(ROUNDS):
-        root = np.sqrt(weights)
-        fitted = np.linalg.lstsq(root[:, None] * known, root * values, rcond=None)[0]
-        weights = 1 / np.maximum(np.abs(values - known @ fitted), noise)
-    return fitted.tolist()
 
 
 def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface:

@@ -1,0 +1,85 @@
+"""Recognises objects with straight vertical and horizontal edges: appliances, buildings, clothes.
+
+Their outlines are often symmetric, like those of solids of revolution. Between the two ends of a
+solid of revolution, however, few edges are horizontal, and light changes its brightness from one
+side to the other.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.generators.relief.outlines import outline_of, solidity
+from phy124.generators.relief.robust import fit_most
+
+Field = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+ROUGH = 1.5
+"""Largest distance of the outline from its straight edges [pixels]."""
+SHORTEST = 20.0
+"""Smallest length of a straight edge [pixels]. The longest side of the object has 248 pixels."""
+TILTED = 3.0
+"""Largest angle between an edge and the vertical or the horizontal [degrees]."""
+EITHER, BOTH = 0.15, 0.4
+"""Smallest share of the outline that consists of vertical edges, and of horizontal edges.
+
+The second number is the smallest share of both together.
+"""
+SOLID = 0.8
+"""Smallest ratio of the silhouette's area to the area of its convex hull; hourglasses have less."""
+ACROSS, EXPLAINED = 0.15, 0.25
+"""Smallest change of brightness from the axis to a side, if the object is round, relative to the
+mean brightness.
+
+The second number is the smallest part of the variation within the rows that the shading explains.
+"""
+INNER = 0.92
+"""Largest distance from the middle of a row at which the shading is examined, relative to half the
+row's length."""
+NOISE = 0.01
+"""Noise of the brightness, relative to its mean."""
+
+
+def is_angular(rgba: Field) -> bool:
+    """Return whether an image [H,W,4] shows an object with vertical and horizontal edges.
+
+    An object that is shaded like an upright cylinder is not angular.
+    """
+    object_mask = rgba[..., 3] > 0.5
+    outline = outline_of(object_mask)
+    corners = cv2.approxPolyDP(outline, ROUGH, closed=True)[:, 0].astype(np.float64)
+    across, down = np.abs(np.roll(corners, -1, axis=0) - corners).T
+    lengths, slope = np.hypot(across, down), np.tan(np.radians(TILTED))
+    whole, straight = cv2.arcLength(outline, closed=True), lengths > SHORTEST
+    vertical = lengths[straight & (across < slope * down)].sum() / whole
+    horizontal = lengths[straight & (down < slope * across)].sum() / whole
+    if min(vertical, horizontal) < EITHER or vertical + horizontal < BOTH:
+        return False
+    return solidity(object_mask) > SOLID and not _is_shaded(rgba, object_mask)
+
+
+def _is_shaded(rgba: Field, object_mask: Mask) -> bool:
+    """Return whether the brightness changes along the rows as on an upright cylinder."""
+    rows, columns = np.nonzero(object_mask)
+    every = np.arange(len(object_mask))
+    low, high = (
+        np.asarray(pick(columns, rows, every), np.float64)[rows]
+        for pick in (scipy.ndimage.minimum, scipy.ndimage.maximum)
+    )
+    side = (2 * columns - low - high) / (high - low + 1)
+    inner = np.abs(side) < INNER
+    rows, side = rows[inner], side[inner]
+    bright = rgba[..., :3].mean(axis=2)[object_mask][inner]
+    ahead = np.sqrt(1 - side**2)
+    changes, ahead = (
+        values - np.asarray(scipy.ndimage.median(values, rows, every))[rows]
+        for values in (bright, ahead)
+    )
+    known = np.column_stack([side, ahead, np.ones(len(side))])
+    fitted = fit_most(known, changes, NOISE * float(bright.mean()))
+    left = np.abs(changes - known @ fitted).sum()
+    explained = left < (1 - EXPLAINED) * np.abs(changes - np.median(changes)).sum()
+    return bool(explained and max(abs(fitted[0]), fitted[1]) > ACROSS * bright.mean())
