@@ -13,15 +13,15 @@ QUICK = {"accuracy": {"cells": 8}, "time.frames": 3}
 
 
 def whys(effects: Effects) -> dict[str, str]:
-    return {o.effect: o.why for o in effects.left_out}
+    return {o.name: o.why for o in effects.left_out}
 
 
 def test_effects_follow_the_scene():
     free = Effects.of(Scene.named("push_right"))
     pressed = Effects.of(Scene.named("press"))
-    assert "colliders" in [o.effect for o in free.left_out]
+    assert "colliders" in [o.name for o in free.left_out]
     assert "collider press (separate)" in pressed.ran
-    assert "return mapping" in [o.effect for o in pressed.left_out]
+    assert "return mapping" in [o.name for o in pressed.left_out]
 
 
 def test_saving_of_an_omission_grows_with_the_work():

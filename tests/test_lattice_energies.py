@@ -445,5 +445,5 @@ def test_energy_checks_stay_on_lattices_on_a_gpu():
     alone = stacked(objects=[], boundaries=[], stiffness_profile=None)
     assert not choose_solver(alone, "cuda:0").on_lattice
     effects = Effects.of(alone.replaced({"accuracy.precision": "float64"}))
-    (row,) = (row for row in effects.left_out if row.effect == "rest lattice")
+    (row,) = (row for row in effects.left_out if row.name == "rest lattice")
     assert row.why.startswith("accuracy.precision is float64")

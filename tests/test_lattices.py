@@ -88,14 +88,14 @@ def test_fine_computes_in_float32_on_lattices_alone():
 
 def test_effects_tell_why_there_is_no_lattice():
     chosen = scene(**{"checks.energy": True, "accuracy.precision": "float64"})
-    omitted = {row.effect: row.why for row in Effects.of(chosen).left_out}
+    omitted = {row.name: row.why for row in Effects.of(chosen).left_out}
     assert omitted["rest lattice"].startswith("accuracy.precision is float64")
-    (sand,) = (row for row in Effects.of(scene("sand")).left_out if row.effect == "rest lattice")
+    (sand,) = (row for row in Effects.of(scene("sand")).left_out if row.name == "rest lattice")
     assert sand.why == "lattices are for elastic materials"
     pool = {"name": "pool", "shape": "box", "place": [2.0, 0.0], "material": {"law": "fluid"}}
     light = {"material.density": 5.0, "material.damping": 0.0, "object.lift": 0.1}
     light = scene(objects=[pool]).replaced(light)
-    (afloat,) = (row for row in Effects.of(light).left_out if row.effect == "rest lattice")
+    (afloat,) = (row for row in Effects.of(light).left_out if row.name == "rest lattice")
     assert "so light that it would gain energy" in (afloat.why or "")
 
 
@@ -132,7 +132,7 @@ def test_lost_energy_brings_scenes_that_need_it_to_lattices(tmp_path):
 def left_out_on_gpu(scene, **known):
     """Return the rows of the report on lattices that are left out on a GPU."""
     rows = Effects.of(scene, device="cuda:0", **known).left_out
-    return [row for row in rows if row.effect == "rest lattice"]
+    return [row for row in rows if row.name == "rest lattice"]
 
 
 def test_auto_is_mpm_on_a_gpu():

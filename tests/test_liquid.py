@@ -321,7 +321,7 @@ def test_effects_say_that_a_projected_liquid_is_inviscid():
     scene = Scene.named("water").replaced({"accuracy": {"liquid": "projection"}})
     effects = Effects.of(scene)
     assert "pressure projection" in effects.ran
-    reasons = {omission.effect: omission.why for omission in effects.left_out}
+    reasons = {omission.name: omission.why for omission in effects.left_out}
     assert "inviscid" in reasons["viscosity"] and "surface tension" in reasons
 
 
@@ -408,7 +408,7 @@ def test_liquids_are_projected_unless_the_report_says_why_not(preset, changes, r
     scene = Scene.named(preset).replaced(changes)
     effects = Effects.of(scene)
     assert scene.projects == ("pressure projection" in effects.ran) == (not reason)
-    why = {omission.effect: omission.why for omission in effects.left_out}
+    why = {omission.name: omission.why for omission in effects.left_out}
     assert reason in why.get("pressure projection", "")
 
 

@@ -152,7 +152,7 @@ def test_observers_compile_only_for_scenes_that_call_for_them():
 def test_each_observer_has_one_row_of_effects(solver):
     scene = Scene.named("press").replaced({"accuracy.solver": solver})
     rows = Effects.of(scene)
-    names = [*rows.ran, *(omission.effect for omission in rows.left_out)]
+    names = [*rows.ran, *(omission.name for omission in rows.left_out)]
     kinds = observers_for(scene)
     observed = [kind.effect(Subject(scene, scene.materials)) for kind in kinds]
     assert all(names.count(row.name) == 1 for row in observed if row is not None)

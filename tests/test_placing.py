@@ -6,7 +6,13 @@ import pytest
 from phy124.gaussians import join
 from phy124.particles import Particles
 from phy124.scene import Scene
-from phy124.simulation.placing import belongs, number_among_all, place, placing, renumber_parts
+from phy124.simulation.placing import (
+    find_placement,
+    mask_object,
+    number_among_all,
+    place,
+    renumber_parts,
+)
 from support.shapes import ball
 
 SIGMA = 0.05
@@ -46,16 +52,16 @@ def test_only_the_object_is_measured_and_lifted(captured):
 
 def test_scale_and_offset_are_those_of_the_object_alone(captured):
     selected = np.arange(400) < 300
-    scale, offset = placing(captured, scene(), selected)
-    alone = placing(captured.select(selected), scene(), np.ones(300, bool))
+    scale, offset = find_placement(captured, scene(), selected)
+    alone = find_placement(captured.select(selected), scene(), np.ones(300, bool))
     assert (scale, offset.tolist()) == (alone[0], alone[1].tolist())
 
 
 def test_parts_say_which_gaussians_are_surroundings():
     parts = [{"gaussians": (300, 400), "surroundings": True, "static": True}]
-    selected = belongs(Scene().replaced({"parts": parts}), 400)
+    selected = mask_object(Scene().replaced({"parts": parts}), 400)
     assert selected[:300].all() and not selected[300:].any()
-    assert belongs(Scene(), 400).all()
+    assert mask_object(Scene(), 400).all()
 
 
 def test_particles_have_the_index_of_their_gaussian():

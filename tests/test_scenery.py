@@ -85,7 +85,7 @@ def test_the_solver_never_hears_of_them(pair, clip):
 
 def test_effects_name_them_before_the_run():
     assert "static Gaussians" in Effects.of(drop(PAIR | STATIC)).ran
-    left_out = {o.effect: o.why for o in Effects.of(drop(PAIR)).left_out}
+    left_out = {o.name: o.why for o in Effects.of(drop(PAIR)).left_out}
     assert left_out["static Gaussians"] == "no part of the scene is static"
 
 

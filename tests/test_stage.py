@@ -365,5 +365,5 @@ def test_the_shadow_of_a_flat_object_in_the_air_has_room():
 def test_the_report_says_whether_there_is_a_stage():
     name = "floor, its shadow, boundaries in pictures"
     assert name in Effects.of(Scene.from_data({"view": {"stage": "studio"}})).ran
-    (left,) = [o for o in Effects.of(Scene()).left_out if o.effect == name]
+    (left,) = [o for o in Effects.of(Scene()).left_out if o.name == name]
     assert left.why == "view.stage is plain: pictures show the object alone"

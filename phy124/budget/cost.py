@@ -239,27 +239,23 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
         # These are the substeps of the other materials; the liquid takes fewer steps.
         materials = [section for section in materials if section.law != "fluid"]
     elif scene.projects:
-        ceiling = math.inf if scene.time.substep is None else scene.time.substep
         # `viscous_limit` is the time in which viscosity diffuses an eighth of the velocity.
         viscous = 8 * DIFFUSED * min(section.viscous_limit(scene.dx) for section in scene.materials)
-        longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), viscous, ceiling)
+        longest = min(WAVES * math.sqrt(scene.dx / GRAVITY), viscous, scene.time.ceiling)
         return np.full(scene.time.frames - 1, longest)
     fraction = scene.resolution.fraction
     viscous = min(section.viscous_limit(scene.dx) for section in materials)
-    longest = beside_elastic(fraction) * viscous
     rotation = math.sqrt(2) * max(math.hypot(*body.spin) for body in scene.every_object)
-    if rotation > 0:
-        longest = min(longest, STRAIN_PER_STEP / rotation)
-    if scene.time.substep is not None:
-        longest = min(longest, scene.time.substep)
+    longest = min(scene.time.ceiling, STRAIN_PER_STEP / max(rotation, 1e-9))
     crossing = scene.dx / max(section.wave_speed() for section in materials)
     elastic = fraction * crossing
     factors = scene.softnesses(np.arange(scene.time.frames - 1) / scene.time.fps)
     if _only_lattices(scene):
         damping = DAMPED * crossing / viscous
         elastic = UNDAMPED * math.sqrt(fraction) * crossing / (math.hypot(1, damping) + damping)
-        ceiling = math.inf if scene.time.substep is None else scene.time.substep
-        longest, factors = min(ceiling, STRAIN_PER_STEP / max(rotation, 1e-9)), factors.clip(1)
+        factors = factors.clip(1)
+    else:
+        longest = min(longest, beside_elastic(fraction) * viscous)
     return np.minimum(elastic / np.sqrt(factors), longest)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from phy124.materials import AnyMaterial
 from phy124.monitor import observers_for
-from phy124.monitor.observer import UNKNOWN, Cost, Effect, Observer, Subject, find
+from phy124.monitor.observer import Cost, Effect, Observer, Subject, find
 from phy124.mpm.model import form_of
 from phy124.scene import Scene
 from phy124.scene.lattices import choose_solver, reason_for_mpm
@@ -30,20 +30,11 @@ DENSE = 100**3
 
 
 @dataclass(frozen=True)
-class Omission:
-    """An effect that a run omits, with the reason and the saved cost."""
-
-    effect: str
-    why: str
-    cost: Cost = UNKNOWN
-
-
-@dataclass(frozen=True)
 class Effects:
     """The effects that a run of a scene computes, and the effects that it omits."""
 
     ran: tuple[str, ...]
-    left_out: tuple[Omission, ...]
+    left_out: tuple[Effect, ...]
 
     @classmethod
     def of(
@@ -78,7 +69,7 @@ class Effects:
                 counted = static if effect.name == STATIC else None
                 ran.append(effect.name + (f": {counted} never enter the solver" if counted else ""))
             else:
-                left_out.append(Omission(effect.name, effect.why, effect.cost))
+                left_out.append(effect)
         return cls(tuple(ran), tuple(left_out))
 
     def data(
@@ -101,9 +92,9 @@ class Effects:
             threads: Number of CPU threads.
         """
         left_out = []
-        for omission in self.left_out:
-            row: dict[str, Any] = {"effect": omission.effect, "why": omission.why}
-            saved = omission.cost.of(particles, nodes) * substeps / threads * 1e-9
+        for effect in self.left_out:
+            row: dict[str, Any] = {"effect": effect.name, "why": effect.why}
+            saved = effect.cost.of(particles, nodes) * substeps / threads * 1e-9
             if saved > 0:
                 row["saved_seconds"] = round(saved, 3)
             left_out.append(row)

@@ -35,8 +35,8 @@ class ShowEffects:
             return 0
         for effect in effects.ran:
             print(f"runs      {effect}")
-        for omission in effects.left_out:
-            print(f"left out  {omission.effect}: {omission.why}")
+        for omitted in effects.left_out:
+            print(f"left out  {omitted.name}: {omitted.why}")
         return 0
 
 

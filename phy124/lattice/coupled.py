@@ -190,24 +190,12 @@ class CoupledSolver(Solver):
         super().advance(until, after=after, each=each)
         lattice.clock.time, lattice.clock.last_dt = self.clock.time, self.clock.last_dt
         lattice.follow()
-        self._copy_state()
+        copy_points(lattice.state, self.state, self._index)
         for material, old in zip(self.materials, before, strict=True):
             first, second = material.pair[:2]
             soft, other = (first, second) if first in self._numbers else (second, first)
             impulse, moment = np.split(material.sums.numpy() - old, 2)
             self.pairs.add(other, soft, impulse, moment)
-
-    def _copy_state(self) -> None:
-        """Copy the state of the lattices' points to the state of all particles."""
-        for name in STATE:
-            array = getattr(self.state, name)
-            values = array.numpy()
-            values[self._index] = getattr(self.lattice.state, name).numpy()
-            array.assign(values)
-        if len(self.state.total):
-            total = self.state.total.numpy()
-            total[self._index] = self.lattice.state.F.numpy()
-            self.state.total.assign(total)
 
     def _stable_step(self, until: float) -> None:
         """Take one substep, of a length that is stable for all bodies."""
@@ -280,6 +268,19 @@ class _Lattices:
         self._lattice.restore(snapshot["lattice"])
         for number, material in enumerate(self._materials):
             material.restore(snapshot["materials"][str(number)])
+
+
+def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
+    """Copy the state of lattices' points to the state of all particles; `index` are the points'
+    indices among all particles.
+    """
+    copies = [(getattr(state, name), getattr(points, name)) for name in STATE]
+    if len(state.total):
+        copies.append((state.total, points.F))
+    for array, part in copies:
+        values = array.numpy()
+        values[index] = part.numpy()
+        array.assign(values)
 
 
 def part_of_bodies(

@@ -26,6 +26,7 @@ from phy124.lattice.workers import Crew
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import put_rows
 
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
@@ -190,12 +191,7 @@ class Energies:
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the sums; if the number of workers differs, the first worker gets the total."""
-        kept, rows = np.array(snapshot["rows"]), np.zeros(self._sums.shape)
-        if rows.shape == kept.shape:
-            rows[:] = kept
-        else:
-            rows[0] = kept.sum(axis=0)
-        self._sums.assign(rows)
+        put_rows(self._sums, snapshot["rows"])
         self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:

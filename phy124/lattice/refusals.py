@@ -128,7 +128,7 @@ def _refusals_of_immersed(scene: Any) -> Iterator[Refusal]:
         limit = "free solids are not supported if lattices are in a liquid."
         yield Refusal("objects.motion", solids, limit)
     moving = [item for item in (scene, *scene.objects) if not getattr(item, "scenery", False)]
-    names = [each.name for each in scene.every_object if not getattr(each, "scenery", False)]
+    names = [each.name for each in scene.every_object if not each.scenery]
     wet = [name for name, item in zip(names, moving, strict=True) if item.material.law == "fluid"]
     for number, force in enumerate(scene.acting):
         if len(wet) > 1 and force.object in wet:

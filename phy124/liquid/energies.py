@@ -18,6 +18,7 @@ from phy124.mpm import Model, State
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import put_rows
 
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
@@ -141,12 +142,7 @@ class Energies:
 
     def restore(self, snapshot: list[list[float]]) -> None:
         """Restore the sums; if the number of workers differs, the first worker gets all sums."""
-        rows = np.zeros(self._sums.shape)
-        if rows.shape == np.shape(snapshot):
-            rows[:] = snapshot
-        else:
-            rows[0] = np.sum(snapshot, axis=0)
-        self._sums.assign(rows)
+        put_rows(self._sums, snapshot)
 
     def _row(self, worker: int) -> wp.array:
         return cast("wp.array", self._sums[worker])

@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
-from phy124.lattice.coupled import STATE, part_of_bodies
+from phy124.lattice.coupled import copy_points, part_of_bodies
 from phy124.lattice.shock import LatticeClock
 from phy124.lattice.solver import LatticeSolver
 from phy124.liquid.bodies import Bodies
@@ -287,16 +287,7 @@ class ImmersedSolver:
 
     def _copy_state(self) -> None:
         """Copy the state of the lattices' points to the state of all particles."""
-        points = self.lattice.state
-        for name in STATE:
-            array = getattr(self.state, name)
-            values = array.numpy()
-            values[self._index] = getattr(points, name).numpy()
-            array.assign(values)
-        if len(self.state.total):
-            total = self.state.total.numpy()
-            total[self._index] = points.F.numpy()
-            self.state.total.assign(total)
+        copy_points(self.lattice.state, self.state, self._index)
 
     def carry_nodes(self, carry: Callable[[NDArray, NDArray], Any], body: int = 0) -> None:
         """Set the positions and velocities of a body's nodes, as in `LatticeSolver.carry_nodes`."""

@@ -204,8 +204,7 @@ class Live:
         """
         limits = self.limits
         place = check_vector("grab.point", point)
-        radius = limits.radius if radius is None else radius
-        radius = check_number("grab.radius", radius, 0.01 * limits.size, 2 * limits.size)
+        radius = limits.check_radius("grab.radius", radius)
         stiffness = limits.stiffness if stiffness is None else stiffness
         stiffness = check_number("grab.stiffness", stiffness, 0, 1e4 * limits.stiffness)
         held = places.find_material(self._run, "grab.point", place, radius, object)
@@ -274,18 +273,13 @@ class Live:
                 number of pushes is already acting.
         """
         now, limits = self.time, self.limits
-        before = self._named.get(name or "")
+        before = self._named.get(name)
         acting = sum(w.end > now for w in self._inputs.wrenches if w.end and w != before)
         if acting >= PUSHES:
             limit = f"{acting} pushes act at this moment, which is the maximum."
             raise InputError("push", len(self._inputs.wrenches), limit, "Wait until a push ends.")
         seconds = check_number("push.seconds", seconds, 1e-3, 3600)
-        radius = check_number(
-            "push.radius",
-            limits.radius if radius is None else radius,
-            0.01 * limits.size,
-            2 * limits.size,
-        )
+        radius = limits.check_radius("push.radius", radius)
         place = None if at is None else check_vector("push.at", at)
         point, of = None, places.check_object(self._scene, "push.object", object)
         if place is not None:

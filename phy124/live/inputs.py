@@ -84,9 +84,12 @@ class Inputs:
 
     def end_push(self, before: WrenchForce | None, now: float) -> None:
         """End a push at `now` [s]; if the push has not begun, remove it."""
-        if before in self.wrenches:
-            index = self.wrenches.index(before)
-            self.wrenches[index : index + 1] = _cut_push(before, now)
+        if before is None or before not in self.wrenches:
+            return
+        end = now if before.end is None else min(before.end, now)
+        cut = [before.model_copy(update={"end": end})] if before.start < now else []
+        index = self.wrenches.index(before)
+        self.wrenches[index : index + 1] = cut
 
     def scene(self, since: float = 0.0) -> Scene:
         """Return the scene with all inputs except inputs that ended before `since` [s]."""
@@ -153,14 +156,6 @@ class Inputs:
 def _acts_after(item: GrabRecord | WrenchForce | Gravity, since: float) -> bool:
     """Return whether an input acts after `since` [s]."""
     return item.end is None or item.end > since
-
-
-def _cut_push(push: WrenchForce, now: float) -> list[WrenchForce]:
-    """Return a push that ends at `now` [s]; empty if the push has not begun."""
-    if push.start >= now:
-        return []
-    end = now if push.end is None else min(push.end, now)
-    return [push.model_copy(update={"end": end})]
 
 
 def is_movable(scene: Scene, index: int) -> bool:

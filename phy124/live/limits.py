@@ -75,6 +75,15 @@ class Limits:
         """Radius of the material that a hand holds [m]."""
         return 0.2 * self.size
 
+    def check_radius(self, field: str, value: float | None) -> float:
+        """Return the radius [m] of the material on which an input acts; None: the default.
+
+        Raises:
+            InputError: The radius is not a number within the bounds.
+        """
+        radius = self.radius if value is None else value
+        return check_number(field, radius, 0.01 * self.size, 2 * self.size)
+
     def strength(self, modulus: float, radius: float) -> float:
         """Return the default strength of a hand [N].
 

@@ -118,7 +118,7 @@ def _list_rigid(run: Simulation) -> dict[str, Motion]:
     scenery, free, motions = run.setup.scenery, run.solver.free, {}
     tracks, time = dict(scenery.tracks), run.solver.clock.time
     for number, item in enumerate(run.scene.every_object):
-        if getattr(item, "scenery", False):
+        if item.scenery:
             of_item = scenery.gaussians.object_id == number
             place = scenery.gaussians.means[of_item].mean(axis=0, dtype=np.float64)
             velocity, quat = np.zeros(3), quaternions(euler(item.turn)[None])[0]
@@ -252,11 +252,7 @@ def _list_movable(scene: Scene) -> list[int]:
 
     If all objects are fixed, return all indices.
     """
-    numbers = [
-        i
-        for i, item in enumerate(scene.every_object)
-        if not (item.held or getattr(item, "scenery", False))
-    ]
+    numbers = [i for i, item in enumerate(scene.every_object) if not (item.held or item.scenery)]
     return numbers or list(range(len(scene.names)))
 
 
@@ -267,7 +263,7 @@ def _object_number(scene: Scene, field: str, name: str | None) -> int | None:
     if name not in scene.names:
         raise InputError(field, name, "there is no such object.", f"({', '.join(scene.names)})")
     number = scene.names.index(name)
-    if getattr(scene.every_object[number], "scenery", False):
+    if scene.every_object[number].scenery:
         limit = "it has no particles to hold."
         raise InputError(field, name, limit, "Choose an object that is made of a material.")
     if number not in _list_movable(scene):

@@ -21,7 +21,7 @@ from phy124.monitor.diagnostics import Diagnostics, Totals
 from phy124.monitor.external_work import MEAN, ExternalWork
 from phy124.monitor.lattice import LatticeContacts, LatticePairs, LatticeTotals, LatticeWatchdog
 from phy124.monitor.observer import Effect, Observed, Observer, Subject
-from phy124.monitor.wrenches import Wrenches, wall_names
+from phy124.monitor.wrenches import Wrenches, simple_wall_names
 from phy124.mpm import Attachable, Clock
 from phy124.scene import Scene
 
@@ -86,11 +86,7 @@ class CoupledWrenches(Wrenches):
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Sequence[Attachable]:
         """Return the walls with measuring stages; store the names of the walls."""
-        self._parts = [
-            name if len(wall.parts()) == 1 else f"{name}_{part}"
-            for name, wall in zip(wall_names(walls), walls, strict=True)
-            for part in wall.part_names()
-        ]
+        self._parts = simple_wall_names(walls)
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
-import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
@@ -22,7 +21,7 @@ from phy124.mpm import Model, State
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import Part
+from phy124.mpm.workers import Part, put_rows
 
 STAGE = "dissipation"
 """Name of the stages that sum the work of the stress."""
@@ -136,12 +135,7 @@ class Dissipation(Observer):
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the sums; if the number of workers differs, the first worker gets all sums."""
         assert self._sums is not None
-        rows = np.array(snapshot["sums"])
-        if rows.shape != self._sums.shape:
-            whole = np.zeros(self._sums.shape)
-            whole[0] = rows.sum(axis=0)
-            rows = whole
-        self._sums.assign(rows)
+        put_rows(self._sums, snapshot["sums"])
         self._stress.assign(snapshot["stress"])
 
 

@@ -89,7 +89,7 @@ class ExternalWork(Observer):
         s).
         """
         if subject.scene.boundaries:
-            yield from wall_kernels(real)
+            yield from (kernels.make_wall_copy(real), kernels.make_wall_sums(real))
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -301,7 +301,8 @@ class ExternalWork(Observer):
         """
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
-        copy, sums = push_kernels(model.real, keeps_C)
+        copy = kernels.make_push_copy(model.real, keeps_C)
+        sums = (kernels.make_push_sums_v if keeps_C else kernels.make_push_sums)(model.real)
 
         def copies_for(grid: Grid) -> list[wp.array]:
             """Return arrays for copies of v and C of the particles on which forces act."""
@@ -329,17 +330,13 @@ class ExternalWork(Observer):
     ) -> tuple[Stage, Stage]:
         """Return stages before and after the `stages` of walls."""
         del stages, state
-        near, (copy, sums) = NodesNear(walls, model), wall_kernels(model.real)
-
-        def before(grid: Grid) -> wp.Launch | None:
-            near.fit(grid)
-            return model.launch(copy, near.threads, near.read, [near.copy])
+        near, kernel = NodesNear(walls, model), kernels.make_wall_sums(model.real)
 
         def after(grid: Grid) -> wp.Launch | None:
             inputs = [*near.read, near.copy]
-            return model.launch(sums, near.threads, inputs, [self._accumulator(WALL, grid)])
+            return model.launch(kernel, near.threads, inputs, [self._accumulator(WALL, grid)])
 
-        return Stage(STAGE, before), Stage(STAGE, after)
+        return Stage(STAGE, near.record_copy), Stage(STAGE, after)
 
 
 class MeanWork(ExternalWork):
@@ -371,16 +368,3 @@ class MeanWork(ExternalWork):
         sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
         self._device[MEAN_PUSH] = sums
         solver.keep_pushes(sums)
-
-
-def push_kernels(real: Any, keeps_C: bool) -> tuple[Any, Any]:
-    """Return the kernels that run before and after forces on particles; if `keeps_C` is set, no
-    force changes C.
-    """
-    sums = kernels.make_push_sums_v(real) if keeps_C else kernels.make_push_sums(real)
-    return kernels.make_push_copy(real, keeps_C), sums
-
-
-def wall_kernels(real: Any) -> tuple[Any, Any]:
-    """Return the kernels that run before and after walls act."""
-    return kernels.make_wall_copy(real), kernels.make_wall_sums(real)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -66,7 +67,6 @@ class Interior(Observer):
         self._shown, self._rest, self._materials = shown, particles, materials
         self._spacing, self._dx, self._keep = spacing, dx, keep
         self._real: Any = wp.float32
-        self._inside: NDArray[np.int64] | None = None
         self._uploaded: tuple[wp.array, wp.array, wp.array] | None = None
         self._opened: dict[int, Opened] = {}
         """The exposed particles and their positions, for each frame with torn material."""
@@ -108,9 +108,6 @@ class Interior(Observer):
             index: Index of the frame.
             x: Positions of the particles [P,3], m.
         """
-        if self._inside is None:
-            self._prepare()
-        assert self._inside is not None
         lost = self._find_lost(x)
         # Gaps are wider than a particle, so the second layer of particles is also visible.
         alone = np.zeros(len(x), bool)
@@ -124,7 +121,6 @@ class Interior(Observer):
 
         The kernel is compiled at first use, because most runs do not need it.
         """
-        assert self._inside is not None
         if self._uploaded is None:
             chosen, neighbours = (
                 wp.array(array, dtype=wp.int32, device=x.device)
@@ -165,8 +161,6 @@ class Interior(Observer):
         ids, grain = np.unique(np.concatenate([f["ids"] for f in frames]), return_inverse=True)
         if not len(ids):
             return None
-        if self._inside is None:
-            self._prepare()
         above, grains = self._make_grains(ids)
         frame = np.repeat(np.arange(count, dtype=np.int32), [len(f["ids"]) for f in frames])
         order = np.argsort(grain, kind="stable")
@@ -182,20 +176,29 @@ class Interior(Observer):
         """Restore the exposed particles from a snapshot."""
         self._opened = {int(index): opened for index, opened in snapshot.items()}
 
-    def _prepare(self) -> None:
-        """Find the elastic particles without a Gaussian, with their neighbours and grains."""
+    @cached_property
+    def _objects(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]]:
+        """Gaussians of each object, its particles that may be exposed, and their neighbours."""
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
         # Each object is handled alone, because objects that touch at the start and then separate
         # are not torn.
-        self._objects = [
+        return [
             (gaussians, *self._prepare_object(gaussians, particles, free[particles]))
             for gaussians, particles in by_object(self._shown, rest)
             if len(particles)
         ]
-        _, inside, neighbours = zip(*self._objects, strict=True)
-        self._inside, self._neighbours = np.concatenate(inside), np.concatenate(neighbours)
+
+    @cached_property
+    def _inside(self) -> NDArray[np.intp]:
+        """Particles that may be exposed, object by object [I]."""
+        return np.concatenate([inside for _, inside, _ in self._objects])
+
+    @cached_property
+    def _neighbours(self) -> NDArray[np.intp]:
+        """Neighbours of these particles at rest [I,7]."""
+        return np.concatenate([neighbours for *_, neighbours in self._objects])
 
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]

@@ -28,7 +28,7 @@ from phy124.monitor.external_work import MEAN, MeanWork
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.observer import Cost, Effect, Observed, Observer, Subject
 from phy124.monitor.watchdog import Watchdog
-from phy124.monitor.wrenches import Wrenches, wall_names
+from phy124.monitor.wrenches import Wrenches, simple_wall_names
 from phy124.mpm import Attachable, Clock
 from phy124.mpm.model import Group
 from phy124.scene import Scene
@@ -172,11 +172,7 @@ class LatticeWrenches(Wrenches):
         self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
     ) -> Any:
         """Return the walls unchanged, and store the names of the walls."""
-        self._names = tuple(
-            name if len(wall.parts()) == 1 else f"{name}_{part}"
-            for name, wall in zip(wall_names(walls), walls, strict=True)
-            for part in wall.part_names()
-        )
+        self._names = tuple(simple_wall_names(walls))
         return walls if inner is None else inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:

@@ -14,6 +14,7 @@ import warp as wp
 from phy124.boundaries import Boundary
 from phy124.boundaries.base import Corners, swept
 from phy124.kernels.reduction import along_rows
+from phy124.kernels.work import make_wall_copy
 from phy124.mpm import Attachable, Grid, Model, Stage, State
 from phy124.mpm.tracks import Tracks
 
@@ -43,7 +44,7 @@ class NodesNear:
     """
 
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
-        self._corners, self._device = _reach(walls, model), model.device
+        self._corners, self._model = _reach(walls, model), model
         self.threads: tuple[int, ...] = ()
         """Shape of the launch of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
@@ -57,10 +58,16 @@ class NodesNear:
         """Determine the nodes for the grid's current window."""
         start, extent = grid.nodes_within(*self._corners)
         corners = np.stack([start, extent]).astype(np.int32)
-        box = wp.array(corners, dtype=wp.vec3i, device=self._device)
-        self.copy = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=self._device)
-        self.threads, each = along_rows(extent, self._device)
+        box = wp.array(corners, dtype=wp.vec3i, device=self._model.device)
+        self.copy = wp.empty(int(np.prod(extent)), dtype=grid.vec4, device=self._model.device)
+        self.threads, each = along_rows(extent, self._model.device)
         self.read = [each, box, grid.window, grid.nodes]
+
+    def record_copy(self, grid: Grid) -> wp.Launch | None:
+        """Fit to the grid's current window, and record the launch that copies the nodes."""
+        self.fit(grid)
+        kernel = make_wall_copy(self._model.real)
+        return self._model.launch(kernel, self.threads, self.read, [self.copy])
 
 
 def _reach(walls: Sequence[Boundary], model: Model) -> Corners:

@@ -341,7 +341,9 @@ class Watchdog(Observer):
             self._unresolved_lift(),
         )
         gained = now.energy - self.first.energy - outside.work
-        moved = max(self.balance.moved, self._momentum_scale(now), outside.moved)
+        # The first term is an upper bound of the sum of the norms of all particles' momenta.
+        momenta = math.sqrt(2 * self.model.total_mass * now.kinetic)
+        moved = max(self.balance.moved, momenta, outside.moved)
         stopped = self._solver.pairs.impulse() - self._stopped
         moved = max(moved, float(np.linalg.norm(stopped)))
         missing = now.momentum - self.first.momentum - outside.impulse - stopped
@@ -402,10 +404,6 @@ class Watchdog(Observer):
         if pull is None:
             return 0.0
         return LEVEL * self.model.dx * self.model.total_mass * float(np.linalg.norm(pull))
-
-    def _momentum_scale(self, now: Diagnostics) -> float:
-        """Add up the norms of all momenta, and return an upper bound of this sum [kg m/s]."""
-        return math.sqrt(2 * self.model.total_mass * now.kinetic)
 
     def _who(self, index: int) -> str:
         """Return a description of a particle for messages."""

@@ -66,7 +66,7 @@ class Wrenches(Observer):
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernels that measure a wall."""
         if subject.scene.keeps_wrenches and subject.scene.boundaries:
-            yield from wrench_kernels(real)
+            yield from (make_wall_copy(real), kernels.make_wall_wrench(real))
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -170,20 +170,14 @@ class Wrenches(Observer):
     def measure(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
         """Return the stages before and after a wall; `name` identifies the wall's sums."""
         self._sums[name] = {}
-        near, (copy, wrench) = NodesNear([wall], model), wrench_kernels(model.real)
-
-        def before(grid: Grid) -> wp.Launch | None:
-            near.fit(grid)
-            return model.launch(copy, near.threads, near.read, [near.copy])
+        near, kernel = NodesNear([wall], model), kernels.make_wall_wrench(model.real)
 
         def after(grid: Grid) -> wp.Launch | None:
-            inputs, sums = (
-                [grid.lattice, *near.read, near.copy],
-                self._worker_sums(name, grid, model),
-            )
-            return model.launch(wrench, near.threads, inputs, [sums])
+            inputs = [grid.lattice, *near.read, near.copy]
+            sums = self._worker_sums(name, grid, model)
+            return model.launch(kernel, near.threads, inputs, [sums])
 
-        return Stage(STAGE, before), Stage(STAGE, after)
+        return Stage(STAGE, near.record_copy), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
         """Return a worker's array of sums for one wall; no other thread adds to this array."""
@@ -260,6 +254,15 @@ def wall_names(walls: Sequence[Boundary]) -> list[str]:
     return names
 
 
+def simple_wall_names(walls: Sequence[Boundary]) -> list[str]:
+    """Return a name for each simple wall of each boundary, in the order of the boundaries."""
+    return [
+        name if len(wall.parts()) == 1 else f"{name}_{part}"
+        for name, wall in zip(wall_names(walls), walls, strict=True)
+        for part in wall.part_names()
+    ]
+
+
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
     """Return for each name the largest force, the time of this force, and the last wrench.
 
@@ -280,8 +283,3 @@ def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | N
             "last": {"force": last.force.tolist(), "torque": last.torque.tolist()},
         }
     return rows
-
-
-def wrench_kernels(real: Any) -> tuple[Any, Any]:
-    """Return the kernels that measure a wall: one before and one after the wall acts."""
-    return make_wall_copy(real), kernels.make_wall_wrench(real)

@@ -21,6 +21,7 @@ from phy124.kernels.pairs import make_pair
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded
+from phy124.mpm.workers import put_rows
 
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
@@ -140,13 +141,7 @@ class Pairs:
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the sums; if the number of workers differs, restore only the totals."""
-        kept = snapshot["sums"]
-        sums = np.asarray(kept.numpy() if isinstance(kept, wp.array) else kept)
-        if sums.shape != self._sums.shape:
-            whole = np.zeros(self._sums.shape)
-            whole[0] = sums.sum(axis=0)
-            sums = whole
-        self._sums.assign(sums)
+        put_rows(self._sums, snapshot["sums"])
         self._begun = np.asarray(snapshot["begun"])
         self._added = np.array(snapshot.get("added", 0.0) + np.zeros((len(self.all), SUMS)))
 

@@ -121,7 +121,11 @@ def _is_whole(file: Path) -> bool:
     """
     with open(file, "rb") as stream:
         if file.suffix == ".meta":
-            return _is_json(stream.read())
+            try:
+                json.loads(stream.read())
+            except ValueError:
+                return False
+            return True
         head = stream.read(64)
         if file.suffix != ".o" or not sys.platform.startswith("linux"):
             return True
@@ -134,14 +138,6 @@ def _is_whole(file: Path) -> bool:
         stream.seek(start + size * (count - 1))
         last = stream.read(size)  # the header of the last section is at the end of the file
         return len(last) == size and any(last)
-
-
-def _is_json(text: bytes) -> bool:
-    try:
-        json.loads(text)
-    except ValueError:
-        return False
-    return True
 
 
 @contextmanager

@@ -148,7 +148,7 @@ class Scene(Section):
         self._check_energy()
         check_free(self.every_object, self.boundaries)
         check_pairs(self.pairs, self.names)
-        moving = [item.name for item in self.every_object if not getattr(item, "scenery", False)]
+        moving = [item.name for item in self.every_object if not item.scenery]
         for section in (*self.forces, *self.boundaries):
             if section.object is not None:
                 check_name(section.object, moving)

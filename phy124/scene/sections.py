@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -73,6 +74,11 @@ class Object(Section):
         description="The object never moves, and acts on other objects like a wall.",
     )
 
+    @property
+    def scenery(self) -> bool:
+        """Whether the object has no particles."""
+        return False
+
 
 class Timing(Section):
     """Number and rate of the stored frames, and limits on the substep and the computing time."""
@@ -104,6 +110,11 @@ class Timing(Section):
         "refused. A running simulation is stopped when its busiest thread has used twice this "
         "time.",
     )
+
+    @property
+    def ceiling(self) -> float:
+        """Longest substep allowed [s]; infinity if only stability limits the substep."""
+        return math.inf if self.substep is None else self.substep
 
     @model_validator(mode="before")
     @classmethod

@@ -43,7 +43,7 @@ from phy124.scene.objects import ANY, find_pair
 from phy124.simulation.appearance import Appearance, make_appearance
 from phy124.simulation.materials import assign_materials, vary_materials
 from phy124.simulation.overlap import refuse_objects
-from phy124.simulation.placing import belongs, number_among_all, place, renumber_parts, stack
+from phy124.simulation.placing import mask_object, number_among_all, place, renumber_parts, stack
 
 FEWEST = 8
 """If an object is shorter than this number of cells, a note warns the user of a coarse grid."""
@@ -120,7 +120,7 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
     for index, (item, there) in enumerate(zip(every, standing, strict=True)):
         item = item._replace(gaussians=there)
         with errors_prefixed_with(scene, index):
-            still = getattr(scene.every_object[index], "scenery", False)
+            still = scene.every_object[index].scenery
             bodies.append(
                 _without_particles(item) if still else _with_particles(item, scene.spacing)
             )
@@ -139,7 +139,7 @@ def proportions_of(gaussians: Gaussians, scene: Scene) -> Proportions | None:
     """
     interiors = []
     for index, body in enumerate(scene.every_object):
-        if getattr(body, "scenery", False):
+        if body.scenery:
             continue
         with errors_prefixed_with(scene, index):
             placed = _clean_and_place(_source(gaussians, scene, index), scene.alone(index), WHOLE)
@@ -260,7 +260,7 @@ def _clean_and_place(gaussians: Gaussians, scene: Scene, crop: Crop) -> Placed:
     """Clean and place the Gaussians of one object."""
     gaussians, cleaned = clean(gaussians)
     renumbered = renumber_parts(scene, cleaned.survivors)
-    belonging = belongs(renumbered, len(gaussians))
+    belonging = mask_object(renumbered, len(gaussians))
     placed = place(gaussians, renumbered, belonging)
     return Placed(renumbered, cleaned, belonging, placed, crop)
 

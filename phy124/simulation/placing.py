@@ -15,7 +15,7 @@ from phy124.particles import Particles, size_transform
 from phy124.scene import Scene
 
 
-def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
+def mask_object(scene: Scene, count: int) -> NDArray[np.bool_]:
     """Return a mask [count] of the Gaussians of the object, without its surroundings."""
     belonging = np.ones(count, bool)
     for part in scene.parts:
@@ -27,10 +27,10 @@ def belongs(scene: Scene, count: int) -> NDArray[np.bool_]:
 def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> Gaussians:
     """Return scaled and rotated Gaussians; only the object is shifted, not its surroundings."""
     body = scene.object
-    standing = gaussians.transform(*placing(gaussians, scene, belonging))
+    standing = gaussians.transform(*find_placement(gaussians, scene, belonging))
     if any(body.turn):
         standing = rotate_gaussians(standing, euler(body.turn))
-        scale, offset = placing(standing, scene, belonging)
+        scale, offset = find_placement(standing, scene, belonging)
         standing = standing.transform(1.0, offset / scale)
     return shift(standing, belonging, (*body.place, body.lift))
 
@@ -49,7 +49,7 @@ def shift(
     return replace(gaussians, means=means)
 
 
-def placing(
+def find_placement(
     gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]
 ) -> tuple[float, NDArray[np.float64]]:
     """Return the scale and the offset [3], m, that give the object its size and put it on z = 0."""

@@ -92,7 +92,7 @@ class Simulation:
         size = cost.BYTES_PER_GAUSSIAN * count * scene.time.frames
         self.light = setup.keep and setup.shapes and not measured and size > cost.HELD
         """Whether `frames` contain no Gaussians; these are computed later from the motion."""
-        self._moved: Recorded | None = None
+        self._recorded: Recorded | None = None
         self.rotations: list[NDArray] = []
         """Rotations of the Gaussians in each frame [N,4] wxyz, if colours depend on rotations."""
         self.poses: list[NDArray] = []
@@ -248,11 +248,11 @@ class Simulation:
             every: Whether to compute frames of a light run that have not been read.
         """
         look, materials = self.setup.appearance, self.setup.materials
-        if self._moved is None:
+        if self._recorded is None:
             measure = look.elongation(materials)
             ratios = [measure({"scales": scales}) for scales in clip.scales]
         else:
-            ratios = self._moved.measurements(every=every)
+            ratios = self._recorded.measurements(every=every)
         return {"shapes": look.shapes(ratios, clip.opacities, materials)}
 
     def report(self) -> dict[str, Any]:
@@ -354,12 +354,12 @@ class Simulation:
     def _frames_so_far(self) -> Recorded:
         """Return the frames of a light run; the Gaussians are computed when a frame is read."""
         motion = self._motion(np.array([frame.time for frame in self.frames]))
-        if self._moved is None:
+        if self._recorded is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
             threads, frames = self.setup.context.threads, self.scene.time.frames
-            self._moved = Recorded(motion, measure=measure, threads=threads, frames=frames)
-        self._moved.motion = motion
-        return self._moved
+            self._recorded = Recorded(motion, measure=measure, threads=threads, frames=frames)
+        self._recorded.motion = motion
+        return self._recorded
 
     def _follows_particles(self) -> bool:
         """Return whether the Gaussians of all frames can be computed from the recorded motion."""
@@ -461,11 +461,6 @@ class Simulation:
         for observer in self.observers:
             observer.before_attempt(closely=closely)
 
-    def after_substep(self) -> None:
-        """Let the observers read the state after each substep."""
-        for observer in self.observers:
-            observer.after_substep()
-
     def after_attempt(self) -> Violation | None:
         """Return the first error that an observer reports at the end of a frame."""
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
@@ -492,7 +487,8 @@ class Simulation:
         last = solver.clock.substeps + self.most_substeps
 
         def after() -> None:
-            self.after_substep()
+            for observer in self.observers:
+                observer.after_substep()
             if solver.clock.substeps >= last and solver.clock.time < index / self.scene.time.fps:
                 causes = (*SLOW[solver.clock.stable().limiter], "cells")
                 why = f"frame {index} needs more than {self.most_substeps:g} substeps"

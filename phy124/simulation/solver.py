@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -60,11 +59,17 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     v, C = _initial_motion(x, particles, scene)
     fluid = np.array([section.law == "fluid" for section in setup.materials])
     floors = [wall.height for wall in scene.boundaries if isinstance(wall, Ground)]
-    bodies = [0] if particles.body is None else np.unique(particles.body).tolist()
+    bodies, number = [0], None
+    if particles.body is not None:
+        # Scenery has an index but no particles, so the indices of the bodies have gaps.
+        unique, number = np.unique(particles.body, return_inverse=True)
+        bodies, number = unique.tolist(), number.reshape(-1)
     held = {index for index, body in enumerate(scene.every_object) if body.held}
-    number = number_bodies(particles.body)
-    wet = find_wet(fluid, particles.material, number) if scene.mixes else []
-    if scene.couples and not scene.projects:
+    wet: list[int] = []
+    if scene.mixes:
+        flows = fluid[particles.material]
+        wet = [place for place in range(len(bodies)) if flows[number == place].all()]
+    elif scene.couples and not scene.projects:
         wet = [place for place, index in enumerate(bodies) if scene.on_lattices[index]]
     names, surface = [scene.names[index] for index in bodies], particles.surface
     if surface is not None:
@@ -94,7 +99,7 @@ def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
     state = State.of(model, v, C)
     options: dict[str, Any] = {
         **wrap(scene, observers),
-        "ceiling": math.inf if scene.time.substep is None else scene.time.substep,
+        "ceiling": scene.time.ceiling,
         "threads": setup.threads,
     }
     if scene.projects and not scene.mixes:
@@ -227,31 +232,10 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
     yield from free.kernels_of((body.shape or "" for body in scene.objects if body.free), real)
 
 
-def find_wet(fluid: NDArray, material: NDArray | None, body: NDArray | None) -> list[int]:
-    """Return the indices of the liquid bodies.
-
-    Args:
-        fluid: Whether each material is a liquid [M].
-        material: Material of each particle [P]; None: the first material.
-        body: Index of each particle's body [P]; None: a single body.
-    """
-    if material is None or body is None:
-        return []
-    bodies: list[int] = np.unique(body).tolist()
-    return [number for number in bodies if fluid[material[body == number]].all()]
-
-
 def scheme_of(scene: Scene) -> Scheme:
     """Return the grid-to-particle transfer scheme of a scene."""
     accuracy = scene.resolution
     return Scheme(accuracy.passes, accuracy.share, accuracy.rpic_damping)
-
-
-def number_bodies(body: NDArray | None) -> NDArray | None:
-    """Return body indices without gaps [P]; there are gaps because scenery has an index but no
-    particles.
-    """
-    return None if body is None else np.unique(body, return_inverse=True)[1].reshape(-1)
 
 
 def _pairs(names: Sequence[str], scene: Scene) -> Iterator[Pair]:

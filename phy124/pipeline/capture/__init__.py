@@ -26,7 +26,7 @@ from phy124.pipeline.capture.floor import Floor, find_floor
 from phy124.progress import Progress, silent
 from phy124.scene import Part, Scene
 from phy124.schema.region import EVERYWHERE, PartRegion
-from phy124.simulation.placing import placing
+from phy124.simulation.placing import find_placement
 
 VISIBLE = 0.1
 """The floor is detected from Gaussians with at least this opacity."""
@@ -192,7 +192,7 @@ def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) ->
     kept, cleaned = clean(read.gaussians)
     assert cleaned.survivors is not None
     belonging = np.flatnonzero(cleaned.survivors) < read.count
-    scale, offset = placing(kept, scene, belonging)
+    scale, offset = find_placement(kept, scene, belonging)
     offset = offset + scale * read.offset + [*scene.object.place, scene.object.lift]
     scale *= read.scale
     parts = []
