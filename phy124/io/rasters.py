@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,7 +67,7 @@ def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str,
     Raises:
         InputError: If OpenEXR is not installed or the file cannot be written.
     """
-    exr = _openexr()
+    exr = load_exr()
     header = {"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}
     planes = {
         name: np.ascontiguousarray(raster[..., i], np.float32) for i, name in enumerate(channels)
@@ -75,16 +76,12 @@ def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str,
         file.write(os.fspath(temporary))
 
 
-def refuse_missing_exr() -> None:
-    """Raise an error if OpenEXR, the package that writes EXR files, is not installed.
+def load_exr() -> Any:
+    """Import OpenEXR, which writes EXR files.
 
     Raises:
         InputError: If the package is missing.
     """
-    _openexr()
-
-
-def _openexr():
     try:
         import OpenEXR
     except ImportError as error:

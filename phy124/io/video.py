@@ -119,15 +119,15 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
         ValueError: If a frame is not uint8 [H,W,3], or its size differs from that of the first
             frame.
     """
-    return _write_film(path, frames, fps, (3,))
+    return write_film(path, frames, fps=fps)
 
 
 def write_film(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: float) -> int:
     """Write frames as a video that may be transparent, and return the number of frames.
 
     Args:
-        path: Name of the file, which ends in .webm (VP9) or .mov (ProRes 4444). The file appears
-            only when it is complete.
+        path: Name of the file, which ends in .webm (VP9) or .mov (ProRes 4444); a file of another
+            name is an opaque MP4. The file appears only when it is complete.
         frames: RGB or RGBA frames, uint8 [H,W,3] or [H,W,4] with straight alpha; a generator is
             always closed. Odd sizes are padded in the same way as by `write_mp4`.
         fps: Number of frames per second.
@@ -136,20 +136,14 @@ def write_film(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: 
         InputError: For the reasons listed at `write_mp4`.
         ValueError: If the type or size of a frame differs from that of the first frame.
     """
-    return _write_film(path, frames, fps, (3, 4))
-
-
-def _write_film(
-    path: str | os.PathLike[str], frames: Iterable[Picture], fps: float, channels: tuple[int, ...]
-) -> int:
-    """Encode frames with ffmpeg; the file name extension determines the encoder."""
+    ending = Path(path).suffix.lower()
     with _closing(frames), replacing(path) as temporary:
         _check_rate(fps)
-        first, pictures = _peek(frames, channels)
+        first, pictures = _peek(frames, (3, 4) if ending in FILMS else (3,))
         padding = [(0, first.shape[0] % 2), (0, first.shape[1] % 2), (0, 0)]
         even = (np.pad(picture, padding, "edge") for picture in pictures)
         codec = [*CODEC, *ENCODER]
-        if (ending := Path(path).suffix.lower()) in FILMS:
+        if ending in FILMS:
             formats, words = FILMS[ending]
             codec = ["-vf", BT709, "-pix_fmt", formats[first.shape[2]], *words.split()]
         written = _encode(temporary, path, even, fps, codec)

@@ -19,7 +19,7 @@ import numpy as np
 from phy124.errors import InputError
 from phy124.io.clip import Clip
 from phy124.io.files import staging
-from phy124.io.formats.usd import refuse_missing_usd, write_usd
+from phy124.io.formats.usd import load_usd, write_usd
 from phy124.io.html import write_html
 from phy124.io.sequence import write_sequence
 from phy124.io.video import (
@@ -387,4 +387,4 @@ def refuse_missing_writers(view: View) -> None:
     if {"mp4", "webm", "mov"} & {*view.formats}:
         refuse_missing_encoder()
     if "usd" in view.formats:
-        refuse_missing_usd()
+        load_usd()

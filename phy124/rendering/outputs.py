@@ -28,7 +28,7 @@ from phy124.io.clip import Clip
 from phy124.io.files import staging
 from phy124.io.rasters import (
     MIDDLE,
-    refuse_missing_exr,
+    load_exr,
     sixteen_bits,
     step_of,
     write_exr,
@@ -109,7 +109,7 @@ def refuse_outputs(view: View, frames: int) -> None:
         limit = "flow needs at least two frames."
         raise InputError("view.outputs", moving[0], limit, "Remove the output, or keep two frames.")
     if view.outputs and view.output_format == "exr":
-        refuse_missing_exr()
+        load_exr()  # refuses a missing package
 
 
 def refuse_unkept(clip: Clip, view: View) -> None:

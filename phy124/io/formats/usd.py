@@ -40,7 +40,7 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
         InputError: If usd-core is not installed or too old, the clip is empty, or the file cannot
             be written.
     """
-    pxr = _pxr()
+    pxr = load_usd()
     if Path(path).suffix.lower() not in ENDINGS:
         limit = "the name of a USD file ends in .usdc, .usda or .usd."
         raise InputError("output", path, limit, "Rename it; prefer .usdc.")
@@ -57,17 +57,12 @@ def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = 
         stage.GetRootLayer().Save()
 
 
-def refuse_missing_usd() -> None:
-    """Raise an error if usd-core, the package that writes USD files, is not installed or too old.
+def load_usd() -> Any:
+    """Import the modules of OpenUSD that this module uses.
 
     Raises:
-        InputError: If the package is missing or too old.
+        InputError: If the package usd-core is missing or too old.
     """
-    _pxr()
-
-
-def _pxr() -> Any:
-    """Import the modules of OpenUSD that this module uses."""
     try:
         from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 

@@ -24,7 +24,7 @@ from phy124.io.content import Y_UP
 from phy124.io.files import replacing
 from phy124.io.formats.mesh import find_surface, to_linear
 from phy124.io.formats.moving_mesh import CELLS, follow
-from phy124.io.formats.usd import refuse_missing_usd, save_at_times, set_times
+from phy124.io.formats.usd import load_usd, save_at_times, set_times
 from phy124.progress import Progress, silent
 
 
@@ -34,7 +34,7 @@ def write_usdz(path: str | os.PathLike[str], clip: Clip, *, progress: Progress =
     Raises:
         InputError: The clip is empty, a package is missing, or the file cannot be written.
     """
-    refuse_missing_usd()
+    load_usd()  # refuses a missing package
     clip.refuse_empty()
     names = ("Sdf", "Usd", "UsdGeom", "UsdUtils", "Vt")
     Sdf, Usd, UsdGeom, UsdUtils, Vt = (import_module(f"pxr.{name}") for name in names)

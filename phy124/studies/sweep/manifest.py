@@ -41,15 +41,6 @@ def sweep_rows(storage: Storage) -> None:
         storage.sweep(folder)
 
 
-def refuse_missing_tables() -> None:
-    """Refuse a sweep if its manifest cannot be written.
-
-    Raises:
-        InputError: pyarrow is not installed.
-    """
-    _arrow()
-
-
 def flat(row: Row) -> Row:
     """Flatten a row, so that each value in `set` and each time in `seconds` becomes a column."""
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
@@ -64,7 +55,7 @@ def write_manifest(storage: Storage) -> int:
     A clip may have several rows, for example if its picture or the code has changed since its first
     run. In this case, the table contains only the newest row of the clip.
     """
-    arrow, parquet = _arrow()
+    arrow, parquet = load_arrow()
     tables = list(_tables(storage, arrow))
     if not tables:
         return 0
@@ -148,7 +139,7 @@ def _read(storage: Storage) -> Any:
         written = storage.read(MANIFEST)
     except FileNotFoundError:
         return None
-    _, parquet = _arrow()
+    _, parquet = load_arrow()
     return parquet.read_table(io.BytesIO(written))
 
 
@@ -169,7 +160,7 @@ def _column(values: list[object]) -> list[object]:
     return [None if value is None else kind(str(value)) for value in values]
 
 
-def _arrow() -> tuple[Any, Any]:
+def load_arrow() -> tuple[Any, Any]:
     """Import pyarrow and pyarrow.parquet.
 
     Raises:

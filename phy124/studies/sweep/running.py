@@ -13,7 +13,7 @@ from phy124.progress import Progress, silent
 from phy124.rendering.film import refuse_missing_writers
 from phy124.studies.sweep.cost import Remaining
 from phy124.studies.sweep.keys import Seen, key_of, key_of_request
-from phy124.studies.sweep.manifest import keys_in, refuse_missing_tables, sweep_rows, write_manifest
+from phy124.studies.sweep.manifest import keys_in, load_arrow, sweep_rows, write_manifest
 from phy124.studies.sweep.on_ray import in_turn, on_ray
 from phy124.studies.sweep.plan import Item, Plan
 from phy124.studies.sweep.storage import Storage
@@ -78,7 +78,7 @@ def run(
             "Give, for example, 3/8 for the third of eight shards.",
         )
     storage, counts = Storage(out), counts or Counts()
-    refuse_missing_tables()
+    load_arrow()  # refuses a missing package
     storage.refuse_unusable()
     sweep_rows(storage)
     storage.write("sweep.json", plan.sweep.model_dump_json(indent=2, by_alias=True).encode())
