@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ MOST_DIGITS = 30
 LINE_ENDS = rb"\r\n|\n|\r"
 """Byte sequences that end a line; `str.splitlines` would also split at other characters."""
 SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."
+refusal = partial(content.refusal, "PLY")
+"""Returns the error for an unusable PLY file; see `phy124.io.content.refusal`."""
 CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give OUT.ply."
 
 
@@ -108,14 +111,6 @@ def read_header(path: Path) -> Header:
         elements=located,
         comments=tuple(" ".join(line[1:]) for line in lines if line[:1] == ["comment"]),
     )
-
-
-def refusal(path: Path, limit: str, remedy: str) -> InputError:
-    """Return the error for an unusable PLY file.
-
-    The text `limit` starts with a lower-case letter.
-    """
-    return content.refusal("PLY", path, limit, remedy)
 
 
 def _header_lines(path: Path) -> tuple[list[list[str]], int]:

@@ -109,24 +109,6 @@ class Format:
             temporary.write_bytes(self.encode(there, antialiased=antialiased))
 
 
-__all__ = [
-    "FORMATS",
-    "MESH_ENDINGS",
-    "Format",
-    "endings",
-    "find_written_format",
-    "formats",
-    "is_file_of_gaussians",
-    "object_endings",
-    "read_as_is",
-    "read_gaussians",
-    "recognise",
-    "rotation_of",
-    "write_gaussians",
-    "written_formats",
-]
-
-
 FORMATS = {
     f.name: f
     for f in (
