@@ -20,7 +20,7 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.lattice.responses import LIMITS, RELAXED, correct, there_and_back
 from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.pairs import mass_at
-from phy124.kernels.transfer import slope, spline
+from phy124.kernels.transfer import first_node, slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
@@ -40,11 +40,7 @@ def make_grid_near(real: Any, rows: Rows):
     def grid_near(nodes, weights, rest, u, lattice, window, grid, near_out: Ints):
         s = wp.tid()
         f = (rest[s] + moved_by(u, nodes, weights, s) - xyz(lattice)) / lattice[3]
-        first = wp.vec3i(
-            int(wp.floor(f[0] - real(0.5))),
-            int(wp.floor(f[1] - real(0.5))),
-            int(wp.floor(f[2] - real(0.5))),
-        )
+        first = first_node(f)
         near_out[s] = 0
         for i in range(3):
             for j in range(3):
@@ -97,11 +93,7 @@ def make_grid_touch(real: Any, rows: Rows):
             y = rest[s] + moved_by(u, nodes, weights, s)
             place_out[s] = y
             f = (y - xyz(lattice)) / lattice[3]
-            first = wp.vec3i(
-                int(wp.floor(f[0] - real(0.5))),
-                int(wp.floor(f[1] - real(0.5))),
-                int(wp.floor(f[2] - real(0.5))),
-            )
+            first = first_node(f)
             wx = spline(f[0] - real(first[0]))
             wy = spline(f[1] - real(first[1]))
             wz = spline(f[2] - real(first[2]))
@@ -147,18 +139,15 @@ def make_grid_touch(real: Any, rows: Rows):
 @wp.func
 def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any, impulse: Any):
     """Apply the opposite of an impulse [N s] to the nodes around a point."""
-    half = type(on[0])(0.5)
-    first = wp.vec3i(
-        int(wp.floor(on[0] - half)), int(wp.floor(on[1] - half)), int(wp.floor(on[2] - half))
-    )
-    wx = spline(on[0] - type(half)(first[0]))
-    wy = spline(on[1] - type(half)(first[1]))
-    wz = spline(on[2] - type(half)(first[2]))
+    first = first_node(on)
+    wx = spline(on[0] - type(on[0])(first[0]))
+    wy = spline(on[1] - type(on[0])(first[1]))
+    wz = spline(on[2] - type(on[0])(first[2]))
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 node = first + wp.vec3i(i, j, k)
-                if mass_at(grid, window, node) > type(half)(0.0):
+                if mass_at(grid, window, node) > type(on[0])(0.0):
                     index = wp.dot(node - window[0], strides(window[1]))
                     part = wx[i] * wy[j] * wz[k] / on[3]
                     q = grid[index]
@@ -171,20 +160,17 @@ def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: A
 @wp.func
 def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any):
     """Return the mass-weighted mean velocity of the nodes around a point."""
-    half = type(on[0])(0.5)
-    first = wp.vec3i(
-        int(wp.floor(on[0] - half)), int(wp.floor(on[1] - half)), int(wp.floor(on[2] - half))
-    )
-    wx = spline(on[0] - type(half)(first[0]))
-    wy = spline(on[1] - type(half)(first[1]))
-    wz = spline(on[2] - type(half)(first[2]))
+    first = first_node(on)
+    wx = spline(on[0] - type(on[0])(first[0]))
+    wy = spline(on[1] - type(on[0])(first[1]))
+    wz = spline(on[2] - type(on[0])(first[2]))
     total = xyz(on) - xyz(on)
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 node = first + wp.vec3i(i, j, k)
                 m = mass_at(grid, window, node)
-                if m > type(half)(0.0):
+                if m > type(on[0])(0.0):
                     q = grid[wp.dot(node - window[0], strides(window[1]))]
                     total += (wx[i] * wy[j] * wz[k] * m) * xyz(q)
     return total / on[3]
