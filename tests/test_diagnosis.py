@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from phy124.materials import NeoHookean, Rigid, Sand
-from phy124.monitor.diagnostics import broken_particles, describe_particle, describe_substep, law_of
+from phy124.monitor.diagnostics import describe_particle, describe_substep, find_broken, name_law
 from phy124.studies.validation.bodies import block, make_solver
 
 
@@ -36,24 +36,24 @@ def spoil(array, index, value) -> None:
 
 
 def test_the_first_broken_particle_is_found_in_any_array(solver):
-    assert not len(broken_particles(solver.state))
+    assert not len(find_broken(solver.state))
     spoil(solver.state.F, (9, 1, 1), np.nan)
-    assert broken_particles(solver.state)[0] == 9
+    assert find_broken(solver.state)[0] == 9
     spoil(solver.state.v, (4, 2), np.inf)
-    assert broken_particles(solver.state)[0] == 4
+    assert find_broken(solver.state)[0] == 4
 
 
 def test_a_law_has_the_name_that_scenes_use():
     x = block(2)
     body = make_solver(x, np.full(len(x), 1e-4), [Rigid(speed=1, strain=0.02)], dx=0.125)
-    assert law_of(body.model, 0) == "rigid"
+    assert name_law(body.model, 0) == "rigid"
     soft = make_solver(x, np.full(len(x), 1e-4), [NeoHookean(E=1e4, damping=1)], dx=0.125)
-    assert law_of(soft.model, 0) == "neo_hookean"
+    assert name_law(soft.model, 0) == "neo_hookean"
 
 
 def test_a_particle_is_named_by_number_law_place_and_speed(solver):
     flying = len(solver.model) // 2 + 3
-    assert law_of(solver.model, 0) == "neo_hookean"
+    assert name_law(solver.model, 0) == "neo_hookean"
     words = describe_particle(solver.model, solver.state, flying)
     speed = np.linalg.norm(solver.state.v.numpy()[flying])
     assert words.startswith(f"particle {flying} of law sand, at (")

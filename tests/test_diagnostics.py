@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phy124.materials import Hencky, NeoHookean
-from phy124.monitor.diagnostics import Diagnostics, diagnose, energies, speeds
+from phy124.monitor.diagnostics import Diagnostics, compute_energies, compute_speeds, diagnose
 from phy124.studies.validation.bodies import block, make_solver
 
 DX = 0.125
@@ -46,9 +46,11 @@ def test_momentum_kinetic_energy_and_extremes_are_those_of_numpy(solver):
 
 
 def test_energies_of_particles_add_up_and_speeds_are_norms(solver):
-    result, each = diagnose(solver), energies(solver.model, solver.state)
+    result, each = diagnose(solver), compute_energies(solver.model, solver.state)
     assert each.sum() == pytest.approx(result.kinetic + result.elastic)
-    np.testing.assert_allclose(speeds(solver.state), np.linalg.norm(solver.state.v.numpy(), axis=1))
+    np.testing.assert_allclose(
+        compute_speeds(solver.state), np.linalg.norm(solver.state.v.numpy(), axis=1)
+    )
 
 
 def test_unsound_particles_are_counted_and_the_first_is_named(solver):
@@ -60,7 +62,7 @@ def test_unsound_particles_are_counted_and_the_first_is_named(solver):
     assert (result.broken, result.inverted) == (3, 2)
     # Particles are sorted by law; the numbers are those of the solver.
     assert (result.first_broken, result.first_inverted) == (11, 5)
-    assert np.isinf(energies(solver.model, solver.state)).sum() == 3
+    assert np.isinf(compute_energies(solver.model, solver.state)).sum() == 3
 
 
 def test_a_snapshot_is_plain_data_and_comes_back(solver):

@@ -9,7 +9,7 @@ from phy124.boundaries import Ground, Press
 from phy124.forces import Acceleration, Gravity, Wind
 from phy124.kernels.timestep import BLOCK
 from phy124.materials import NeoHookean, Sand
-from phy124.monitor.diagnostics import speeds
+from phy124.monitor.diagnostics import compute_speeds
 from phy124.mpm import MEASURE_EVERY, Solver, Unstable
 from phy124.mpm.tracks import Sine
 from phy124.runtime.context import RunContext
@@ -181,7 +181,7 @@ def test_graph_reports_the_fastest_instant():
         solver.advance(0.35, after=lambda s=solver, p=peaks: p.append(s.clock.recent[:2]))
         seen.append(np.max(peaks, axis=0))
     np.testing.assert_array_equal(*seen)
-    assert seen[1][0] > 1.5 * speeds(solver.state).max()
+    assert seen[1][0] > 1.5 * compute_speeds(solver.state).max()
 
 
 def test_the_host_may_stop_a_run_every_few_substeps(monkeypatch):

@@ -23,7 +23,7 @@ def test_a_busy_machine_does_not_stop_a_run(monkeypatch):
     slow = run()
     slow.run()
     assert slow.stopped is None and slow.count == 4
-    assert 0 < slow.spent.before < 60
+    assert 0 < slow.spent.earlier < 60
 
 
 def test_a_run_that_computes_for_too_long_stops(monkeypatch):
@@ -39,7 +39,7 @@ def test_time_spent_before_a_pause_counts():
     first.step(), first.step()
     second = run()
     second.restore(first.snapshot())
-    assert second.spent.before == first.spent.before > 0
+    assert second.spent.earlier == first.spent.earlier > 0
 
 
 def test_the_busiest_thread_counts():
@@ -58,7 +58,7 @@ def test_the_busiest_thread_counts():
                 team.put(compute)
             team.join()
     # The last task of a stretch is added when its thread looks for the next one.
-    assert counted.before >= 2 * 2 * work[2]
+    assert counted.earlier >= 2 * 2 * work[2]
     assert team.seconds[2] > team.seconds[1] >= 4 * work[1]
 
 

@@ -156,7 +156,7 @@ def diagnose(solver: AnySolver) -> Diagnostics:
     return Totals(solver.model, solver.state).read(solver.clock)
 
 
-def energies(model: Model, state: State) -> NDArray[np.float64]:
+def compute_energies(model: Model, state: State) -> NDArray[np.float64]:
     """Return kinetic plus elastic energy of each particle [P], J; NaN becomes infinity."""
     energy = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
@@ -168,7 +168,7 @@ def energies(model: Model, state: State) -> NDArray[np.float64]:
     return _finite_or_infinity(energy.numpy())
 
 
-def speeds(state: State) -> NDArray[np.float64]:
+def compute_speeds(state: State) -> NDArray[np.float64]:
     """Return the speed of each particle [P], m/s; NaN becomes infinity."""
     velocities: NDArray[Any] = state.v.numpy()
     return _finite_or_infinity(np.linalg.norm(velocities.astype(np.float64), axis=1))
@@ -178,14 +178,14 @@ def _finite_or_infinity(values: NDArray) -> NDArray[np.float64]:
     return np.where(np.isfinite(values), values, np.inf)
 
 
-def broken_particles(state: State) -> NDArray[np.intp]:
+def find_broken(state: State) -> NDArray[np.intp]:
     """Return, in ascending order, the indices of particles whose state is not finite."""
     arrays = [np.asarray(array.numpy()) for array in state.arrays().values() if len(array)]
     flat = [array.reshape(len(state.x), -1) for array in arrays]
     return np.flatnonzero(~np.isfinite(np.concatenate(flat, axis=1)).all(axis=1))
 
 
-def law_of(model: Model, index: int) -> str:
+def name_law(model: Model, index: int) -> str:
     """Return the name of a particle's constitutive law, as written in scene files."""
     kernel = next(g.law.name for g in model.groups if g.start <= index < g.stop)
     sections = [section for section in model.materials if section.device_law.name == kernel]
@@ -196,8 +196,8 @@ def law_of(model: Model, index: int) -> str:
 def describe_particle(model: Model, state: State, index: int) -> str:
     """Return a phrase for messages with a particle's index, law, position and speed."""
     rest, now = _position(model.rest[index]), np.asarray(state.x.numpy())[index]
-    words = f"particle {index} of law {law_of(model, index)}, at {rest} m at rest"
-    speed = speeds(state)[index]
+    words = f"particle {index} of law {name_law(model, index)}, at {rest} m at rest"
+    speed = compute_speeds(state)[index]
     if np.isfinite(now).all() and np.isfinite(speed):
         words += f" and now at {_position(now)} m with {speed:.3g} m/s"
     return words
@@ -206,7 +206,7 @@ def describe_particle(model: Model, state: State, index: int) -> str:
 def describe_substep(model: Model, state: State, clock: Clock) -> str:
     """Return a phrase for messages with the substep, its limit, and the fastest particle."""
     limit = clock.stable()
-    fastest = describe_particle(model, state, int(speeds(state).argmax()))
+    fastest = describe_particle(model, state, int(compute_speeds(state).argmax()))
     return (
         f"a substep is {limit.dt:.1e} s, limited by {LIMITS[limit.limiter]}; fastest is {fastest}"
     )

@@ -20,7 +20,7 @@ from phy124.mpm import Clock, Model, Stage, State
 from phy124.mpm.tracks import Tracks
 
 
-class Measured(NamedTuple):
+class PoolMotion(NamedTuple):
     """The liquid and the bodies after a step of the liquid."""
 
     momentum: NDArray[np.float64]
@@ -94,12 +94,12 @@ class PoolWork(ExternalWork):
             sums[[WORK, MOVED, TURNED]] += np.array([done, np.linalg.norm(impulse), abs(done)])
         self._closed[UNIFORM], self._before = sums, now
 
-    def _measure(self) -> Measured:
+    def _measure(self) -> PoolMotion:
         """Measure the liquid and the bodies."""
         liquid, bodies = self._pool.liquid, self._pool.bodies.motions()
         wet = self._pool.clock.wet()
         dry = sum((body.mass * body.centre for body in bodies), np.zeros(3))
-        return Measured(wet.momentum, wet.mass * wet.centre, dry, liquid.clock.pull)
+        return PoolMotion(wet.momentum, wet.mass * wet.centre, dry, liquid.clock.pull)
 
     def _acceleration(self) -> NDArray[np.float64]:
         """Return the uniform acceleration [3] in the last substep of the bodies, m/s^2."""

@@ -21,10 +21,10 @@ from phy124.kernels.diagnostics import make_totals
 from phy124.monitor.diagnostics import (
     Diagnostics,
     Totals,
-    broken_particles,
+    compute_energies,
+    compute_speeds,
     describe_particle,
-    energies,
-    speeds,
+    find_broken,
 )
 from phy124.monitor.dissipation import Dissipation
 from phy124.monitor.external_work import ExternalWork
@@ -185,7 +185,7 @@ class Watchdog(Observer):
             Unstable: The attempt is checked closely, and a particle is not finite.
         """
         self._fastest = max(self._fastest, self.clock.recent.speed)
-        if self._closely and (count := len(broken_particles(self.state))):
+        if self._closely and (count := len(find_broken(self.state))):
             raise Unstable(f"{count} particles are NaN or infinite")
 
     def after_attempt(self) -> Violation | None:
@@ -203,11 +203,11 @@ class Watchdog(Observer):
         """Return an error that describes why the solver stopped, and names a responsible
         particle.
         """
-        broken = broken_particles(self.state)
+        broken = find_broken(self.state)
         if len(broken):
-            return Violation(f"{problem}, first {self._who(int(broken[0]))}", self._unstable())
-        index = int(speeds(self.state).argmax())
-        return Violation(f"{problem}; the fastest is {self._who(index)}", FAST)
+            return Violation(f"{problem}, first {self._describe(int(broken[0]))}", self._unstable())
+        index = int(compute_speeds(self.state).argmax())
+        return Violation(f"{problem}; the fastest is {self._describe(index)}", FAST)
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot of the state, as plain data."""
@@ -235,7 +235,7 @@ class Watchdog(Observer):
         """Return notes about the course of the run."""
         notes = []
         if self._solver.repair.count:
-            first = self._who(self._solver.repair.first)
+            first = self._describe(self._solver.repair.first)
             notes.append(
                 f"{self._solver.repair.count} times a particle was deformed beyond the range "
                 f"of its law and was reset to its shape at rest; the first one was {first}. A "
@@ -325,7 +325,9 @@ class Watchdog(Observer):
             what, index = f"{now.broken} particles are NaN or infinite", now.first_broken
         elif now.inverted > max(FEW, INSIDE_OUT * len(self.model)):
             what, index = f"{now.inverted} particles are turned inside out", now.first_inverted
-        return Violation(f"{what}, first {self._who(index)}", self._unstable()) if what else None
+        return (
+            Violation(f"{what}, first {self._describe(index)}", self._unstable()) if what else None
+        )
 
     def _check_balance(self, now: Diagnostics) -> Violation | None:
         """Compare energy and momentum with the initial values plus external work and impulse."""
@@ -366,8 +368,8 @@ class Watchdog(Observer):
         if energy <= ENERGY_GAIN * self._strain_energy(min(faded, UNSEEN)):
             self.balance.trembles = max(self.balance.trembles, energy / turnover)
             return None
-        index = int(energies(self.model, self.state).argmax())
-        who = f"most of the energy is in {self._who(index)}"
+        index = int(compute_energies(self.model, self.state).argmax())
+        who = f"most of the energy is in {self._describe(index)}"
         rounded = energy <= self._strain_energy(faded)
         what = f"{energy / turnover:.0%} of the energy has no physical source, {who}"
         return Violation(what, ROUNDED if rounded else self._unstable())
@@ -378,10 +380,10 @@ class Watchdog(Observer):
             PROJECTED if self._solver.projects else MOMENTUM_GAIN[self.model.precision]
         ):
             return None
-        index = int(speeds(self.state).argmax())
+        index = int(compute_speeds(self.state).argmax())
         what = (
             f"{fraction:.2%} of the momentum has no physical source, "
-            f"the fastest is {self._who(index)}"
+            f"the fastest is {self._describe(index)}"
         )
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
@@ -405,6 +407,6 @@ class Watchdog(Observer):
             return 0.0
         return LEVEL * self.model.dx * self.model.total_mass * float(np.linalg.norm(pull))
 
-    def _who(self, index: int) -> str:
+    def _describe(self, index: int) -> str:
         """Return a description of a particle for messages."""
         return describe_particle(self.model, self.state, index)

@@ -264,7 +264,7 @@ class Simulation:
         return {
             "count": self.count,
             "retried": list(self.retried),
-            "spent": self.spent.before,
+            "spent": self.spent.earlier,
             "rejected": self.solver.rejection.rejected,
             "solver": self.solver.snapshot(),
             "deformer": self.deformer.snapshot() if self._deforms else {},
@@ -275,7 +275,7 @@ class Simulation:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state of a snapshot."""
         self.count, self.retried = snapshot["count"], list(snapshot["retried"])
-        self.spent.before = snapshot["spent"]
+        self.spent.earlier = snapshot["spent"]
         self.solver.rejection.rejected = snapshot["rejected"]
         self.solver.restore(snapshot["solver"])
         if self._deforms:

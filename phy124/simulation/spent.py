@@ -26,7 +26,7 @@ class Spent:
             device: Warp device.
         """
         self._team, self._on_cpu = team, device == "cpu"
-        self.before = 0.0
+        self.earlier = 0.0
         """Time spent in earlier `counting` contexts [s]."""
         self._start = self._now()
 
@@ -37,13 +37,13 @@ class Spent:
         try:
             yield
         finally:
-            self.before = self.total()
+            self.earlier = self.total()
             self._start = self._now()
 
     def total(self) -> float:
         """Return the time counted so far [s]; call from the counting thread."""
         pairs = zip(self._now(), self._start, strict=True)
-        return self.before + max(now - start for now, start in pairs)
+        return self.earlier + max(now - start for now, start in pairs)
 
     def _now(self) -> list[float]:
         """Return a clock reading per thread [s]; differences of readings are CPU times."""

@@ -12,7 +12,7 @@ from phy124.camera import Camera
 from phy124.generators.relief.hull import Hull
 from phy124.generators.relief.surface import Surface, settle
 from phy124.materials import NeoHookean
-from phy124.monitor.diagnostics import energies
+from phy124.monitor.diagnostics import compute_energies
 from phy124.rendering.compose.colours import Adjoint
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import make_stage
@@ -56,7 +56,7 @@ def laws() -> Runs:
 def looked_at(**changes: Any) -> None:
     """Run a scene, and compute the energy of each particle at the end, as a failing run does."""
     solver = simulate(**changes).solver
-    energies(solver.model, solver.state)
+    compute_energies(solver.model, solver.state)
 
 
 def walls() -> Runs:
