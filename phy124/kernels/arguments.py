@@ -86,6 +86,7 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "slot": int,  # index of a track
         "geometry": t.mat33,  # three vectors that define a shape (distance.py)
         "friction": real,  # coefficient of Coulomb friction
+        "reach": real,  # distance up to which a surface acts [m]
         "sticky": int,  # 1 if bodies in contact do not slide
         "moments": wp.vec3d,  # principal moments of inertia [kg m^2]
     }
@@ -142,12 +143,14 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "second": wp.array(dtype=wp.mat33d),  # second moment of the group divided by its mass [m^2]
         "contact": wp.array3d(dtype=t.vec4),  # normal and fraction at nodes that a body touches
         "impulses": wp.array(dtype=wp.vec3d),  # impulses [N s]
+        "impulse": wp.array(dtype=wp.vec3d),  # sums of impulses on each particle or point [N s]
         "body": Doubles,  # state of a free body (free/numbers.py)
         "trial": Doubles,  # velocity of the free body in a solution
         "system": Doubles,  # six equations of motion of the free body
         "u": t.vec3s,  # displacements of the nodes [m]
         "v_before": t.vec3s,  # velocities of the nodes before the kick [m/s]
         "lagging": t.vec3s,  # velocities on which viscosity acts in the next substep [m/s]
+        "v_kept": t.vec3s,  # velocities before forces on particles or points act [m/s]
         "force": t.vec3s,  # mean force on each surface point or node in a substep [N]
         "normal": t.vec3s,  # outward normals at the surface points
         "turned": t.mat33s,  # cofactors of F at the surface points

@@ -283,7 +283,7 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
         def update_and_contact(
             geometry,
             friction,
-            reach: real,
+            reach,
             slot,
             start: wp.vec3i,
             extent: wp.vec3i,
@@ -339,7 +339,7 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
     def contact(
         geometry,
         friction,
-        reach: real,
+        reach,
         slot,
         start: wp.vec3i,
         each,
@@ -401,16 +401,7 @@ def make_collider(shape: str, response: str, real: Any):
 
     @kernel(name, real, seconds=0.4)
     def collide(
-        geometry,
-        friction,
-        reach: real,
-        slot,
-        start: wp.vec3i,
-        lattice,
-        window,
-        values,
-        rates,
-        grid_out,
+        geometry, friction, reach, slot, start: wp.vec3i, lattice, window, values, rates, grid_out
     ):
         i, j, k = wp.tid()
         size = window[1]

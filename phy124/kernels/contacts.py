@@ -87,17 +87,7 @@ def make_contacts(real: Any):
     t = types(real)
 
     @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)
-    def contacts(
-        mass,
-        lattice,
-        box,
-        window,
-        x,
-        changes,
-        lowest: Ints,
-        highest: Ints,
-        impulse_out: wp.array(dtype=wp.vec3d),
-    ):
+    def contacts(mass, lattice, box, window, x, changes, lowest: Ints, highest: Ints, impulse_out):
         p = wp.tid()
         g = (x[p] - wp.vector(lattice[0], lattice[1], lattice[2])) / lattice[3]
         low = first_node(g)

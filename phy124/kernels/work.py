@@ -76,10 +76,9 @@ for kinds in (types(wp.float32), types(wp.float64)):
 @build_once
 def make_push_sums_v(real: Any):
     """Kernel: like `make_push_sums`, but for forces that do not change C."""
-    t = types(real)
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
-    def push_sums_v(first, each, stride, mass, v, v_kept: t.vec3s, exchange_out):
+    def push_sums_v(first, each, stride, mass, v, v_kept, exchange_out):
         sums = change(wp.tid() * first, each, stride, mass, v, v_kept)
         impulse = wp.vec3d(sums[0], sums[1], sums[2])
         add_exchange(exchange_out, impulse, sums[3], wp.length(impulse), wp.abs(sums[3]))
@@ -93,9 +92,7 @@ def make_push_sums(real: Any):
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)
-    def push_sums(
-        first, each, stride, mass, dx, v, C, v_kept: t.vec3s, C_kept: t.mat33s, exchange_out
-    ):
+    def push_sums(first, each, stride, mass, dx, v, C, v_kept, C_kept: t.mat33s, exchange_out):
         impulse = wp.vec3d()
         work = wp.float64(0.0)
         for k in range(each):

@@ -70,7 +70,7 @@ def make_touch(shape: str, real: Any, rows: Rows):
     def touch(
         near,
         count,
-        reach: real,
+        reach,
         geometry,
         slot,
         nodes,
@@ -223,7 +223,7 @@ def make_meet(real: Any, rows: Rows):
     def meet(
         count,
         far: real,
-        reach: real,
+        reach,
         between: int,
         nodes,
         normal,

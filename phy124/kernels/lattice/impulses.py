@@ -18,8 +18,6 @@ from phy124.kernels.lattice.contact import DRIVEN, MOMENT
 from phy124.kernels.reduction import add_to
 from phy124.kernels.work import WORK, add_exchange
 
-Impulses = wp.array(dtype=wp.vec3d)
-
 
 @build_once
 def make_add_impulse(real: Any):
@@ -28,7 +26,7 @@ def make_add_impulse(real: Any):
     """
 
     @kernel(f"phy124_lattice_add_impulse_{real.__name__}", real, seconds=0.2)
-    def add_impulse(near, force, clock, impulse_out: Impulses):
+    def add_impulse(near, force, clock, impulse_out):
         s = near[wp.tid()]
         impulse_out[s] += wide(clock[0] * force[s])
 
@@ -42,7 +40,7 @@ def make_add_momentum(real: Any):
     """
 
     @kernel(f"phy124_lattice_add_momentum_{real.__name__}", real, seconds=0.2)
-    def add_momentum(sign: wp.float64, held: Ints, inverse, v, impulse_out: Impulses):
+    def add_momentum(sign: wp.float64, held: Ints, inverse, v, impulse_out):
         n = held[wp.tid()]
         if inverse[n] > real(0.0):
             impulse_out[n] += sign / wp.float64(inverse[n]) * wide(v[n])
@@ -82,7 +80,7 @@ def make_pass_on(real: Any):
         v,
         sums_out,
         clamps_out: wp.array2d(dtype=wp.float64),
-        impulse_out: Impulses,
+        impulse_out,
     ):
         s = near[wp.tid()]
         impulse = wide(clock[0] * force[s])

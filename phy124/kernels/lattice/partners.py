@@ -199,7 +199,7 @@ def make_partner(real: Any):
         start,
         cells,
         between,
-        reach: real,
+        reach,
         dx,
         chosen,
         flat: Ints,

@@ -130,30 +130,28 @@ def make_follow(real: Any):
 @build_once
 def make_locate(real: Any):
     """Kernel over points: computes x and v from the nodes, before forces act on points."""
-    t = types(real)
 
     @kernel(f"phy124_lattice_locate_{real.__name__}", real, seconds=0.3)
-    def locate(start, rows, offset, rest, u, v, x_out, v_out, kept_out: t.vec3s):
+    def locate(start, rows, offset, rest, u, v, x_out, v_out, v_kept_out):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
         x_out[p] = rest[p] + at_point(u, rows, cell, f)
         now = at_point(v, rows, cell, f)
         v_out[p] = now
-        kept_out[p] = now
+        v_kept_out[p] = now
 
     return locate
 
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the forces m (v - kept) / kick of pushes to the nodes' forces."""
-    t = types(real)
+    """Kernel over points: adds the forces m (v - v_kept) / kick of pushes to the nodes' forces."""
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
-    def push(start, low: int, mass, clock, rows, offset, v, kept: t.vec3s, force_out):
+    def push(start, low: int, mass, clock, rows, offset, v, v_kept, force_out):
         p = start + wp.tid()
-        change = v[p] - kept[p]
+        change = v[p] - v_kept[p]
         if wp.dot(change, change) > real(0.0) and clock[0] > real(0.0):
             cell = p / wp.static(PER_CELL)
             spread(force_out, low, rows, cell, offset[p], (mass[p] / clock[0]) * change)

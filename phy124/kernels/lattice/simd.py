@@ -216,17 +216,7 @@ def make_locate_simd():
         seconds=0.6,
     )
     def lattice_locate_simd(
-        full_blocks,
-        dx,
-        order,
-        packed,
-        rows,
-        rest,
-        u,
-        v,
-        x_out,
-        v_out,
-        kept_out: wp.array(dtype=wp.vec3),
+        full_blocks, dx, order, packed, rows, rest, u, v, x_out, v_out, v_kept_out
     ):
         """Compute x and v of the points of sixteen cells."""
 

@@ -167,7 +167,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
     def solid_touch(
         near,
         count,
-        reach: real,
+        reach,
         deepest: real,
         geometry,
         mass: wp.float64,

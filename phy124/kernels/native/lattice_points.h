@@ -112,4 +112,4 @@ for (int point = 0; point < 8; ++point) {
 //: locate
 alignas(64) Lanes W[81];
 collect((const float*)v.data, W);
-place_points(W, [&](long index, float value) { ((float*)kept_out.data)[index] = value; });
+place_points(W, [&](long index, float value) { ((float*)v_kept_out.data)[index] = value; });
