@@ -27,7 +27,7 @@ from .sink import LiveSink, Recorder, Sink
 from .sinks.background import Background
 from .sinks.foxglove import PORT
 from .sinks.mcap import Compression, McapSink
-from .source import LiveOptions, LiveRun, open_clip
+from .source import FileWatch, LiveOptions, LiveRun, open_clip
 from .steering.loop import controls, steer
 from .steering.run import GRAB_SECONDS, OLDEST_STAMP, SteeredRun, checked_duration
 from .steering.source import SteeredOptions, make_live
@@ -149,7 +149,7 @@ class Play:
         self.simulated.check()
         if self.simulated.live:
             return self._follow(say)
-        clip = open_clip(self.source)
+        watch, clip = FileWatch(self.source), open_clip(self.source)
         player = Player(
             clip.times, speed=self.speed, loop=self.loop, rate=self.rate, paused=self.paused
         )
@@ -159,8 +159,15 @@ class Play:
                 Cameras(self.messages, clip.scene, clip) as cameras,
                 self._outlets(say, end, scene=clip.scene, report=report) as (sink, records),
             ):
-                stay = (lambda: True) if self.stay else None
-                play(clip, sink, player, records=records, look=cameras.look, going=stay)
+                play(
+                    clip,
+                    sink,
+                    player,
+                    records=records,
+                    look=cameras.look,
+                    going=(lambda: True) if self.stay else None,
+                    check=watch.check,
+                )
         finally:
             if player.shown:
                 say(player.report())

@@ -41,6 +41,7 @@ def play(
     look: Look = lambda frame: frame,
     clock: Clock = time.monotonic,
     going: Callable[[], bool] | None = None,
+    check: Callable[[], None] = lambda: None,
 ) -> None:
     """Play a clip until it ends.
 
@@ -53,6 +54,7 @@ def play(
         clock: Function that returns the current time [s].
         going: Function that returns whether to continue, even after the last frame. If None,
             playback ends after the last frame.
+        check: Function that is called before each frame; it may raise InputError.
     """
 
     def obey(text: str) -> str | None:
@@ -67,6 +69,7 @@ def play(
         tick = player.due(clock())
         if tick is None:
             continue
+        check()
         frame = look(replace(clip.frame(tick.index, velocities=True), time=tick.stamp))
         sink.write(frame if sink.monotonic else replace(frame, time=tick.time))
         for record in records:

@@ -33,7 +33,7 @@ from .parameters import (
 from .player import Player
 from .ros_node import ros_node
 from .sinks.rclpy import RclpySink
-from .source import LiveOptions, LiveRun, open_clip
+from .source import FileWatch, LiveOptions, LiveRun, open_clip
 from .topics import PLAYER
 
 CLIP_PARAMETERS = {**CLIP, **RUNNING, **message_options()}
@@ -57,6 +57,7 @@ def play_clip(node: Any) -> None:
     """Play the clip that the parameters name, until ROS shuts down."""
     chosen = declare(node, CLIP_PARAMETERS)
     path = chosen["clip"]
+    watch = FileWatch(path)
     clip, player, options, clock = opened_clip(chosen)
     with (
         Cameras(options, clip.scene, clip) as cameras,
@@ -64,7 +65,8 @@ def play_clip(node: Any) -> None:
     ):
         log.info("Playing %s. %s", path, sink.audience())
         try:
-            play(clip, sink, player, look=cameras.look, going=lambda: True)
+            look, going = cameras.look, lambda: True
+            play(clip, sink, player, look=look, going=going, check=watch.check)
         finally:
             log.info(player.report())
 

@@ -145,6 +145,39 @@ def refuse_unopened(source: Path) -> None:
         raise InputError("source", source, limit[0].upper() + limit[1:], remedy)
 
 
+class FileWatch:
+    """Notices if another program writes into a clip that is being played.
+
+    The arrays of a clip stay in the file. If the file became shorter, reading them would end the
+    process. A file that is deleted or replaced by another file stays readable.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Remember the state of the file, if it exists."""
+        self._path = path
+        self._before = self._state()
+
+    def check(self) -> None:
+        """Check that the same file has not changed.
+
+        Raises:
+            InputError: Another program wrote into the file.
+        """
+        now = self._state()
+        if now and self._before and now[:2] == self._before[:2] and now != self._before:
+            limit = "Another program wrote into this file while it was played."
+            remedy = "Write a new clip to another file, and then give that file this name."
+            raise InputError("clip", self._path, limit, remedy)
+
+    def _state(self) -> tuple[int, ...]:
+        """Return the identity, size and change time of the file; empty if there is no file."""
+        try:
+            state = Path(self._path).stat()
+        except OSError:
+            return ()
+        return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns
+
+
 def open_clip(path: str | Path) -> Clip:
     """Open a clip; log values that cannot be shown."""
     clip = Clip.load(path)

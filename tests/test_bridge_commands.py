@@ -23,6 +23,8 @@ from bridge.info import describe_clip, diagnose
 from phy124.accuracy.promises import promise_own
 from phy124.schema.arguments.words import join_repeats
 from support.clips import random_clip
+from support.processes import LIMIT
+from support.served import free_port
 
 ROOT = Path(__file__).parents[1]
 
@@ -128,6 +130,24 @@ def test_play_and_record_beside(clip, monkeypatch, capsys):
     assert shown + dropped == 6
     with Reader(bag) as reader:
         assert reader.message_count == 1 + shown
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows protects a file that is mapped")
+def test_a_clip_that_is_overwritten_ends_play_with_a_message(clip):
+    """Frames are read from the file; the end of a shorter file would be a bus error."""
+    pytest.importorskip("foxglove")
+    command = [sys.executable, "-m", "bridge", "play", str(clip), "--loop", "--backend", "foxglove"]
+    pipe = subprocess.PIPE
+    process = subprocess.Popen(
+        [*command, "--port", str(free_port())], cwd=ROOT, stdout=pipe, stderr=pipe, text=True
+    )
+    assert process.stdout is not None
+    while "Publishing" not in process.stdout.readline():
+        assert process.poll() is None
+    os.truncate(clip, 100)
+    _, said = process.communicate(timeout=LIMIT)
+    assert process.returncode == 2, said
+    assert "clip.safetensors: Another program wrote into this file" in said
 
 
 @pytest.mark.parametrize(

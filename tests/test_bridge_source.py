@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from bridge.layout import points
 from bridge.options import Options
 from bridge.sinks.dds import DdsSink
 from bridge.sinks.mcap import McapSink
-from bridge.source import LiveOptions, LiveRun, make_object
+from bridge.source import FileWatch, LiveOptions, LiveRun, make_object
 from phy124.errors import InputError
 from phy124.generators.ply_file import PlyFile, Reading
 from phy124.imaging.cutting import Cutting
@@ -44,6 +45,22 @@ def ply(tmp_path):
     gaussians.opacities[:] = 0.9
     write_ply(tmp_path / "ball.ply", gaussians)
     return tmp_path / "ball.ply"
+
+
+@pytest.mark.parametrize("change", [Path.touch, Path.unlink, lambda path: path.rename("other")])
+def test_only_writing_into_a_clip_ends_its_playing(tmp_path, monkeypatch, change):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "clip.safetensors"
+    path.write_bytes(b"clip")
+    watch = FileWatch(path)
+    watch.check()
+    (tmp_path / "new").write_bytes(b"another clip")
+    os.replace(tmp_path / "new", path)
+    watch.check()
+    watch = FileWatch(path)
+    change(path)
+    with pytest.raises(InputError, match="wrote") if path.exists() else nullcontext():
+        watch.check()
 
 
 def test_recorded_while_simulated_is_the_finished_clip(ply, tmp_path):
