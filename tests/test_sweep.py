@@ -2,11 +2,14 @@
 
 import heapq
 import json
+import signal
 import sys
 import tarfile
 import tracemalloc
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -423,3 +426,19 @@ def test_python_of_sweeps_md_runs(tmp_path, monkeypatch, capsys):
             exec(block.text, {})
     output = capsys.readouterr().out
     assert "duck.png 100000" in output and "mean error of log10 E" in output
+
+
+@pytest.mark.parametrize("arrives", [False, True])
+def test_ray_does_not_keep_its_handler_of_sigterm(monkeypatch, arrives):
+    """Ray's handler ends the program with status 15, instead of stopping the sweep."""
+
+    def init(**options) -> None:
+        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(number))
+        if arrives:
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(init=init, shutdown=lambda: None))
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(Cancelled) if arrives else nullcontext():
+        on_ray._ray(None, 2)
+    assert signal.getsignal(signal.SIGTERM) is before

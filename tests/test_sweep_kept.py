@@ -7,6 +7,7 @@ import pytest
 
 from phy124.errors import Cancelled, InputError
 from phy124.io.clip import Clip
+from phy124.io.files import MAKING
 from phy124.io.ply import write_ply
 from phy124.pipeline import PAUSE, recording
 from phy124.simulation import Simulation
@@ -96,3 +97,20 @@ def test_ctrl_c_on_a_full_disk_is_still_ctrl_c(tmp_path, plan, monkeypatch):
             run(plan, str(out), workers=0, progress=stop)
     assert run(plan, str(out), workers=0).here == 1
     assert len(read_manifest(Storage(str(out)))) == 2
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_files_of_a_killed_worker_are_removed(tmp_path, plan, saved):
+    """A saved state stays, from which the clip can go on."""
+    out = tmp_path / "out"
+    orders = running._orders(plan, plan.share(1, 1), Storage(str(out)), running.Counts(), "cpu")
+    order = next(orders)
+    folder = out / order.folder
+    (folder / f"{MAKING}a").mkdir(parents=True)
+    (folder / "pause-1.frames").write_bytes(b"1")
+    if saved:
+        (folder / PAUSE).write_bytes(b"1")
+    assert work.clean_up(order) and work.clean_up(order)
+    files = [name for name in named(out) if (out / name).is_file()]
+    assert files == ([f"{order.folder}/{PAUSE}"] if saved else [])
+    assert folder.exists() == saved

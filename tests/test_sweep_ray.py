@@ -113,10 +113,11 @@ def test_a_killed_driver_goes_on_where_it_stopped(sweep, quiet, tmp_path):
     assert clips_of(tmp_path / "out") == quiet
 
 
-def test_ctrl_c_stops_and_leaves_a_manifest(sweep, quiet, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_and_leaves_a_manifest(sweep, quiet, tmp_path, number):
     process = driver(sweep, tmp_path, "--workers", "2")
     wait_for(lambda: made(tmp_path / "out") >= 2)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     assert process.wait(timeout=120) == 130
     rows = read_manifest(Storage(str(tmp_path / "out")))
     assert 2 <= len(rows) < CLIPS

@@ -177,12 +177,12 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
         missing = [path for path in (target, *target.parents) if not path.exists()]
         target.mkdir(parents=True, exist_ok=True)
         with locking(target):
-            _sweep(out)
+            sweep_killed(out)
             others = list(out.glob(f"{RUNNING}*")) if alone else []
             folder = Path(tempfile.mkdtemp(prefix=RUNNING if alone else MAKING, dir=out))
             held = lock(folder)
     except OSError as error:
-        _remove_empty(missing)
+        remove_empty(missing)
         if error.errno in SHORT_CODES:
             raise
         # A link to itself makes mkdir say that the folder exists.
@@ -203,7 +203,7 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         unlock(held)
-        _remove_empty(missing)
+        remove_empty(missing)
 
 
 def deliver(folder: Path) -> list[str]:
@@ -225,7 +225,7 @@ def write_whole(path: PathLike, text: str) -> None:
         temporary.write_text(text, "utf-8")
 
 
-def _sweep(out: Path) -> None:
+def sweep_killed(out: Path) -> None:
     """Remove temporary folders and files that killed processes left in an output folder."""
     for folder in out.glob(f"{MAKING}*"):
         held = lock(folder)
@@ -252,7 +252,7 @@ def writable(folder: Path) -> bool:
     return False
 
 
-def _remove_empty(folders: list[Path]) -> None:
+def remove_empty(folders: list[Path]) -> None:
     """Remove empty folders, innermost first; stop at the first folder that is not empty."""
     with suppress(OSError):
         for folder in folders:

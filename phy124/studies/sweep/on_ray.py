@@ -8,8 +8,12 @@ therefore does not grow with the number of clips.
 from __future__ import annotations
 
 import logging
+import signal
+import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from phy124.errors import Cancelled, InputError
@@ -20,6 +24,7 @@ from phy124.studies.sweep.work import (
     Made,
     Order,
     Row,
+    clean_up,
     make_gaussians,
     make_row,
     stops_all,
@@ -32,6 +37,8 @@ AHEAD = 3
 """Maximum number of tasks per worker that are submitted at a time."""
 BEAT = 0.2
 """Time between two checks whether the sweep is cancelled [s]."""
+LEFT = 5.0
+"""Longest wait for the end of killed workers, whose incomplete files are then removed [s]."""
 SHARED = 64
 """Maximum number of sources whose Gaussians are kept in memory for other clips."""
 
@@ -58,10 +65,15 @@ def on_ray(
         OSError: The storage is full.
     """
     ray = _ray(address, workers)
+    tasks = _Tasks(ray, beat)
     try:
-        yield from _Tasks(ray, beat).rows(orders)
+        yield from tasks.rows(orders)
     finally:
         ray.shutdown()
+        end = time.monotonic() + LEFT
+        for order in tasks.waiting.values():
+            while not clean_up(order) and time.monotonic() < end:
+                time.sleep(BEAT)
 
 
 class _Tasks:
@@ -137,6 +149,7 @@ def _ray(address: str | None, workers: int | None) -> Any:
 
     Raises:
         InputError: Ray is not installed, or no cluster answers at the address.
+        Cancelled: SIGTERM was received while Ray started.
     """
     try:
         import ray
@@ -147,15 +160,33 @@ def _ray(address: str | None, workers: int | None) -> Any:
     _mute(ray)
     quiet: dict[str, Any] = {"logging_level": logging.ERROR, "log_to_driver": False}
     try:
-        if address is None:
-            ray.init(num_cpus=workers or cores(), include_dashboard=False, **quiet)
-        else:
-            ray.init(address=address, **quiet)
+        with _keeping_sigterm():
+            if address is None:
+                ray.init(num_cpus=workers or cores(), include_dashboard=False, **quiet)
+            else:
+                ray.init(address=address, **quiet)
     except (ConnectionError, RuntimeError, ValueError) as error:
         limit = f"no cluster answers there ({error})."
         remedy = "Start a cluster with `ray start --head`, or remove --ray."
         raise InputError("ray", address, limit, remedy) from error
     return ray
+
+
+@contextmanager
+def _keeping_sigterm() -> Iterator[None]:
+    """Restore the handler of SIGTERM that Ray replaces by its own, which ends the program.
+
+    Raises:
+        Cancelled: Ray's handler was called within this context.
+    """
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    except SystemExit:
+        raise Cancelled from None
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)
 
 
 def _mute(ray: Any) -> None:

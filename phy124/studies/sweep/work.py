@@ -20,9 +20,10 @@ from phy124.gaussians import Gaussians
 from phy124.generators import needs_image
 from phy124.imaging.painted import Crop
 from phy124.io.clip import Clip
+from phy124.io.files import MAKING, remove_empty, sweep_killed
 from phy124.pipeline import StaticObject, cameras, film, write_json
 from phy124.pipeline.gaussians import make_gaussians as make_objects
-from phy124.pipeline.recording import Recording, take_up
+from phy124.pipeline.recording import Recording, sweep, take_up
 from phy124.pipeline.run_folder import view_report
 from phy124.progress import Progress, silent
 from phy124.rendering.render import render, to_bytes
@@ -111,6 +112,11 @@ class Order:
     """Address of the sweep's folder."""
     needs: Needs
     device: str = "cpu"
+
+    @property
+    def folder(self) -> str:
+        """Folder of the clip in the storage."""
+        return f"clips/{self.key[:2]}/{self.key}"
 
     @property
     def read(self) -> bool:
@@ -202,6 +208,21 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
     return write_row(storage, order.key, order, {**result, "seconds": seconds})
 
 
+def clean_up(order: Order) -> bool:
+    """Remove the incomplete files of a killed worker; keep a state from which the clip can go on.
+
+    Return whether the worker has ended.
+    """
+    here = Storage(order.out).here
+    folder = here and here / order.folder
+    if folder is None or not folder.is_dir():
+        return True
+    sweep_killed(folder)
+    sweep(folder)
+    remove_empty([folder, folder.parent])
+    return not any(folder.glob(f"{MAKING}*"))
+
+
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
     """Write the row of a clip, and return the row.
 
@@ -245,7 +266,7 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
     if source.gaussians is None or source.crop is None:
         return {"status": "refused", "sentence": source.refusal}
     scene = Scene.from_data(source.scene or order.scene)
-    folder = f"clips/{order.key[:2]}/{order.key}"
+    folder = order.folder
     with storage.filling(folder) as filling:
         place = storage.here and storage.here / folder
         clip, recording = _simulate(source, scene, place, context)
