@@ -164,7 +164,8 @@ class Arrivals:
         return True
 
     def sweep(self) -> None:
-        """Remove uploads that no request named within the time limit."""
+        """Remove uploads that no request named within the time limit; create a missing folder."""
+        self.folder.mkdir(parents=True, exist_ok=True)
         for name in [n for n, u in self._uploads.items() if time.monotonic() - u.at > ARRIVED]:
             self._drop(name)
 

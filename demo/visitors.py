@@ -29,11 +29,12 @@ import shutil
 import threading
 from collections import Counter
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from phy124.errors import InputError
+from phy124.runtime.failures import Kind, failure
 
 from .room import Arrivals, Room, all_taken, is_plain_file, remove
 from .visitor import STAGES, Visitor
@@ -267,6 +268,9 @@ class Visitors:
     def sweep(self, late: float = 0.0) -> None:
         """Remove idle visitors and unclaimed files, and measure the files of all other visitors.
 
+        Visitors whose folder another program has removed are also removed, so that their pages send
+        their files again.
+
         `late` is the time since the last call in which the server could not process requests, for
         example because it was suspended [s]. It does not count as silence of the visitors.
         """
@@ -274,17 +278,18 @@ class Visitors:
             for visitor in self._known.values():
                 visitor.seen += late
             absent = {n: v for n, v in self._known.items() if not self._asking[n]}
-            silent = [n for n, v in absent.items() if v.silence > self.room.grace]
-        for name in silent:
+            ended = [n for n, v in absent.items() if v.silence > self.room.grace]
+            ended += [n for n, v in self._known.items() if not v.folder.is_dir()]
+        for name in ended:
             self.remove(name)
         self._clear()
         with self._lock:
             here = [*self._known.values(), *self._leaving]
             kept = {visitor.folder for visitor in here} | {self.arrivals.folder}
+            self.arrivals.sweep()
             for folder in self.root.iterdir():
                 if folder not in kept:
                     remove(folder)
-            self.arrivals.sweep()
         for visitor in here:
             visitor.measure()
 
@@ -343,8 +348,21 @@ def _full(count: int) -> InputError:
 
 
 def _write(path: Path, file: BinaryIO) -> None:
-    with open(path, "wb") as stored:
-        shutil.copyfileobj(file, stored)
+    """Write an upload; if that fails, remove what was written.
+
+    Raises:
+        InputError: The disk is full.
+    """
+    try:
+        with open(path, "wb") as stored:
+            shutil.copyfileobj(file, stored)
+    except OSError as error:
+        with suppress(OSError):
+            path.unlink()
+        if failure(error).kind is Kind.DISK:
+            limit = "The disk of this server is full."
+            raise InputError("room", "full", limit, "Try again later.") from error
+        raise
 
 
 def key(*parts: Any) -> str:

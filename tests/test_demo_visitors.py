@@ -1,6 +1,8 @@
 """Visitors' folders: keys by content, grace, clean-up by silence, number and size."""
 
+import errno
 import os
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -91,6 +93,28 @@ def test_silence_of_a_suspended_server_is_not_that_of_a_visitor(visitors):
     visitors.get("a").seen -= visitors.room.grace + 100
     visitors.sweep(late=50)
     assert not visitors.has("a")
+
+
+def test_an_upload_that_fills_the_disk_is_refused_and_removed(visitors, tmp_path, monkeypatch):
+    def fill(source, target) -> None:
+        target.write(b"a phot")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(shutil, "copyfileobj", fill)
+    for name in ("a", None):
+        with pytest.raises(InputError, match="disk of this server is full"):
+            visitors.store(name, b"a photograph", ".png")
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_visitors_whose_files_were_removed_begin_anew(visitors, tmp_path):
+    """Programs that clean temporary folders remove files of pages that run for days."""
+    visitors.store("a", b"a photograph", ".png")
+    shutil.rmtree(tmp_path)
+    visitors.sweep()
+    assert not visitors.has("a"), "the page of this visitor sends its picture again"
+    for name in ("a", None):
+        assert visitors.store(name, b"a photograph", ".png").read_bytes() == b"a photograph"
 
 
 def test_asking_for_a_job_is_a_sign_of_life(visitors):
