@@ -13,7 +13,6 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.arguments import types
 from phy124.kernels.axes import (
     IDENTITY_ZONE,
     SWEEPS,
@@ -216,7 +215,6 @@ def make_carry(real: Any):
     plastic or fluid material F grows without bound, so the length of the vectors F_i (X_g - X_i) is
     limited.
     """
-    t = types(real)
 
     @kernel(f"phy124_carry_{real.__name__}", real, seconds=0.4)
     def carry(
@@ -225,8 +223,8 @@ def make_carry(real: Any):
         means0: wp.array(dtype=wp.vec3f),
         flows: wp.array(dtype=wp.bool),
         rest: wp.array(dtype=wp.vec3f),
-        position: t.vec3s,
-        deformation: t.mat33s,
+        position,
+        deformation,
         means_out: wp.array(dtype=wp.vec3f),
         deformation_out: wp.array(dtype=wp.mat33d),
     ):
@@ -272,13 +270,12 @@ def make_follow(real: Any):
     """Kernel for one precision: copies to each Gaussian the position and F of the particle that
     represents it.
     """
-    t = types(real)
 
     @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)
     def follow(
         particle: wp.array(dtype=wp.int32),
-        position: t.vec3s,
-        deformation: t.mat33s,
+        position,
+        deformation,
         means_out: wp.array(dtype=wp.vec3f),
         deformation_out: wp.array(dtype=wp.mat33d),
     ):
@@ -294,12 +291,9 @@ def make_count_broken(real: Any):
     """Kernel: counts the particles with a non-finite position and the particles with a non-finite
     F.
     """
-    t = types(real)
 
     @kernel(f"phy124_broken_{real.__name__}", real, seconds=0.2)
-    def count_broken(
-        position: t.vec3s, deformation: t.mat33s, counts_out: wp.array(dtype=wp.int32)
-    ):
+    def count_broken(position, deformation, counts_out: wp.array(dtype=wp.int32)):
         p = wp.tid()
         if not wp.isfinite(position[p]):
             wp.atomic_add(counts_out, 0, 1)

@@ -222,7 +222,7 @@ def make_meet(real: Any, rows: Rows):
     @kernel(f"phy124_lattice_meet_{rows.name}{real.__name__}", real, seconds=0.5)
     def meet(
         count,
-        far: real,
+        far,
         reach,
         between: int,
         nodes,

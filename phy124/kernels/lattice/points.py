@@ -149,7 +149,7 @@ def make_push(real: Any):
     """Kernel over points: adds the forces m (v - v_kept) / kick of pushes to the nodes' forces."""
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
-    def push(start, low: int, mass, clock, rows, offset, v, v_kept, force_out):
+    def push(start, low, mass, clock, rows, offset, v, v_kept, force_out):
         p = start + wp.tid()
         change = v[p] - v_kept[p]
         if wp.dot(change, change) > real(0.0) and clock[0] > real(0.0):
@@ -172,9 +172,7 @@ def make_press(real: Any):
     t = types(real)
 
     @kernel(f"phy124_lattice_press_{real.__name__}", real, seconds=0.3)
-    def press(
-        start, low: int, mass, dx, rows, offset, F, pushes: t.vec3s, turns: t.mat33s, force_out
-    ):
+    def press(start, low, mass, dx, rows, offset, F, pushes: t.vec3s, turns: t.mat33s, force_out):
         p = start + wp.tid()
         f = offset[p]
         cell = p / wp.static(PER_CELL)

@@ -56,7 +56,7 @@ def make_stress(law: Law, real: Any, viscous: bool):
         width=law.width,
         seconds=0.6,
     )
-    def lattice_stress(start, first, low: int, theta, volume, dx, rows, offset, u, v, force_out):
+    def lattice_stress(start, first, low, theta, volume, dx, rows, offset, u, v, force_out):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
@@ -89,7 +89,7 @@ def make_shock(real: Any):
     """
 
     @kernel(f"phy124_lattice_shock_{real.__name__}", real, seconds=0.4)
-    def lattice_shock(start, low: int, mass, dx, rows, offset, clock, u, v, force_out):
+    def lattice_shock(start, low, mass, dx, rows, offset, clock, u, v, force_out):
         p = start + wp.tid()
         cell = p / wp.static(PER_CELL)
         f = offset[p]
