@@ -35,7 +35,7 @@ def works(solver, steps):
 
 def measured(x, cells, walls, **options):
     solver = liquid(x, cells, walls, **options)
-    solver.energies.start()
+    solver.keep_works()
     return solver
 
 

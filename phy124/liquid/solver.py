@@ -215,6 +215,12 @@ class LiquidSolver:
         if self._fitted:
             self._record()
 
+    def keep_works(self) -> None:
+        """From now on, sum the work of each cause."""
+        self.energies.start()
+        if self._fitted:
+            self._record()
+
     @property
     def timings(self) -> Timings:
         """Seconds and number of launches of each stage in the first thread."""

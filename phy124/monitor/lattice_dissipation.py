@@ -7,15 +7,14 @@ the difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from phy124.kernels.lattice.work import make_contact_work, make_node_work
 from phy124.monitor.diagnostics import Diagnostics
 from phy124.monitor.dissipation import Loss
-from phy124.monitor.external_work import ExternalWork
 from phy124.monitor.liquid import LiquidDissipation
-from phy124.monitor.observer import Effect, Observer, Subject, find
+from phy124.monitor.observer import Effect, Subject
 
 
 class LatticeDissipation(LiquidDissipation):
@@ -37,11 +36,6 @@ class LatticeDissipation(LiquidDissipation):
         """Return, for each cause, the row of the effects report that shows its work."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
-
-    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let the solver sum the work from its first substep on."""
-        self._energies, self._external = solver.energies, find(observers, ExternalWork)
-        solver.keep_works()
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
         """Return the section of the report [J]: losses, changes of energy, and the work of each

@@ -47,7 +47,7 @@ class LiquidDissipation(Dissipation):
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, and let the solver sum the work from its first step on."""
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
-        self._energies.start()
+        solver.keep_works()
 
     def open(self) -> None:
         """Start counting from the current state."""

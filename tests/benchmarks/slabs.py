@@ -29,6 +29,7 @@ from phy124.materials import NeoHookean
 from phy124.monitor.external_work import ExternalWork
 from phy124.mpm import Solver, workers
 from phy124.mpm.runner import Runner
+from phy124.mpm.threads import Task, Team
 from phy124.pipeline import make_gaussians
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene
@@ -183,15 +184,15 @@ def live(rounds: int = 4, frames: int = 21) -> None:
     gaussians = make_gaussians(Path(__file__).parents[2] / "demo/examples/duck.png").gaussians
     scene, others = Scene.named("press").replaced({"accuracy.cells": 32}), [0.0]
 
-    def in_turn(self: Runner, task: int) -> None:
+    def in_turn(self: Team, task: Task) -> None:
         spent = []
-        for member in range(self.team.size):
+        for member in range(self.size):
             start = time.process_time()
-            self._work(member, task)
+            task(member)
             spent.append(time.process_time() - start)
         others[0] += sum(spent) - max(spent)
 
-    Runner._run_in_turn, Runner.on_threads = in_turn, lambda self: nullcontext()
+    Team.complete, Runner.on_threads = in_turn, lambda self: nullcontext()
     least: dict[int, list[float]] = {}
     for _ in range(rounds):
         for threads in (1, 2, 4):
