@@ -272,6 +272,27 @@ def test_a_turn_during_a_sort_is_sorted(browser, tmp_path, rng):
         assert psnr(canvas(page), wanted) > 25
 
 
+SORT_ENDS = """
+    // A function can be called when the result of a sort has arrived, before it is used.
+    globalThis.Worker = class extends Worker {
+        addEventListener(name, listener) {
+            super.addEventListener(name, (event) => { listener(event); globalThis.sortEnds?.(); });
+        }
+    };
+"""
+
+
+def test_a_frame_shown_while_a_sort_ends_is_drawn(browser, tmp_path):
+    """The end of the sort of another frame must not make the player forget the last frame."""
+    film = Film(tmp_path)
+    with film.opened(browser, "", SORT_ENDS) as tab:
+        film.check(tab, film.frames[0])
+        tab.evaluate("sortEnds = () => { sortEnds = null; player.seek(1); }; player.seek(0.5)")
+        tab.wait_for_function("player.time === 1")
+        wanted = 255 * Renderer(device="cpu")(film.frames[2].gaussians, CAMERA)
+        drawn(tab, lambda now: psnr(now, wanted) > 30, "below 30 dB")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["fluid", "metal", "sand"])
 def test_the_player_lights_what_shines_as_we_do(browser, tmp_path, law):

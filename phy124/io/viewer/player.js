@@ -61,6 +61,7 @@ globalThis.Phy124Player = (() => {
       // Nothing moves by itself: a picture is drawn when asked for, and once more when a sort is done.
       app.systems.gsplat.on('frame:request', () => this.wake());
       app.scene.on('gsplat:sorted', () => this.sortAgain());
+      app.systems.gsplat.on('frame:ready', (camera, layer, ready) => { if (ready) this.copyAgain(); });
     }
 
     addSplats(device) {
@@ -89,6 +90,16 @@ globalThis.Phy124Player = (() => {
       this.wake();
     }
 
+    /** PlayCanvas does not copy a frame to the buffer that it draws if the frame is shown during a sort: the end of the
+     * sort clears the request. So it is asked once more when the sort is done. */
+    copyAgain() {
+      if (!this.changed) return;
+      this.changed = false;
+      this.entity.gsplat.workBufferUpdate = pc.WORKBUFFER_UPDATE_ONCE;
+      // The picture that is being drawn ends with no further picture asked for.
+      queueMicrotask(() => this.wake());
+    }
+
     show(frame, colouring) {
       const n = this.pack.n, box = this.container, out = {};
       for (const key of ['centre', 'rotation', 'scale']) out[key] = box.getTexture(STREAMS[key]).lock();
@@ -100,6 +111,7 @@ globalThis.Phy124Player = (() => {
       for (const key of ['centre', 'rotation', 'scale']) box.getTexture(STREAMS[key]).unlock();
       box.update(n, true);
       this.entity.gsplat.workBufferUpdate = pc.WORKBUFFER_UPDATE_ONCE;
+      this.changed = true;
       this.wake();
     }
 
