@@ -136,19 +136,13 @@ def test_flight_at_speed_is_not_tried():
 def counted(s) -> dict[str, int]:
     """Count how often a solver measures only speeds, and all limits, from now on."""
     counts = {"glance": 0, "measure": 0}
-    (worker,) = s.workers
+    inner = s._each_worker
 
-    def count(name: str) -> None:
-        inner = getattr(worker, name)
+    def count(measure) -> None:
+        counts[measure.__name__] += 1
+        inner(measure)
 
-        def call() -> None:
-            counts[name] += 1
-            inner()
-
-        setattr(worker, name, call)
-
-    for name in counts:
-        count(name)
+    s._each_worker = count
     return counts
 
 
