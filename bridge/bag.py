@@ -108,7 +108,7 @@ def register(writer: Writer, topic: Topic) -> int:
     schema = writer.register_schema(topic.type, "ros2msg", messages.definition(topic.type).encode())
     about = {
         "offered_qos_profiles": _qos(topic, numbers=True),
-        "topic_type_hash": messages.HASHES[topic.type],
+        "topic_type_hash": messages.type_hash(topic.type),
     }
     return writer.register_channel(topic.name, ENCODING, schema, about)
 
@@ -156,7 +156,7 @@ def _topic_entry(topic: Topic, count: int) -> str:
         f"    type: {topic.type}\n"
         f"    serialization_format: {ENCODING}\n"
         f"    offered_qos_profiles:\n{_indent(_qos(topic, numbers=False), 6)}"
-        f"    type_description_hash: {messages.HASHES[topic.type]}\n"
+        f"    type_description_hash: {messages.type_hash(topic.type)}\n"
         f"  message_count: {count}\n"
     )
 

@@ -28,5 +28,5 @@ def test_topics_have_type_hashes_and_bags_no_clock():
     known = [first for first in vars(topics).values() if isinstance(first, topics.Topic)]
     assert len(known) >= 7
     for topic in known:
-        assert messages.HASHES[topic.type].startswith("RIHS01_"), topic.name
+        assert messages.type_hash(topic.type).startswith("RIHS01_"), topic.name
     assert topics.CLOCK.name not in RECORDED and POINTS.name in RECORDED

@@ -28,7 +28,7 @@ from bridge import delivery, live
 from bridge.discovery import domain_id
 from bridge.idl import idl_type
 from bridge.layout import points
-from bridge.messages import HASHES
+from bridge.messages import type_hash
 from bridge.options import LIVE_POINTS, LIVE_PROFILE, Options
 from bridge.player import Player
 from bridge.sinks.dds import DISCOVERY, DdsSink, quality
@@ -198,7 +198,7 @@ def test_dds_entities_are_as_ros_2_expects(domain):
         package, _, base = kind.split("/")
         sample = results[name]
         assert sample.type_name == f"{package}::msg::dds_::{base}_"
-        assert sample.qos[Policy.Userdata].data == f"typehash={HASHES[kind]};".encode()
+        assert sample.qos[Policy.Userdata].data == f"typehash={type_hash(kind)};".encode()
         kept = name != "rt/diagnostics"
         assert (sample.qos[Policy.Durability] == Policy.Durability.TransientLocal) is kept
         assert sample.qos[Policy.DataRepresentation].use_cdrv0_representation

@@ -22,7 +22,7 @@ from ..cdr import ENCAPSULATION, encode
 from ..delivery import Delivery, wait_for_topics
 from ..discovery import URI, Discovery
 from ..encoder import FrameEncoder
-from ..messages import HASHES
+from ..messages import type_hash
 from ..options import Options
 from ..reports import Audience, Reports
 from ..sink import Obey, Playback
@@ -371,6 +371,6 @@ def quality(topic: Topic, *, also: str = "", ignore_own: bool = False) -> Any:
         *(transient if topic.transient_local else [Policy.Durability.Volatile]),
         last,
         Policy.DataRepresentation(use_cdrv0_representation=True),
-        Policy.Userdata(f"typehash={HASHES[topic.type]};{also}".encode()),
+        Policy.Userdata(f"typehash={type_hash(topic.type)};{also}".encode()),
         *([Policy.IgnoreLocal.Participant] if ignore_own else []),
     )
