@@ -338,12 +338,12 @@ def test_forces_can_be_replaced_between_two_substeps():
     changed = solver(single, ceiling=1e-3)
     for s in (both, changed):
         s.advance(0.005)
-    changed.bind([first, other])
+    changed.bind(forces=[first, other])
     for s in (both, changed):
         s.advance(0.012)
     assert np.array_equal(both.state.v.numpy(), changed.state.v.numpy())
     with pytest.raises(InputError):
-        changed.bind([grab(POINT, POINT, point=(0, 0, 50))])
+        changed.bind(forces=[grab(POINT, POINT, point=(0, 0, 50))])
     before = changed.state.v.numpy().copy()
     changed.advance(0.013)
     # What was refused left the old forces in place.

@@ -130,7 +130,7 @@ def test_free_body_slides_on_slopes_beyond_its_friction():
         turn = (np.cos(slope / 2), 0.0, np.sin(slope / 2), 0.0)
         body = FreeBody("box", "box", (0.2, 0.15, 0.1), tuple(0.1 * np.array(n)), turn=turn)
         s = beside(body, planes=[HalfSpace(normal=n, friction=friction)])
-        s.bind([Gravity()], planes=[HalfSpace(normal=n, friction=friction)])
+        s.bind(forces=[Gravity()], planes=[HalfSpace(normal=n, friction=friction)])
         s.advance(0.4)
         pull = G * (np.sin(slope) - friction * np.cos(slope)) if moves else 0.0
         way = np.linalg.norm(s.free.poses()[0, :3] - body.place)

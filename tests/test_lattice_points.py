@@ -101,8 +101,8 @@ def test_voxels_larger_than_cells_keep_the_substep(side):
     distance = np.linalg.norm(np.stack(np.meshgrid(steps, steps, steps)), axis=0)
     filled = np.clip((0.42 - distance) / (side * DX) + 0.5, 0, 1).astype(np.float32)
     ball = Solid(np.full(3, -5), side * DX, filled).resample(DX / 2, per_cell=2)
-    usual = make(block((0.8, 0.8, 0.8))).substep_at_rest
-    assert make(ball).substep_at_rest > 0.9 * usual
+    usual = make(block((0.8, 0.8, 0.8))).limits.substep_at_rest
+    assert make(ball).limits.substep_at_rest > 0.9 * usual
 
 
 @pytest.mark.parametrize("per", [1.3, 1.7, 2.3, 3.1])

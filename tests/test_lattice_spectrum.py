@@ -51,7 +51,8 @@ def test_viscosity_damps_all_motion_at_substeps_at_rest():
     start = 1e-6 * np.random.default_rng(1).normal(size=(solver.nodes, 3))
     solver.carry_nodes(lambda x, v: (x, start))
     for _ in range(300):
-        solver.step(solver.substep_at_rest, solver.substep_at_rest)
+        rest = solver.limits.substep_at_rest
+        solver.step(rest, rest)
     assert np.abs(solver.nodes_state.v.numpy()).max() < 0.5 * np.abs(start).max()
 
 

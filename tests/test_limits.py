@@ -132,7 +132,7 @@ def test_closed_formulas_know_lattices(name):
     accuracy = {"cells": 12, "solver": "lattice"}
     scene = Scene.named(name).replaced({"accuracy": accuracy, "time.frames": 3})
     run = Simulation(prepare(ball(800), scene))
-    at_rest = 2 / scene.time.fps / run.solver.substep_at_rest
+    at_rest = 2 / scene.time.fps / run.solver.limits.substep_at_rest
     assert rest_substeps(scene) == pytest.approx(at_rest, rel=0.3)
     fine = scene.replaced({"accuracy.cells": 32})
     plain = fine.replaced({"accuracy.solver": "mpm"})

@@ -380,7 +380,7 @@ def test_shaken_box_keeps_its_volume():
         Gravity(g=(0, 0, 4), profile=Sine(frequency=1.7), end=20.0),
     ]
     solver = liquid(block((0, 0, 0), (1, 1, 0.5), cells), cells, [box], gravity=(0, 0, 0))
-    solver.bind(shakes, [("box", box)])
+    solver.bind(forces=shakes, boundaries=[("box", box)])
     volumes = []
     for step in range(26 * FPS):
         run(solver, 1)

@@ -158,7 +158,9 @@ def test_clamped_reed_sways_with_the_water():
     clamp = Held(lower=(-9, -9, -9), upper=(9, 9, DX))
     solver = immersed((7, 7, 0), (2, 2, 8), density=600.0, clamps=[clamp])
     run(solver, 2)
-    solver.bind([Gravity(g=(2, 0, -9.6))], [SMOOTH, clamp], walls=[("tank", SMOOTH)])
+    solver.bind(
+        forces=[Gravity(g=(2, 0, -9.6))], boundaries=[SMOOTH, clamp], walls=[("tank", SMOOTH)]
+    )
     run(solver, 9)
     x, rest = solver.lattice.state.x.numpy(), solver.lattice.model.rest
     tip, foot = rest[:, 2] > 7 * DX, rest[:, 2] < DX / 2
@@ -258,7 +260,7 @@ def test_force_is_divided_between_body_and_liquid(force):
     assert len(acting) == (1 if force.object else 2)
     sums = [np.sum([getattr(part, name)[0] for part in acting]) for name in force.totals]
     assert sums[0] == pytest.approx(3)
-    solver.bind([force], [SMOOTH], walls=[("tank", SMOOTH)])
+    solver.bind(forces=[force], boundaries=[SMOOTH], walls=[("tank", SMOOTH)])
 
 
 def test_body_can_be_moved_at_once_in_a_live_run():

@@ -437,7 +437,7 @@ def substeps_at_rest(solver: AnySolver) -> float:
             limits.
     """
     if _on_lattice(solver):
-        return 1 / solver.substep_at_rest
+        return 1 / solver.limits.substep_at_rest
     return math.sqrt(solver.clock.extremes.stiffness) / (solver.clock.cfl * solver.model.dx)
 
 

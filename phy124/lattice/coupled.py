@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from phy124.lattice.material import Material
 from phy124.lattice.solver import LatticeSolver
-from phy124.mpm import Accumulator, Attachable, Clock, Model, Pair, Solver, State
-from phy124.mpm.free import Plane
+from phy124.mpm import Attachable, Clock, Model, Pair, Solver, State
 from phy124.mpm.pairs import fill_of
 from phy124.mpm.timestep import Substep
 
@@ -50,8 +49,6 @@ class CoupledSolver(Solver):
         surface: NDArray,
         state: State,
         *,
-        uniform: Sequence[Attachable] = (),
-        walls: Sequence[Any] = (),
         pairs: Sequence[Pair] = (),
         copies: NDArray | None = None,
         still: Sequence[int] = (),
@@ -64,19 +61,15 @@ class CoupledSolver(Solver):
             model: All particles; the bodies `Model.wet` are on lattices.
             surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
             state: Initial state of the particles.
-            uniform: Forces on the lattices, which must be uniform.
-            walls: The boundaries for the lattices.
             pairs: Pairs of bodies whose contact differs from the default.
             copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
             still: Bodies on lattices that never move.
             ceiling: Longest substep allowed [s].
-            options: Further arguments of `Solver`.
+            options: Further arguments of `Solver` and of `bind`.
 
         Raises:
             InputError: As in `Solver` and `LatticeSolver`.
         """
-        self._lattice: LatticeSolver | None = None
-        super().__init__(model, state, pairs=pairs, ceiling=ceiling, graph=False, **options)
         bodies = sorted(model.wet)
         part, index = part_of_bodies(model, bodies, still)
         number = {body: place for place, body in enumerate(bodies)}
@@ -89,20 +82,22 @@ class CoupledSolver(Solver):
         rows = surface.copy()
         rows[:, 6] = np.searchsorted(bodies, rows[:, 6])
         self._index, self._numbers = index, number
-        self._lattice = LatticeSolver(
+        self.lattice = LatticeSolver(
             part,
             rows,
             State.of(part, *motion),
-            forces=uniform,
-            boundaries=walls,
             pairs=between,
             copies=copies,
             ceiling=ceiling,
             threads=1,
         )
-        fill = fill_of(model)
-        self.materials = []
+        """The solver of the bodies on lattices."""
+        self.materials: list[Material] = []
         """Contact of each body on a lattice with each body of particles."""
+        self.lattice.guests = self.materials
+        self.guest = self._part = _Lattices(self.lattice, self.materials)
+        super().__init__(model, state, pairs=pairs, ceiling=ceiling, graph=False, **options)
+        fill = fill_of(model)
         for pair in self.pairs.all:
             soft = {pair.first, pair.second} & model.wet
             if len(soft) != 1:
@@ -110,26 +105,10 @@ class CoupledSolver(Solver):
             (body,) = soft
             (other,) = {pair.first, pair.second} - soft
             moves = other not in model.held
-            known = self._lattice.surface, self._lattice.nodes_state, part, pair, fill[other]
+            known = self.lattice.surface, self.lattice.nodes_state, part, pair, fill[other]
             self.materials.append(Material(*known, body=number[body], moves=moves))
         assert isinstance(self.clock, CoupledClock)
-        self.clock.lattice = self._lattice.clock
-        self._lattice.guests = self.materials
-        self.guest = self._part = _Lattices(self._lattice, self.materials)
-        self.bind(
-            options.get("forces", ()),
-            options.get("boundaries", ()),
-            options.get("accumulators", ()),
-            options.get("planes", ()),
-            uniform=uniform,
-            walls=walls,
-        )
-
-    @property
-    def lattice(self) -> LatticeSolver:
-        """The solver of the bodies on lattices."""
-        assert self._lattice is not None
-        return self._lattice
+        self.clock.lattice = self.lattice.clock
 
     @property
     def meetings(self) -> Any:
@@ -139,36 +118,24 @@ class CoupledSolver(Solver):
     @property
     def nodes(self) -> int:
         """Number of nodes in all windows and lattices."""
-        return super().nodes + (self._lattice.nodes if self._lattice is not None else 0)
+        return super().nodes + self.lattice.nodes
 
     def bind(
-        self,
-        forces: Sequence[Attachable] = (),
-        boundaries: Sequence[Attachable] = (),
-        accumulators: Sequence[Accumulator] = (),
-        planes: Sequence[Plane] = (),
-        *,
-        uniform: Sequence[Attachable] = (),
-        walls: Sequence[Any] = (),
+        self, *, uniform: Sequence[Attachable] = (), walls: Sequence[Any] = (), **acting: Any
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
         Args:
-            forces: Forces, in the order in which they act.
-            boundaries: Boundaries, in the order in which they act.
-            accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which free bodies collide.
-            uniform: The forces on the lattices.
+            uniform: The forces on the lattices, which must be uniform.
             walls: The boundaries for the lattices.
+            acting: The arguments of `Solver.bind`.
 
         Raises:
             InputError: As in `__init__`.
         """
-        if self._lattice is not None:
-            self._lattice.bind(uniform, walls)
-        super().bind(forces, boundaries, accumulators, planes)
-        if self._lattice is not None:
-            self.rejection.keep(self._part)
+        self.lattice.bind(forces=uniform, boundaries=walls)
+        super().bind(**acting)
+        self.rejection.keep(self._part)
 
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
@@ -222,14 +189,13 @@ class CoupledSolver(Solver):
 
     def _record(self) -> None:
         """Record the launches of one substep, in order."""
-        if self._lattice is not None:
-            for material in self.materials:
-                pair = material.pair
-                (other,) = {pair.first, pair.second} - self._numbers.keys()
-                clock = self._lattice.tracks.clock
-                material.record(self.grids[other], clock, self._lattice.walls.recovery)
-                material.due = True
-            self._lattice.record()
+        for material in self.materials:
+            pair = material.pair
+            (other,) = {pair.first, pair.second} - self._numbers.keys()
+            clock = self.lattice.tracks.clock
+            material.record(self.grids[other], clock, self.lattice.walls.recovery)
+            material.due = True
+        self.lattice.record()
         super()._record()
         self.flying = False
 

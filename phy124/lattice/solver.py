@@ -64,16 +64,13 @@ class LatticeSolver:
         surface: NDArray,
         state: State | None = None,
         *,
-        forces: Sequence[Attachable] = (),
-        boundaries: Sequence[Boundary] = (),
-        accumulators: Sequence[Accumulator] = (),
-        planes: Sequence[Any] = (),
         pairs: Sequence[Pair] = (),
         free: Sequence[FreeBody] = (),
         copies: NDArray | None = None,
         ceiling: float = math.inf,
         threads: int | None = None,
         vectors: bool = True,
+        **acting: Any,
     ) -> None:
         """Build the lattices of a model whose particles are integration points.
 
@@ -81,16 +78,13 @@ class LatticeSolver:
             model: The integration points, cell by cell (phy124/particles/lattice.py).
             surface: Surface points [m], outward normals at rest, and indices of bodies [S,7].
             state: The initial motion of the points; None: at rest.
-            forces: Forces, in the order in which they act.
-            boundaries: Boundaries, in the order in which they act.
-            accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which freely moving solids collide.
             pairs: Pairs of bodies whose contact differs from the default.
             free: Freely moving rigid solids.
             copies: Copy of each of the 27 nodes that a cell uses [C,27]; None: no node has copies.
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: chosen from the numbers of free cores and points.
             vectors: Whether to use vectorised CPU kernels if they exist.
+            acting: Forces, boundaries, sums and planes, as in `bind`.
 
         Raises:
             InputError: The region of a force contains no particle, or a clamp fixes only some
@@ -124,6 +118,7 @@ class LatticeSolver:
         # The lattice solver does not use these attributes, but observers and reports read them.
         self.repair = Repair(model, self.state, needed=False)
         self.outliers = Outliers(model, self.state)
+        self.boundaries: Sequence[Stage] = ()
         self.guests: list[Any] = []
         """Further kinds of contact, whose launches run along with the launches of walls."""
         nodes, lattice = self.nodes_state, self.lattice
@@ -133,10 +128,11 @@ class LatticeSolver:
         parts = self.crew, self.runner, self.spectrum, self.free
         self.limits = Limits(model, self.clock, *parts)
         """Measured values that limit the substep."""
-        self.bind(forces, boundaries, accumulators, planes)
+        self.bind(**acting)
 
     def bind(
         self,
+        *,
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[Boundary] = (),
         accumulators: Sequence[Accumulator] = (),
@@ -162,9 +158,8 @@ class LatticeSolver:
         acting = [stage for item in forces for stage in item.attach(model, state, tracks)]
         surface, nodes = self.surface, self.nodes_state
         division = Division(model, self.runner.team)
-        walls = Walls(
-            boundaries, model, self.lattice, surface, nodes, tracks, self.substep_at_rest, division
-        )
+        at_rest = self.limits.substep_at_rest
+        walls = Walls(boundaries, model, self.lattice, surface, nodes, tracks, at_rest, division)
         sums = [stage for item in accumulators for stage in item.attach(model, state, tracks)]
         self.free.bind(planes, tracks)
         tracks.upload(self.clock.values)
@@ -246,11 +241,6 @@ class LatticeSolver:
         return len(self.lattice)
 
     @property
-    def substep_at_rest(self) -> float:
-        """Length of a substep of the undeformed bodies [s]."""
-        return self.limits.substep_at_rest
-
-    @property
     def softened(self) -> float:
         """Current factor on the stiffness of all materials."""
         return self.limits.softened
@@ -258,11 +248,6 @@ class LatticeSolver:
     @softened.setter
     def softened(self, factor: float) -> None:
         self.limits.softened = factor
-
-    @property
-    def boundaries(self) -> Sequence[Stage]:
-        """Stages of boundaries on a grid: none, because walls act on surface points."""
-        return ()
 
     @property
     def timings(self) -> Timings:

@@ -173,11 +173,11 @@ class ImmersedSolver:
 
     def bind(
         self,
+        *,
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[Any] = (),
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
-        *,
         walls: Sequence[tuple[str, Boundary]] = (),
     ) -> None:
         """Replace forces, boundaries and sums, from the next step on.
@@ -193,9 +193,12 @@ class ImmersedSolver:
             InputError: As in `__init__`.
         """
         self._accumulators = list(accumulators)
-        self.liquid.bind(_acting(forces, self.liquid.model, self.model), walls)
-        of_bodies = _acting(forces, self.lattice.model, self.model)
-        self.lattice.bind(of_bodies, boundaries, self._of_all(accumulators))
+        of_liquid, of_bodies = (
+            _acting(forces, part.model, self.model) for part in (self.liquid, self.lattice)
+        )
+        self.liquid.bind(forces=of_liquid, boundaries=walls)
+        sums = self._of_all(accumulators)
+        self.lattice.bind(forces=of_bodies, boundaries=boundaries, accumulators=sums)
 
     def keep_pushes(self, of_bodies: wp.array, of_liquid: wp.array) -> None:
         """From now on, sum impulse and work of forces on points, and on particles of the liquid, in

@@ -118,7 +118,10 @@ class MixedSolver(Solver):
         self.clock.follow(self._liquid, model.total_mass)
         self._after: Callable[[], None] | None = None
         self._each = False
-        super().bind([*forces, self.bodies], boundaries, accumulators, planes)
+        super().bind(
+            forces=[*forces, self.bodies], boundaries=boundaries, accumulators=accumulators,
+            planes=planes,
+        )  # fmt: skip
         self._liquid.bounds = self.rejection
 
     @property
@@ -146,34 +149,30 @@ class MixedSolver(Solver):
 
     def bind(
         self,
-        forces: Sequence[Attachable] = (),
-        boundaries: Sequence[Attachable] = (),
-        accumulators: Sequence[Accumulator] = (),
-        planes: Sequence[Plane] = (),
         *,
+        forces: Sequence[Attachable] = (),
         uniform: Sequence[Attachable] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
         pushed: bool = False,
+        **acting: Any,
     ) -> None:
         """Replace forces, boundaries and sums, from the next step on.
 
         Args:
             forces: Forces, in the order in which they act.
-            boundaries: Boundaries as stages for the bodies.
-            accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which freely moving solids collide.
             uniform: The uniform forces among the forces.
-            walls: The same boundaries, with their names, for the liquid.
+            walls: The boundaries, with their names, for the liquid.
             pushed: Whether any force acts on particles.
+            acting: Further arguments of `Solver.bind`.
 
         Raises:
             InputError: For the same reasons as in `__init__`.
         """
         if self._liquid is not None and self.bodies is not None:
             self.bodies.pushed = pushed
-            self._liquid.bind(uniform, walls)
+            self._liquid.bind(forces=uniform, boundaries=walls)
             forces = [*forces, self.bodies]
-        super().bind(forces, boundaries, accumulators, planes)
+        super().bind(forces=forces, **acting)
         if self._liquid is not None:
             self._liquid.bounds = self.rejection
 

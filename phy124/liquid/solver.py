@@ -78,33 +78,27 @@ class LiquidSolver:
         model: Model,
         state: State | None = None,
         *,
-        forces: Sequence[Attachable] = (),
-        boundaries: Sequence[tuple[str, Boundary]] = (),
-        accumulators: Sequence[Accumulator] = (),
         free: Sequence[FreeBody] = (),
-        planes: Sequence[Plane] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
         bodies: Bodies | None = None,
         advance_bodies: Advance | None = None,
         whole: Model | None = None,
+        **acting: Any,
     ) -> None:
         """Connect forces and walls to the particles of a liquid.
 
         Args:
             model: The constants of the run.
             state: The initial state; None: at rest.
-            forces: Forces, in the order in which they act.
-            boundaries: Boundaries with their names.
-            accumulators: Sums that are updated in every step.
             free: At most one freely moving rigid solid.
-            planes: Flat walls with which the freely moving solid collides.
             ceiling: Longest step allowed [s].
             threads: Number of CPU threads; None: the fastest number.
             bodies: Bodies of other materials.
             advance_bodies: Function that moves the bodies up to a time [s].
             whole: All particles of the run, from which positions of walls are determined; None:
                 `model`.
+            acting: Forces, boundaries, sums and planes, as in `bind`.
 
         Raises:
             InputError: The region of a force contains no particle, or a wall is too thin for the
@@ -151,10 +145,11 @@ class LiquidSolver:
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
-        self.bind(forces, boundaries, accumulators, planes)
+        self.bind(**acting)
 
     def bind(
         self,
+        *,
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[tuple[str, Boundary]] = (),
         accumulators: Sequence[Accumulator] = (),

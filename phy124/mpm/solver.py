@@ -66,30 +66,23 @@ class Solver:
         model: Model,
         state: State | None = None,
         *,
-        forces: Sequence[Attachable] = (),
-        boundaries: Sequence[Attachable] = (),
-        accumulators: Sequence[Accumulator] = (),
         pairs: Sequence[Pair] = (),
         free: Sequence[FreeBody] = (),
-        planes: Sequence[Plane] = (),
         ceiling: float = math.inf,
         threads: int | None = None,
         graph: bool | None = None,
         measure_every: int = MEASURE_EVERY,
         scheme: Scheme = APIC,
         gathered: Sequence[Gathered] = (),
+        **acting: Any,
     ) -> None:
         """Connect forces and boundaries to a model.
 
         Args:
             model: The constants of the run.
             state: The initial state; None: undeformed and at rest.
-            forces: Forces, in the order in which they act.
-            boundaries: Boundaries, in the order in which they act.
-            accumulators: Sums that are updated in every substep.
             pairs: Pairs of bodies whose contact differs from the default.
             free: Freely moving rigid solids.
-            planes: Flat walls with which the free solids collide.
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: chosen from the numbers of free cores and
                 particles.
@@ -99,6 +92,7 @@ class Solver:
                 safe.
             scheme: The grid-to-particle transfer scheme.
             gathered: Objects that read each part of the particles after every gather.
+            acting: Forces, boundaries, sums and planes, as in `bind`.
 
         Raises:
             InputError: The region of a force contains no particle, or a boundary is too thin for
@@ -136,11 +130,12 @@ class Solver:
         """Current factor on the stiffness of all particles."""
         self.runner = Runner(self.workers)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
-        self.bind(forces, boundaries, accumulators, planes)
+        self.bind(**acting)
         self._record_measures()
 
     def bind(
         self,
+        *,
         forces: Sequence[Attachable] = (),
         boundaries: Sequence[Attachable] = (),
         accumulators: Sequence[Accumulator] = (),
