@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, Literal, get_args, get_origin
 
 import gradio as gr
@@ -28,6 +29,7 @@ from .jobs import Studio
 from .line import Job, api_message
 from .photo import film, photo, refusal
 from .pictures import check_picture, read_place
+from .source import Choice
 from .studies import read_study
 from .visitors import Visitor
 from .work import BEAT, Done
@@ -190,21 +192,21 @@ def _generate(studio: Studio) -> Callable[[gr.Request, GenerateRequest], Iterato
         name = _admit(studio, request)
         kinds = _check_choices("formats", asked.formats or [], list(EXPORTS))
         scene, cutting = _cut_out(studio, name, asked)
-        visitor, data = studio.visitors.get(name), scene.data()
+        visitor = studio.visitors.get(name)
         gaussians = len(scene.names) * studio.settings.gaussians
         with _refusing():
             check_size(kinds, scene.time.frames, gaussians, studio.visitors.room.each)
         for _ in _follow(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
-        source = cutting.progress.result
+        choice = Choice(name, cutting.progress.result, scene.data(), asked.extras)
         with _refusing():
-            job = studio.run(name, source, data, asked.extras)
+            job = studio.run(choice)
         for _ in _follow(job, visitor, "run"):
             yield (gr.skip(),) * 3
         done = job.progress.result
         with _refusing():
             exports = [str(path) for path in export(kinds, done, visitor, studio.visitors)]
-        yield (done, source, data, asked.extras), _paths(done) + exports, done.report
+        yield (done, choice), _paths(done) + exports, done.report
 
     return generate
 
@@ -218,7 +220,7 @@ def _measure(studio: Studio) -> Callable[[gr.Request, MeasureRequest], Iterator[
         for _ in _follow(cutting, visitor, "image"):
             yield (gr.skip(),) * 3
         with _refusing():
-            job = studio.measure(name, cutting.progress.result, scene.data(), asked.extras)
+            job = studio.measure(Choice(name, cutting.progress.result, scene.data(), asked.extras))
         for _ in _follow(job, visitor, "measure"):
             yield (gr.skip(),) * 3
         study = read_study(job.progress.result.study)
@@ -302,14 +304,15 @@ def _render(studio: Studio) -> Handler:
         """Render the last run of this session again, without simulating the motion again."""
         if run is None:
             raise refusal(NOTHING_YET)
-        _, source, data, extras = run
-        name = visitor_of(request)
-        view = {**data["view"], "size": size, "elevation": elevation}
-        view["views"] = _check_choices("views", views or [], VIEWS) or data["view"]["views"]
+        name, choice = visitor_of(request), run[1]
+        before = choice.data["view"]
+        view = {**before, "size": size, "elevation": elevation}
+        view["views"] = _check_choices("views", views or [], VIEWS) or before["views"]
         view |= {} if speed is None else {"speed": speed, "fps": None}
         with _refusing():
-            extras = {**extras, "compose": compose}
-            job = studio.run(name, source, {**data, "view": view}, extras)
+            extras = {**choice.extras, "compose": compose}
+            data = {**choice.data, "view": view}
+            job = studio.run(replace(choice, name=name, data=data, extras=extras))
         for _ in _follow(job, studio.visitors.get(name), "run"):
             yield gr.skip(), gr.skip()
         yield _paths(job.progress.result), job.progress.result.report

@@ -53,6 +53,14 @@ class Estimate:
     """Time to compile missing kernels [s]."""
     unloaded: float = 0.0
     """Predicted time without load from other programs [s]; 0 if unknown."""
+    accuracy: object = None
+    """Accuracy of the scene; a named accuracy is a string."""
+    stops: Sequence[Stop] = ()
+    """Time and error of the scene at each named accuracy."""
+    study: Measurement | None = None
+    """Errors measured on this scene; None if none were measured."""
+    study_seconds: float | None = None
+    """Predicted time to measure the error of the scene [s]; None if the error is known."""
 
     @property
     def span(self) -> tuple[float, float]:
@@ -283,7 +291,7 @@ _NOT_MEASURED = "Its error has not been measured."
 _NOT_KNOWN = "Its error is not known."
 
 
-def stops_table(stops: list[Stop], chosen: object) -> str:
+def stops_table(stops: Sequence[Stop], chosen: object) -> str:
     """Format the time and the error of each named accuracy as an HTML table."""
     mark = {chosen: " class=chosen"}
     rows = [

@@ -34,8 +34,8 @@ from .line import Job, Line, run_guarded
 from .pictures import Stroke, check_picture, cut_by, cut_once, viewable
 from .progress import MEASURING, READING, STAGES, close_now
 from .settings import Settings
-from .source import Cutout, Source, check_file, is_there, missing, open_gaussians
-from .studies import Measurement, grids, on_grid, read_study
+from .source import Choice, Cutout, Source, check_file, is_there, missing, open_gaussians
+from .studies import grids, on_grid, read_study
 from .touch import Table
 from .visitors import Visitor, Visitors, key
 from .work import (
@@ -174,47 +174,33 @@ class Studio:
         job = Job(kind, visitor.new_stop_file(), subject=str(upload))
         return self._submit(visitor, job, self.cuts, work)
 
-    def forecast(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Estimate:
+    def forecast(self, choice: Choice) -> Estimate:
         """Return the predicted time and error of a run.
 
-        Args:
-            name: The visitor's name.
-            source: The source of the object; None if it no longer exists.
-            data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
-
         Raises:
             InputError: The run would be refused.
         """
-        scene = self._scene(self.visitors.find(name), data)
-        self._check_time(source, scene)
-        ready = self._ready(name, source, scene, extras)
-        count, compiling = self.count(source), self._compiling(scene)
-        estimate = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
-        return self._with_error(estimate, name, source, scene, extras)
+        scene = self._scene(self.visitors.find(choice.name), choice.data)
+        self._check_time(choice.source, scene)
+        order = self._order(choice, scene)
+        return self._complete(self._predict(choice.source, scene, order), choice, scene, order)
 
-    def refine(
-        self, name: str, source: Source | None, data: Any, extras: Any = None
-    ) -> Estimate | None:
+    def refine(self, choice: Choice) -> Estimate | None:
         """Return a forecast from a trial run; None if the device is busy or Gaussians are missing.
 
-        Args:
-            name: The visitor's name.
-            source: The source of the object; None if it no longer exists.
-            data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
-
         Raises:
             InputError: The run would be refused.
         """
-        visitor = self.visitors.find(name)
-        if self.forks or visitor is None or source is None or not is_there(source):
+        visitor = self.visitors.find(choice.name)
+        if self.forks or visitor is None or not is_there(choice.source):
             return None
         if not DEVICE.acquire(blocking=False):
             return None
         try:
-            scene = self._scene(visitor, data)
-            order = self.order((visitor, source, scene), self.check_extras(name, extras))
+            scene = self._scene(visitor, choice.data)
+            order = self._order(choice, scene)
+            if order is None:
+                return None
             ready = stages_done(order)
             device = pick_device(self.settings.device)
             if not ready["generated"] or ready["simulated"] or seconds_to_compile(scene, device):
@@ -222,168 +208,121 @@ class Studio:
             gaussians = gaussians_of(order, made_gaussians(order))
             rates = self.forecaster.rates
             rest = rates.rest + rates.pixel * ready["composed"]
-            forecast = probe_estimate(gaussians, order.scene, device, rest)
-            visitor.forecasts[key(scene.data())] = forecast.seconds
-            visitor.proportions[str(made_gaussians(order))] = forecast.proportions
+            estimate = probe_estimate(gaussians, order.scene, device, rest)
+            visitor.forecasts[key(scene.data())] = estimate.seconds
+            visitor.proportions[str(made_gaussians(order))] = estimate.proportions
         finally:
             DEVICE.release()
-        return self._with_error(forecast, name, source, scene, extras)
+        return self._complete(estimate, choice, scene, order)
 
-    def _with_error(
-        self, estimate: Estimate, name: str, source: Source | None, scene: Scene, extras: Any
+    def _predict(self, source: Source | None, scene: Scene, order: Order | None) -> Estimate:
+        """Predict the time of a run without a trial run."""
+        ready = stages_done(order) if order else {}
+        count, compiling = self.count(source), self._compiling(scene)
+        return self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
+
+    def _complete(
+        self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
-        """Return a forecast with the error bound or the measured error of this object."""
-        about = (name, source, scene, extras)
-        promise = promise_of(scene, self.proportions(*about), self.study(*about))
-        return replace(estimate, promise=promise)
+        """Return a forecast with the error bound or the measured error of this object, and with the
+        time and error of each named accuracy.
+        """
+        visitor, study, proportions = self.visitors.find(choice.name), None, None
+        if order is not None and visitor is not None:
+            study = read_study(study_file(order))
+            proportions = visitor.proportions.get(str(made_gaussians(order)))
+        stops = self.forecaster.stops(
+            scene,
+            gaussians=self.count(choice.source),
+            proportions=proportions,
+            seconds=visitor.forecasts.get(key(scene.data())) if visitor else None,
+            study=study,
+        )
+        promise = promise_of(scene, proportions, study)
+        estimate = replace(estimate, promise=promise, accuracy=scene.accuracy, stops=stops)
+        if promise.missing and not promise.of_scene:
+            seconds = self._study_seconds(choice.source, scene, order)
+            estimate = replace(estimate, study_seconds=seconds)
+        return replace(estimate, study=study)
 
     def check_extras(self, name: str, extras: Any) -> ExtraInputs:
         """Validate a visitor's optional inputs; raise InputError if one is invalid."""
         return extras_of(self.visitors, self.settings, name, extras)
 
-    def run(
-        self,
-        name: str,
-        source: Source | None,
-        data: Any,
-        extras: Any = None,
-        limits: Settings | None = None,
-    ) -> Job:
+    def run(self, choice: Choice, limits: Settings | None = None) -> Job:
         """Start a run, which generates the Gaussians, simulates their motion and renders videos.
 
-        Args:
-            name: The visitor's name.
-            source: The object's source.
-            data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
-            limits: Limits of this run; by default, the limits of the page.
+        `limits` are the limits of this run; by default, the limits of the page.
 
         Raises:
             InputError: The source, the scene or an input is invalid.
         """
-        visitor, source, scene = self.resolve(name, source, data, limits)
+        visitor, source, scene = self.resolve(choice, limits)
         self._check_time(source, scene)
-        ready = self._ready(name, source, scene, extras)
-        count, compiling = self.count(source), self._compiling(scene)
-        usual = self.forecaster(scene, gaussians=count, compiling=compiling, **ready)
+        order = self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
+        usual = self._predict(source, scene, order)
         expected = visitor.forecasts.get(key(scene.data()), usual.seconds)
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
         job.progress.unloaded = usual.unloaded
-        order = self.order((visitor, source, scene), self.check_extras(name, extras))
         order = replace(order, stop=job.stop, expected=expected)
-        job.asked = source, data, extras
+        job.choice = choice
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def measure(self, name: str, source: Source | None, data: Any, extras: Any = None) -> Job:
+    def measure(self, choice: Choice) -> Job:
         """Start to measure the error of a scene.
-
-        Args:
-            name: The visitor's name.
-            source: The object's source.
-            data: The scene as plain data.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
 
         Raises:
             InputError: The source, the scene or an input is invalid.
         """
-        visitor, source, scene = self.resolve(name, source, data)
+        visitor, source, scene = self.resolve(choice)
         levels = grids(scene)
         for cells in levels:
             check_limits(on_grid(scene, cells), self.settings)
         count = self.count(source)
         check_time(self.forecaster.min_study(scene, levels, gaussians=count), self.settings)
-        inputs = self.check_extras(name, extras)
-        expected = self.study_seconds(name, source, scene, extras)
+        order = self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
+        expected = self._study_seconds(source, scene, order)
         stages = MEASURING if isinstance(source, Cutout) else MEASURING | READING
         job = Job("measure", visitor.new_stop_file(), expected, stages=stages)
-        order = self.order((visitor, source, scene), inputs)
         order = replace(order, stop=job.stop, expected=expected, levels=levels)
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))
 
-    def study(
-        self, name: str, source: Source | None, scene: Scene, extras: Any = None
-    ) -> Measurement | None:
-        """Return the errors measured for this visitor's object in this scene; None if unknown.
-
-        Args:
-            name: The visitor's name.
-            source: The source of the object; None if it no longer exists.
-            scene: The scene.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
-        """
-        visitor = self.visitors.find(name)
-        if visitor is None or source is None or not is_there(source):
-            return None
-        order = self.order((visitor, source, scene), self.check_extras(name, extras))
-        return read_study(study_file(order))
-
-    def proportions(
-        self, name: str, source: Source | None, scene: Scene, extras: Any = None
-    ) -> Proportions | None:
-        """Return the proportions of this visitor's object, or None if they are unknown.
-
-        Args:
-            name: The visitor's name.
-            source: The source of the object; None if it no longer exists.
-            scene: The scene.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
-        """
-        visitor = self.visitors.find(name)
-        if visitor is None or source is None or not is_there(source):
-            return None
-        order = self.order((visitor, source, scene), self.check_extras(name, extras))
-        return visitor.proportions.get(str(made_gaussians(order)))
-
-    def study_seconds(
-        self, name: str, source: Source | None, scene: Scene, extras: Any = None
-    ) -> float:
-        """Predict the time to measure the errors of a scene [s].
-
-        Args:
-            name: The visitor's name.
-            source: The source of the object; None if it no longer exists.
-            scene: The scene.
-            extras: Optional inputs in addition to the front picture, with option names as keys.
-        """
-        ready = self._ready(name, source, scene, extras)
+    def _study_seconds(self, source: Source | None, scene: Scene, order: Order | None) -> float:
+        """Predict the time to measure the errors of a scene [s]."""
         return self.forecaster.study(
             scene,
             grids(scene),
             gaussians=self.count(source),
-            generated=ready.get("generated", False),
+            generated=order is not None and stages_done(order)["generated"],
             compiling=self._compiling(on_grid(scene, grids(scene)[0])),
         )
 
     def resolve(
-        self, name: str, source: Source | None, data: Any, limits: Settings | None = None
+        self, choice: Choice, limits: Settings | None = None
     ) -> tuple[Visitor, Source, Scene]:
-        """Return the visitor, the object's source and the scene of a request.
+        """Return the visitor, the object's source and the scene that the visitor has chosen.
 
-        Args:
-            name: The visitor's name.
-            source: The object's source.
-            data: The scene as plain data.
-            limits: Limits of this request; by default, the limits of the page.
+        `limits` are the limits of this request; by default, the limits of the page.
 
         Raises:
             InputError: The source no longer exists, or the scene is invalid.
         """
-        visitor = self.visitors.find(name)
+        visitor, source = self.visitors.find(choice.name), choice.source
         if visitor is None or source is None or not is_there(source):
             raise missing(source)
-        return visitor, source, self._scene(visitor, data, limits)
+        return visitor, source, self._scene(visitor, choice.data, limits)
 
     def _scene(self, visitor: Visitor | None, data: Any, limits: Settings | None = None) -> Scene:
         """Validate a scene, which may name uploads of the visitor but no other files."""
         return scene_of(data, limits or self.settings, visitor and visitor.folder / "uploads")
 
-    def _ready(self, name: str, source: Source | None, scene: Scene, extras: Any) -> dict[str, Any]:
-        """Return which stages of a run are already finished, as arguments of the forecast."""
-        visitor = self.visitors.find(name)
+    def _order(self, choice: Choice, scene: Scene) -> Order | None:
+        """Create the order of a run; None if the visitor or the source no longer exists."""
+        visitor, source = self.visitors.find(choice.name), choice.source
         if visitor is None or source is None or not is_there(source):
-            return {}
-        return stages_done(self.order((visitor, source, scene), self.check_extras(name, extras)))
+            return None
+        return self.order((visitor, source, scene), self.check_extras(choice.name, choice.extras))
 
     def _compiling(self, scene: Scene) -> float:
         """Return the time to compile a scene's kernels [s]; 0 if a running job may be compiling

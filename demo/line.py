@@ -13,12 +13,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from phy124.errors import Cancelled, InputError
 from phy124.runtime.failures import Kind, failure
 
 from .progress import STAGES, Progress
+
+if TYPE_CHECKING:
+    from .source import Choice
 
 LOG = logging.getLogger("phy124.web")
 RECENT = 5
@@ -55,8 +58,8 @@ class Job:
         """File whose existence tells the job to stop."""
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
-        self.asked: tuple[Any, Any, Any] = (None, None, None)
-        """Source, scene and further inputs of a run, which are needed for a finer run."""
+        self.choice: Choice | None = None
+        """What the visitor has chosen for a run; needed for a finer run."""
         self._changed = threading.Condition()
 
     @property

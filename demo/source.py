@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -80,6 +81,20 @@ def way(up: str, front: str) -> str:
 
 
 Source = Cutout | GaussianFile
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a visitor has chosen for a run."""
+
+    name: str
+    """The visitor's name."""
+    source: Source | None
+    """The source of the object; None if it no longer exists."""
+    data: Any
+    """The scene as plain data."""
+    extras: Any = None
+    """Optional inputs in addition to the front picture, with option names as keys."""
 
 
 def is_there(source: Source | None) -> bool:

@@ -11,7 +11,7 @@ from PIL import Image
 from demo.jobs import Studio
 from demo.line import Job
 from demo.settings import Settings
-from demo.source import Cutout
+from demo.source import Choice, Cutout
 from demo.visitors import Visitors
 from demo.work import Done
 from phy124.scene import Scene
@@ -136,7 +136,7 @@ def test_each_stage_of_a_run_has_one_time(studio):
     cut = studio.cut_out("a", str(studio.visitors.store("a", TEDDY.read_bytes(), ".png")))
     assert cut.wait(60)
     few = {"time.frames": 2, "accuracy": "draft", "view.size": 32, "view.views": ["front"]}
-    run = studio.run("a", cut.progress.result, Scene.named("press").replaced(few).data())
+    run = studio.run(Choice("a", cut.progress.result, Scene.named("press").replaced(few).data()))
     assert run.wait(300) and visitor.has_results, run.progress.message
     report = json.loads((run.progress.result.films / "report.json").read_text("utf-8"))
     names = [stage["name"] for stage in report["stages"]]

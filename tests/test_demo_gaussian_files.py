@@ -11,7 +11,7 @@ from demo import source as module
 from demo.catalogue import catalogue
 from demo.jobs import Studio
 from demo.settings import Settings
-from demo.source import Cutout, GaussianFile
+from demo.source import Choice, Cutout, GaussianFile
 from demo.visitors import Visitors
 from demo.work import gaussians_of, made_gaussians
 from phy124.errors import InputError
@@ -186,4 +186,4 @@ def test_the_forecast_is_that_of_the_file(studio):
         for item in (file, small)
     ]
     assert both[0].seconds > both[1].seconds
-    assert studio.forecast("a", file, scene).sentence == both[0].sentence
+    assert studio.forecast(Choice("a", file, scene)).sentence == both[0].sentence

@@ -16,7 +16,7 @@ from demo.jobs import Studio
 from demo.line import Job, user_message
 from demo.pictures import MISSING, Stroke, how_cut, read_place
 from demo.settings import Settings
-from demo.source import Cutout
+from demo.source import Choice, Cutout
 from demo.visitors import UNFINISHED, Visitors
 from demo.work import Done, Order
 from phy124.errors import InputError
@@ -90,14 +90,14 @@ def test_a_picture_that_was_refused_is_not_generated_from(studio):
     with pytest.raises(InputError, match="not a PNG"):
         studio.cut_out("a", str(bad))
     with pytest.raises(InputError, match="no picture yet"):
-        studio.run("a", None, Scene.named("press").data())
+        studio.run(Choice("a", None, Scene.named("press").data()))
 
 
 def test_deleted_picture_has_its_own_message(studio):
     gone = Cutout(str(studio.visitors.get("a").folder / "gone.png"), "")
     for name in ("a", "somebody the page has forgotten"):
         with pytest.raises(InputError, match="no longer has your picture"):
-            studio.run(name, gone, Scene.named("press").data())
+            studio.run(Choice(name, gone, Scene.named("press").data()))
 
 
 @pytest.mark.parametrize("field", ["image", "mesh", "depth"])
@@ -190,11 +190,11 @@ def test_full_queue_of_runs_still_accepts_cutouts(tmp_path):
         job = _cut(studio, name)
         assert job.wait(60) and job.progress.state == "done"
         made[name] = job.progress.result
-    studio.run("a", made["a"], scene)
+    studio.run(Choice("a", made["a"], scene))
     until(lambda: studio.runs.running == 1)
-    studio.run("b", made["b"], scene)
+    studio.run(Choice("b", made["b"], scene))
     with pytest.raises(InputError, match="Too many visitors"):
-        studio.run("c", made["c"], scene)
+        studio.run(Choice("c", made["c"], scene))
     assert _cut(studio, "c").wait(60)
     over.set()
     until(lambda: studio.runs.running == 0)
@@ -218,7 +218,7 @@ def test_a_run_is_done_when_its_room_is_no_longer_promised(tmp_path, monkeypatch
     assert cut.wait(60)
     monkeypatch.setattr(studio, "work", lambda _: iter([done]))
     monkeypatch.setattr(studio.visitors, "writing", writing)
-    job = studio.run("a", cut.progress.result, Scene.named("press").data())
+    job = studio.run(Choice("a", cut.progress.result, Scene.named("press").data()))
     assert job.wait(60) and job.progress.result is done
     assert over == [False]
     studio.visitors.close()

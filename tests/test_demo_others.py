@@ -13,7 +13,7 @@ from demo.jobs import Studio
 from demo.rates import Learned
 from demo.report import as_html
 from demo.settings import Settings
-from demo.source import Cutout
+from demo.source import Choice, Cutout
 from demo.touch.player import SESSION, Play, Player
 from demo.touch.table import limits_of
 from demo.visitors import Visitors
@@ -43,7 +43,7 @@ def _collide(**changes) -> dict:
 
 
 def _order(studio: Studio, data: dict) -> Order:
-    asked = studio.resolve("a", Cutout(str(DUCK), str(DUCK)), data)
+    asked = studio.resolve(Choice("a", Cutout(str(DUCK), str(DUCK)), data))
     return studio.order(asked, studio.check_extras("a", None))
 
 
@@ -181,7 +181,7 @@ def test_grab_and_its_clip_take_the_same_object(studio):
     player._save(None)
     (session,) = [json.loads(content) for letter, content in said if letter == SESSION]
     assert (session["forces"][-1]["kind"], session["forces"][-1]["object"]) == ("grab", "above")
-    job = studio.run("a", Cutout(str(DUCK), str(DUCK)), session, None, most)
+    job = studio.run(Choice("a", Cutout(str(DUCK), str(DUCK)), session), most)
     assert job.wait(300) and job.progress.state == "done", job.progress.message
     report = job.progress.result.report
     assert set(report["objects"]) == {"below", "board", "above"}

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import pytest
 
+from demo.extras import NO_EXTRAS
 from demo.forecast import promise_of
 from demo.jobs import Studio
 from demo.line import Job
 from demo.progress import Measured, Reused, Step
 from demo.settings import Settings
+from demo.source import Choice
 from demo.studies import GRIDS, Level, Measurement, grids, on_grid, read_study
 from demo.visitors import Visitors
-from demo.work import DEVICE, steps, study_file
+from demo.work import DEVICE, made_gaussians, steps, study_file
 from demo.work.limits import Limits
 from phy124.errors import Cancelled, InputError
 from phy124.monitor.tearing import Tearing
@@ -134,24 +136,24 @@ def visit(tmp_path):
     return studio, cut.progress.result, scene.data()
 
 
-def test_study_is_offered_where_nothing_was_measured(visit, handlers, monkeypatch):
+def test_study_is_offered_where_nothing_was_measured(visit, handlers):
     studio, cutout, data = visit
     # The set-up of a lattice takes a second on each grid.
     data = Scene.from_data(data).replaced({"accuracy.solver": "mpm"}).data()
 
     def shown(data):
-        estimate = studio.forecast("a", cutout, data)
-        return handlers.run.with_stops(studio, "a", cutout, data, None, estimate)
+        return handlers.run.show_estimate(studio.forecast(Choice("a", cutout, data)))
 
     drop = Scene.named("drop")
     assert "of unknown proportions" in shown(drop.replaced({"time.frames": 14}).data())
-    monkeypatch.setattr(studio, "proportions", lambda *about: Proportions(0.3, 0.3))
+    order = studio.order(studio.resolve(Choice("a", cutout, data)), NO_EXTRAS)
+    studio.visitors.get("a").proportions[str(made_gaussians(order))] = Proportions(0.3, 0.3)
     assert "data-measure" not in shown(drop.replaced({"time.frames": 14}).data())
     assert "data-measure" in shown(drop.data())
     before = shown(data)
     assert "data-measure>Measure</button> <span>about " in before
     assert "phy124 accuracy" not in before, "a visitor has no command line"
-    jobs = [studio.measure("a", cutout, data) for _ in range(2)]
+    jobs = [studio.measure(Choice("a", cutout, data)) for _ in range(2)]
     for job in jobs:
         assert job.wait(300) and job.progress.state == "done", job.progress.message
         assert [row["name"] for row in job.progress.data()["stages"]] == ["Picture to 3D", "Grids"]
@@ -168,7 +170,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
         monkeypatch.setattr(module, "visitor_of", lambda _: "a")
     studio, cutout, data = visit
     data = {**data, "accuracy": "draft", "view": {**data["view"], "size": [32, 32]}}
-    run = studio.run("a", cutout, data)
+    run = studio.run(Choice("a", cutout, data))
     assert run.wait(300) and run.progress.state == "done", run.progress.message
     shown = run.progress.result
     report = handlers.results.report_of(studio, run)
@@ -182,7 +184,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
     finished = handlers.on_job_end(studio)(cutout, data, None, shown, 1, event, None)
     assert finished[1] == gradio.skip(), "the same run is shown"
     assert "about 6.0 %" in finished[handlers.results.REPORT - 4]["tables"]
-    again = studio.run("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}})
+    again = studio.run(Choice("a", cutout, {**data, "view": {**data["view"], "elevation": 40.0}}))
     assert again.wait(300) and again.progress.result.films != shown.films
     report = handlers.results.report_of(studio, again)
     assert "about 6.0 %" in report["tables"]
@@ -192,24 +194,24 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
 def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):
     studio, cutout, data = visit
     data = {**data, "accuracy": "draft", "view": {**data["view"], "size": [32, 32]}}
-    job = studio.run("a", cutout, data)
+    job = studio.run(Choice("a", cutout, data))
     assert job.wait(300) and job.progress.state == "done", job.progress.message
     other = {**data, "time": {**data["time"], "frames": 3}}
-    assert "compiles" not in studio.forecast("a", cutout, other).sentence
-    assert studio.refine("a", cutout, other)
+    assert "compiles" not in studio.forecast(Choice("a", cutout, other)).sentence
+    assert studio.refine(Choice("a", cutout, other))
     monkeypatch.setattr("demo.jobs.seconds_to_compile", lambda *_: 5.0)
-    cold = studio.forecast("a", cutout, other).sentence
+    cold = studio.forecast(Choice("a", cutout, other)).sentence
     assert "The first run of this kind compiles for about" in cold
-    assert studio.refine("a", cutout, other) is None
+    assert studio.refine(Choice("a", cutout, other)) is None
 
 
 def test_unmeasurable_scenes_are_refused(visit):
     studio, cutout, data = visit
     with pytest.raises(InputError, match="no picture yet"):
-        studio.measure("a", None, data)
+        studio.measure(Choice("a", None, data))
     stiff = {**data, "material": {**data["material"], "E": 1e12}}
     with pytest.raises(InputError, match="would take about"):
-        studio.measure("a", cutout, stiff)
+        studio.measure(Choice("a", cutout, stiff))
     few = Studio(Settings(max_particles=1000), studio.visitors)
     with pytest.raises(InputError, match="at most 1,000"):
-        few.measure("a", cutout, data)
+        few.measure(Choice("a", cutout, data))

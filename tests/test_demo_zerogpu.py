@@ -10,7 +10,7 @@ import pytest
 from demo import zerogpu
 from demo.jobs import Studio
 from demo.settings import Settings
-from demo.source import Cutout
+from demo.source import Choice, Cutout
 from demo.visitors import Visitors
 from demo.work import Done, Order, steps
 from demo.zerogpu import COMPILING, MARGIN, SHORTEST, Durations, work_on_gpu
@@ -95,6 +95,6 @@ def test_finer_run_expects_more_seconds_of_gpu(tmp_path):
     for accuracy in ("draft", "fine"):
         scene = Scene.named("press").replaced({"accuracy": accuracy})
         studio._run = lambda visitor, order, job: list(work(order))  # pyright: ignore
-        studio.run("a", Cutout(DUCK, DUCK), scene.data()).wait(60)
+        studio.run(Choice("a", Cutout(DUCK, DUCK), scene.data())).wait(60)
     draft, fine = (order.expected for order in orders)
     assert 0 < draft < fine  # both grow with the load of the machine

@@ -24,7 +24,7 @@ from ..jobs import Studio
 from ..line import Job, user_message
 from ..progress import Measured
 from ..report import as_html, summarise
-from ..source import GaussianFile, is_there
+from ..source import Choice, GaussianFile, is_there
 from ..studies import read_study
 from ..visitors import Visitor
 from ..work import Done
@@ -83,7 +83,7 @@ def on_job_end(studio: Studio) -> Handler:
         # An earlier result must not change the buttons of a run in progress.
         buttons = (gr.skip(), gr.skip()) if data_of(event).get("earlier") else idle_buttons()
         if job is not None and isinstance(job.progress.result, Measured) and source and scene:
-            html = forecast_of(studio, name, source, scene, extras, opened=True)
+            html = forecast_of(studio, Choice(name, source, scene, extras), opened=True)
             line = answer_change(change, html)
             return line, gr.skip(), *buttons, *_with_report(studio, name, shown)
         if job is None and not _is_there(shown):
@@ -198,7 +198,7 @@ def report_of(studio: Studio, job: Job) -> dict[str, Any]:
 
 def _describe_finer(job: Job, stops: list[Stop]) -> str:
     """Describe the time and error of the next finer accuracy; empty if there is none."""
-    name = next_accuracy(job.asked[1]) if job.asked[1] else None
+    name = next_accuracy(job.choice.data) if job.choice else None
     stop = next((each for each in stops if each.name == name), None)
     if stop is None:
         return ""

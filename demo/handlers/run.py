@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
 from typing import Any
 
 import gradio as gr
 
-from phy124.accuracy.promises import Promise
 from phy124.errors import InputError
 from phy124.scene import PRESETS, Scene
 
-from ..catalogue import scene_of
 from ..forecast import Estimate, describe_error, format_seconds, stops_table
 from ..guard import visitor_of
 from ..jobs import Studio
 from ..line import Job, api_message, user_message
 from ..progress import Done, Progress
-from ..source import Source
+from ..source import Choice, Source
 from ..touch import limits_of
-from ..visitors import key
 from .event import Handler
 
 GONE = "The server no longer has this result. Generate it again."
@@ -36,8 +34,8 @@ def on_scene_changed(studio: Studio) -> Handler:
     ) -> dict[str, Any]:
         if not scene or source is None:
             return answer_change(change, None)
-        html = forecast_of(studio, visitor_of(request), source, scene, extras)
-        return answer_change(change, html)
+        choice = Choice(visitor_of(request), source, scene, extras)
+        return answer_change(change, forecast_of(studio, choice))
 
     return forecast
 
@@ -52,28 +50,13 @@ def answer_change(change: Any, html: str | None) -> dict[str, Any]:
     return {"change": change, "html": html}
 
 
-def forecast_of(
-    studio: Studio,
-    name: str,
-    source: Source | None,
-    data: Any,
-    extras: Any,
-    *,
-    opened: bool = False,
-) -> str:
+def forecast_of(studio: Studio, choice: Choice, *, opened: bool = False) -> str:
     """Return the forecast of a run as HTML, or the reason why the run is refused.
 
-    Args:
-        studio: The state shared by all visitors.
-        name: The visitor's name.
-        source: The source of the object; None if it no longer exists.
-        data: The scene as plain data.
-        extras: Optional inputs in addition to the front picture, with option names as keys.
-        opened: Whether the table of accuracies is open.
+    The table of accuracies is visible at once if `opened` is true.
     """
     try:
-        estimate = studio.forecast(name, source, data, extras)
-        return with_stops(studio, name, source, data, extras, estimate, opened=opened)
+        return show_estimate(studio.forecast(choice), opened=opened)
     except InputError as error:
         return show_refusal(error)
 
@@ -83,69 +66,31 @@ def show_refusal(error: InputError) -> str:
     return f'<p class="refused">{escape(api_message(error))}</p>'
 
 
-def with_stops(
-    studio: Studio,
-    name: str,
-    source: Source | None,
-    data: Any,
-    extras: Any,
-    estimate: Estimate,
-    *,
-    opened: bool = False,
-) -> str:
+def show_estimate(estimate: Estimate, *, opened: bool = False) -> str:
     """Format a forecast as HTML: the time, and a pop-up panel with the error and the accuracies.
 
-    Args:
-        studio: The state shared by all visitors.
-        name: The visitor's name.
-        source: The object's source; None if it no longer exists.
-        data: The scene as plain data.
-        extras: Optional inputs in addition to the front picture, with option names as keys.
-        estimate: The forecast.
-        opened: Whether the table of accuracies is open.
-
-    Raises:
-        InputError: The scene or an input is invalid.
+    The panel is visible at once if `opened` is true.
     """
-    visitor = studio.visitors.find(name)
-    scene = scene_of(data, studio.settings, visitor and visitor.folder / "uploads")
-    study = studio.study(name, source, scene, extras)
-    error = _error_line(studio, name, source, scene, extras, estimate.promise)
-    stops = studio.forecaster.stops(
-        scene,
-        gaussians=studio.count(source),
-        seconds=visitor.forecasts.get(key(scene.data())) if visitor else None,
-        study=study,
-        proportions=studio.proportions(name, source, scene, extras),
-    )
-    table = stops_table(stops, scene.accuracy)
-    if study is not None:
-        table += f"<p>Measured on this scene, without drawing:</p>{study.table()}"
+    table = stops_table(estimate.stops, estimate.accuracy)
+    if estimate.study is not None:
+        table += f"<p>Measured on this scene, without drawing:</p>{estimate.study.table()}"
     _, _, rest = estimate.sentence.partition(": ")
     return (
         f'<details class="pop about"{" open" if opened else ""}><summary>about '
-        f'{format_seconds(estimate.seconds)} {INFO}</summary><div class="panel">{error}{table}'
-        f"<small>{escape(rest)}</small></div></details>"
+        f'{format_seconds(estimate.seconds)} {INFO}</summary><div class="panel">'
+        f"{_error_line(estimate)}{table}<small>{escape(rest)}</small></div></details>"
     )
 
 
-def _error_line(
-    studio: Studio,
-    name: str,
-    source: Source | None,
-    scene: Scene,
-    extras: Any,
-    promise: Promise,
-) -> str:
+def _error_line(estimate: Estimate) -> str:
     """Format the measured error of a scene, or a button that measures the error."""
-    kind = ' class="measured"' if promise.of_scene else ""
-    line = f"<p{kind}>{describe_error(promise, 'Off')}</p>"
-    if not promise.missing or promise.of_scene:
+    kind = ' class="measured"' if estimate.promise.of_scene else ""
+    line = f"<p{kind}>{describe_error(estimate.promise, 'Off')}</p>"
+    if estimate.study_seconds is None:
         return line
-    seconds = studio.study_seconds(name, source, scene, extras)
     return (
         f'{line}<p class="measure"><button type="button" data-measure>Measure</button> '
-        f"<span>about {format_seconds(seconds)}</span></p>"
+        f"<span>about {format_seconds(estimate.study_seconds)}</span></p>"
     )
 
 
@@ -157,13 +102,11 @@ def on_refine(studio: Studio) -> Handler:
     ) -> dict[str, Any]:
         if not scene or source is None:
             return answer_change(change, None)
-        name = visitor_of(request)
+        choice = Choice(visitor_of(request), source, scene, extras)
         try:
-            estimate = studio.refine(name, source, scene, extras)
             # An answer is always necessary, because the page may show the forecast of an older
             # scene.
-            estimate = estimate or studio.forecast(name, source, scene, extras)
-            html = with_stops(studio, name, source, scene, extras, estimate)
+            html = show_estimate(studio.refine(choice) or studio.forecast(choice))
         except InputError as error:
             html = show_refusal(error)
         return answer_change(change, html)
@@ -178,7 +121,7 @@ def on_generate(studio: Studio) -> Handler:
         source: Source | None, scene: Any, extras: Any, request: gr.Request
     ) -> tuple[Any, ...]:
         try:
-            job = studio.run(visitor_of(request), source, scene, extras)
+            job = studio.run(Choice(visitor_of(request), source, scene, extras))
         except InputError as error:
             state = "full" if error.field == "queue" else "refused"
             return Progress(state=state, message=user_message(error)).data(), *idle_buttons()
@@ -193,11 +136,11 @@ def on_finer(studio: Studio) -> Handler:
     def start(done: Done | None, request: gr.Request) -> tuple[Any, ...]:
         visitor = studio.visitors.find(visitor_of(request))
         job = visitor and visitor.run_of(done)
-        if job is None or (finer := next_accuracy(job.asked[1])) is None:
+        choice = job and job.choice
+        if choice is None or (finer := next_accuracy(choice.data)) is None:
             return Progress(state="refused", message=GONE).data(), *idle_buttons()
-        source, data, extras = job.asked
         try:
-            job = studio.run(visitor_of(request), source, {**data, "accuracy": finer}, extras)
+            job = studio.run(replace(choice, data={**choice.data, "accuracy": finer}))
         except InputError as error:
             return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
         return {**follow_job(job), "finer": True}, *busy_buttons()
@@ -218,7 +161,7 @@ def on_measure(studio: Studio) -> Handler:
         source: Source | None, scene: Any, extras: Any, request: gr.Request
     ) -> tuple[Any, ...]:
         try:
-            job = studio.measure(visitor_of(request), source, scene, extras)
+            job = studio.measure(Choice(visitor_of(request), source, scene, extras))
         except InputError as error:
             return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
         return follow_job(job), *busy_buttons()
@@ -258,7 +201,7 @@ def on_touch(studio: Studio) -> Handler:
     def touch(source: Any, scene: Any, extras: Any, request: gr.Request) -> dict[str, Any]:
         name = visitor_of(request)
         try:
-            asked = studio.resolve(name, source, scene)
+            asked = studio.resolve(Choice(name, source, scene))
             order = studio.order(asked, studio.check_extras(name, extras))
             ticket = studio.touches.give(name, order)
         except InputError as error:
@@ -279,7 +222,7 @@ def on_save(studio: Studio) -> Handler:
         objects = 1 + len(ticket.session.get("objects", []))
         limits = limits_of(studio.settings, objects * studio.count(source))
         try:
-            job = studio.run(name, source, ticket.session, extras, limits)
+            job = studio.run(Choice(name, source, ticket.session, extras), limits)
         except InputError as error:
             return Progress(state="refused", message=user_message(error)).data(), *idle_buttons()
         studio.touches.leave(name)

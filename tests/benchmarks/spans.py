@@ -29,7 +29,7 @@ from tables import DOCS, markdown, renew
 from demo.forecast import Estimate
 from demo.jobs import Studio
 from demo.settings import Settings
-from demo.source import Cutout
+from demo.source import Choice, Cutout
 from demo.visitors import Visitors
 from phy124.runtime.startup import kernel_folder
 from phy124.scene import Scene
@@ -94,13 +94,13 @@ class Page:
         """One run and its forecast."""
         data = scene.data()
         self.studio.forecaster._looked = -1e9
-        self.studio.forecast("a", cutout, data)
+        self.studio.forecast(Choice("a", cutout, data))
         if probe:
-            self.studio.refine("a", cutout, data)
+            self.studio.refine(Choice("a", cutout, data))
         answer, load = self.estimate, os.getloadavg()[0]
         assert answer is not None
         start = time.perf_counter()
-        job = self.studio.run("a", cutout, data)
+        job = self.studio.run(Choice("a", cutout, data))
         job.wait(1200)
         took = time.perf_counter() - start
         low, high = answer.span

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from demo.jobs import Studio
+from demo.source import Choice
 from demo.work import Done
 from phy124.io.clip import Clip
 from phy124.pipeline import make_gaussians
@@ -40,6 +41,6 @@ def pressed(studio: Studio, folder: Path, *, truth: float, guess: float) -> tupl
     assert cut.wait(60)
     changes = {"material.E": guess, "accuracy": "draft", "view.size": 64, "view.views": ["front"]}
     scene = Scene.named("press").replaced(changes)
-    run = studio.run("a", cut.progress.result, scene.data())
+    run = studio.run(Choice("a", cut.progress.result, scene.data()))
     assert run.wait(300), run.progress.message
     return run.progress.result, video(folder / "truth", truth)
