@@ -168,7 +168,7 @@ def test_grab_and_its_clip_take_the_same_object(studio):
     data = Scene.named("stack").replaced({"objects.1.picture": picture}).data()
     order, said = _order(studio, data), []
     line = SimpleNamespace(
-        tell=lambda *message: said.append(message), heard=list, wait=lambda seconds: None
+        tell=lambda *message: said.append(message), take_messages=list, wait=lambda seconds: None
     )
     most = limits_of(studio.settings, 3000)
     player = Player(Play(order, most), line)  # pyright: ignore[reportArgumentType]
