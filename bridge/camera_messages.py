@@ -79,8 +79,7 @@ def encode_picture(picture: Picture, options: Options, stamp: int) -> list[Messa
         about = {"header": header}
         if kind == "h264":
             about = {"timestamp": header["stamp"], "frame_id": frame}
-        data = cdr.encode(topic.type, {**about, **content})
-        messages.append(Message(topic, stamp, data))
+        messages.append(cdr.message(topic, stamp, {**about, **content}))
     return messages
 
 

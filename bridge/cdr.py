@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from .messages import DEFINITIONS, Field, fields
+from .topics import Message, Topic
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """Header of a little-endian plain CDR payload."""
@@ -50,6 +51,11 @@ def encode(name: str, message: Mapping[str, Any]) -> bytes:
     body = _Body()
     _encoder(name)(body, message)
     return b"".join([ENCAPSULATION, *body.parts])
+
+
+def message(topic: Topic, stamp: int, content: Mapping[str, Any]) -> Message:
+    """Return an encoded message; `stamp` is in ns since 1970."""
+    return Message(topic, stamp, encode(topic.type, content))
 
 
 def time(nanoseconds: int) -> dict[str, int]:

@@ -83,7 +83,7 @@ class FrameEncoder:
             },
         }
         links = [*([world] if self.options.parent_frame else []), *self._fixed.values()]
-        return [_message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
+        return [cdr.message(TF_STATIC, self.epoch, {"transforms": links})] if links else []
 
     def encode(self, frame: Frame) -> list[Message]:
         """Return the messages of a frame, with time stamps relative to the start of the clip."""
@@ -93,16 +93,16 @@ class FrameEncoder:
         messages = [self._gaussians(shown, stamp, header)]
         if self.options.draco:
             content = draco_cloud(shown, self.options.draco, header)
-            messages.append(_message(DRACO, stamp, content))
+            messages.append(cdr.message(DRACO, stamp, content))
         if self.options.ellipsoids:
-            messages.append(_message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
+            messages.append(cdr.message(ELLIPSOIDS, stamp, self._ellipsoids(frame, header)))
         return messages + self._pictures(frame, stamp)
 
     def _pictures(self, frame: Frame, stamp: int) -> list[Message]:
         """Return the messages of the frame's cameras. The messages with transforms come first."""
         pictures = frame.pictures if isinstance(frame, SeenFrame) else ()
         links = {p.name: transform_of(p, self.options, stamp) for p in pictures if not p.fixed}
-        messages = [_message(TF, stamp, {"transforms": [*links.values()]})] if links else []
+        messages = [cdr.message(TF, stamp, {"transforms": [*links.values()]})] if links else []
         new = [p for p in pictures if p.fixed and p.name not in self._fixed]
         if new:
             self._fixed |= {p.name: transform_of(p, self.options, self.epoch) for p in new}
@@ -115,7 +115,7 @@ class FrameEncoder:
         if self._profile == "splats":
             data = splat_array(shown.gaussians, stamp, self.options.frame_id)
             return Message(SPLATS, stamp, data)
-        return _message(POINTS, stamp, cloud(shown, self._profile, header))
+        return cdr.message(POINTS, stamp, cloud(shown, self._profile, header))
 
     def _thin(self, frame: Frame) -> Frame:
         if self._profile == "full" and frame.velocities is None:
@@ -151,7 +151,3 @@ class FrameEncoder:
         if not self._quiet and what not in self._announced:
             self._announced.add(what)
             log.warning(what)
-
-
-def _message(topic: Topic, stamp: int, content: dict[str, Any]) -> Message:
-    return Message(topic, stamp, cdr.encode(topic.type, content))

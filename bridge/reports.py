@@ -6,15 +6,15 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from .cdr import encode
+from .cdr import message
 from .cdr import time as ros_time
 from .encoder import FrameEncoder
 from .sink import Playback
-from .topics import CLOCK, DIAGNOSTICS, STATUS, Message, Topic
+from .topics import CLOCK, DIAGNOSTICS, NAMESPACE, STATUS, Controls, Message, Topic
 
 CLOCK_RATE = 40.0
 """Rate of /clock [Hz], even while paused; `ros2 bag play --clock` has the same rate."""
@@ -44,10 +44,9 @@ class Reports:
         encoder: FrameEncoder,
         send: Callable[[Message], None],
         audience: Callable[[], Audience],
+        controls: Controls,
         *,
-        node: str,
-        clock: bool = False,
-        values: Callable[[], Mapping[str, Any]] = dict,
+        node: str | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         """Prepare the reports; no report is due before the first call of `change`.
@@ -56,16 +55,16 @@ class Reports:
             encoder: Converts times in the clip to time stamps.
             send: Function that publishes a message.
             audience: Function that returns the current audience, called once a second.
-            node: Full name of the node.
-            clock: Whether to publish /clock.
-            values: Function that returns additional entries of /diagnostics.
+            controls: Name of the node, additional entries of /diagnostics, and whether /clock is
+                published.
+            node: Full name of the node; by default, its name in the namespace of the bridge.
             now: Function that returns the time on the clock of playback [s].
         """
         self._encoder, self._send, self._audience = encoder, send, audience
-        self._node, self._now = node, now
+        self._node, self._now = node or f"/{NAMESPACE}/{controls.node}", now
         self._playback: Playback | None = None
         self._due = {"diagnostics": math.inf, "clock": math.inf}
-        self._clock, self._more = clock, values
+        self._clock, self._more = controls.clock, controls.values
         self._namesakes = 0
         self._lock = threading.Lock()
         self._before: tuple[float, float, int] | None = (
@@ -156,4 +155,4 @@ class Reports:
         }
 
     def _publish(self, topic: Topic, content: dict[str, Any]) -> None:
-        self._send(Message(topic, 0, encode(topic.type, content)))
+        self._send(message(topic, 0, content))

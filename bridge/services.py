@@ -17,12 +17,13 @@ from typing import Any
 from phy124.errors import InputError
 
 from .cdr import NANO
-from .sink import Playback
+from .sink import Obey, Playback
 from .steering.entities import Code, result
 from .steering.standard import PACKAGE
 from .topics import Controls, Service
 
 TRIGGERS = ("play", "pause", "restart")
+Serve = Callable[[Any, Any], Any]
 log = logging.getLogger(__name__)
 MISSING = (
     f"{PACKAGE} is not installed: ~/step and ~/reset (std_srvs/Trigger) replace its services, "
@@ -33,90 +34,82 @@ FALLBACK = {"step": "next", "reset": "restart"}
 """Commands that the services send, by the name of the service."""
 
 
-class Services:
-    """Offers services; `ask(command)` executes a command and returns the reason of a refusal."""
+def offer_playback(node: Any, ask: Obey, playback: Callable[[], Playback | None]) -> None:
+    """Offer triggers, and the services of a player of rosbag2.
 
-    def __init__(
-        self, node: Any, ask: Callable[[str], str | None], playback: Callable[[], Playback | None]
-    ) -> None:
-        self._ask, self._playback = ask, playback
-        trigger = import_module("std_srvs.srv").Trigger
-        for word in TRIGGERS:
-            node.create_service(trigger, f"~/{word}", self._trigger(word))
-        try:
-            rosbag2 = import_module("rosbag2_interfaces.srv")
-        except ImportError:
-            log.warning(
-                "rosbag2_interfaces is not installed: there are no services ~/seek, ~/set_rate, "
-                "~/toggle_paused, ~/is_paused and ~/play_next."
-            )
-            return
-        for kind, name, serve in (
-            ("Seek", "seek", self._seek),
-            ("SetRate", "set_rate", self._set_rate),
-            ("TogglePaused", "toggle_paused", self._toggle_paused),
-            ("IsPaused", "is_paused", self._is_paused),
-            ("PlayNext", "play_next", self._play_next),
-        ):
-            node.create_service(getattr(rosbag2, kind), f"~/{name}", serve)
+    `playback` returns the state of playback, or None before the start.
+    """
 
-    def _trigger(self, word: str) -> Callable[[Any, Any], Any]:
+    def attempts(command: Callable[[Any], str]) -> Serve:
+        """Return a service that sends a command, and answers whether it was carried out."""
+
         def serve(request: Any, response: Any) -> Any:
-            del request
-            response.message = self._ask(word) or ""
-            response.success = not response.message
+            response.success = ask(command(request)) is None
             return response
 
         return serve
 
-    def _seek(self, request: Any, response: Any) -> Any:
-        seconds = request.time.sec + request.time.nanosec / NANO
-        response.success = self._ask(f"seek {seconds!r}") is None
+    def toggle_paused(request: Any, response: Any) -> Any:
+        del request
+        ask("toggle")
         return response
 
-    def _set_rate(self, request: Any, response: Any) -> Any:
+    def is_paused(request: Any, response: Any) -> Any:
+        del request
+        state = playback()
+        response.paused = state is not None and state.paused
+        return response
+
+    _offer_triggers(node, ask, {word: word for word in TRIGGERS})
+    try:
+        rosbag2 = import_module("rosbag2_interfaces.srv")
+    except ImportError:
+        log.warning(
+            "rosbag2_interfaces is not installed: there are no services ~/seek, ~/set_rate, "
+            "~/toggle_paused, ~/is_paused and ~/play_next."
+        )
+        return
+    for kind, name, serve in (
+        ("Seek", "seek", attempts(lambda r: f"seek {r.time.sec + r.time.nanosec / NANO!r}")),
         # The "rate" of rosbag2 is the playback speed: seconds of the clip per real second.
-        response.success = self._ask(f"speed {request.rate!r}") is None
-        return response
-
-    def _toggle_paused(self, request: Any, response: Any) -> Any:
-        del request
-        self._ask("toggle")
-        return response
-
-    def _is_paused(self, request: Any, response: Any) -> Any:
-        del request
-        playback = self._playback()
-        response.paused = playback is not None and playback.paused
-        return response
-
-    def _play_next(self, request: Any, response: Any) -> Any:
-        del request
-        response.success = self._ask("next") is None
-        return response
+        ("SetRate", "set_rate", attempts(lambda request: f"speed {request.rate!r}")),
+        ("TogglePaused", "toggle_paused", toggle_paused),
+        ("IsPaused", "is_paused", is_paused),
+        ("PlayNext", "play_next", attempts(lambda request: "next")),
+    ):
+        node.create_service(getattr(rosbag2, kind), f"~/{name}", serve)
 
 
-def offer_standard(node: Any, controls: Controls, ask: Callable[[str], str | None]) -> None:
-    """Offer the services of `controls`, if there are any.
+def _offer_triggers(node: Any, ask: Obey, commands: Mapping[str, str]) -> None:
+    """Offer services without arguments; each of them sends the command of its name."""
+    trigger = import_module("std_srvs.srv").Trigger
+    for name, command in commands.items():
 
-    Args:
-        node: The node.
-        controls: The services.
-        ask: Function that executes a command and returns the reason of a refusal, or None.
-    """
+        def serve(request: Any, response: Any, command: str = command) -> Any:
+            del request
+            response.message = ask(command) or ""
+            response.success = not response.message
+            return response
+
+        node.create_service(trigger, f"~/{name}", serve)
+
+
+def offer_standard(node: Any, controls: Controls, ask: Obey) -> None:
+    """Offer the services of `controls`, if there are any."""
     if not controls.services:
         return
     try:
         kinds = import_module(f"{PACKAGE}.srv")
     except ImportError:
         log.warning("%s `%s` installs it.", MISSING, INSTALL)
-        trigger = import_module("std_srvs.srv").Trigger
-        for name, command in FALLBACK.items():
-            node.create_service(trigger, f"~/{name}", _serve_trigger(ask, command))
-        return
+        return _offer_triggers(node, ask, FALLBACK)
     for service in controls.services:
+
+        def answer(request: Any, response: Any, service: Service = service) -> Any:
+            return fill(response, service.serve(request))
+
         kind = getattr(kinds, service.type.rsplit("/", 1)[1])
-        node.create_service(kind, service.name, _serve_with(service))
+        node.create_service(kind, service.name, answer)
     if controls.steps is not None:
         _offer_action(node, controls.steps)
 
@@ -129,20 +122,6 @@ def fill(message: Any, content: Mapping[str, Any]) -> Any:
         else:
             setattr(message, name, value)
     return message
-
-
-def _serve_with(service: Service) -> Callable[[Any, Any], Any]:
-    return lambda request, response: fill(response, service.serve(request))
-
-
-def _serve_trigger(ask: Callable[[str], str | None], command: str) -> Callable[[Any, Any], Any]:
-    def serve(request: Any, response: Any) -> Any:
-        del request
-        response.message = ask(command) or ""
-        response.success = not response.message
-        return response
-
-    return serve
 
 
 def _offer_action(node: Any, steps: Callable[[int], Any]) -> None:

@@ -9,34 +9,31 @@ from .__main__ import importing, main
 
 def player() -> None:
     """`ros2 run phy124_bridge player --ros-args -p clip:=/path/to/clip.safetensors`."""
-    with importing(0):
-        from phy124.runtime.streams import steady_streams
-
-        from . import node
-    with steady_streams():
-        node.main()
+    _run("node", "main")
 
 
 def manage() -> None:
     """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
-    with importing(0):
-        from phy124.runtime.streams import steady_streams
-
-        from . import managed as node
-    with steady_streams():
-        node.main()
+    _run("managed", "main")
 
 
 def simulate() -> None:
     """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
-    with importing(0):
-        from phy124.runtime.streams import steady_streams
-
-        from . import node
-    with steady_streams():
-        node.simulation()
+    _run("node", "simulation")
 
 
 def live() -> int:
     """`ros2 run phy124_bridge live photo.png`: like `bridge live` on the command line."""
     return main(["live", *sys.argv[1:]])
+
+
+def _run(module: str, function: str) -> None:
+    """Import a module of this package, and call one of its functions."""
+    with importing(0):
+        from importlib import import_module
+
+        from phy124.runtime.streams import steady_streams
+
+        call = getattr(import_module(f".{module}", __package__), function)
+    with steady_streams():
+        call()

@@ -9,6 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 from bridge.encoder import FrameEncoder
 from bridge.options import Options
 from bridge.reports import CLOCK_RATE, WARN, Audience, Reports
+from bridge.topics import Controls
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 EPOCH = 1_700_000_000
@@ -40,9 +41,8 @@ class Seen:
             FrameEncoder(Options(epoch=EPOCH)),
             self._receive,
             lambda: self.audience,
-            node="/phy124/player",
+            Controls(**options),
             now=lambda: self.now,
-            **options,
         )
 
     def _receive(self, message) -> None:

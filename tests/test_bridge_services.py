@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from bridge.services import Services
+from bridge.services import offer_playback
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def offered(ros):
         asked.append(command)
         return refusal.get(command)
 
-    Services(node, ask, lambda: SimpleNamespace(paused=True))
+    offer_playback(node, ask, lambda: SimpleNamespace(paused=True))
 
     def request(name, **content):
         asked.clear()

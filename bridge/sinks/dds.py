@@ -68,14 +68,7 @@ class DdsSink:
         self._discovery = Discovery.from_environment(network=network)
         self._controls = controls or Controls()
         self._node = self._controls.node
-        self._reports = Reports(
-            self._encoder,
-            self.send,
-            self._audience,
-            node=f"/{NAMESPACE}/{self._node}",
-            clock=self._controls.clock,
-            values=self._controls.values,
-        )
+        self._reports = Reports(self._encoder, self.send, self._audience, self._controls)
         self._delivery = Delivery(
             self._wait_acknowledged,
             self._encoder.main.depth,

@@ -22,7 +22,7 @@ from ..messages import definition
 from ..options import Options
 from ..reports import Audience, Reports
 from ..sink import Obey, Playback
-from ..topics import NAMESPACE, Controls, Message, Topic, full_name
+from ..topics import Controls, Message, Topic, full_name
 from .foxglove_clients import ENCODING as JSON
 from .foxglove_clients import Clients, Job
 
@@ -68,8 +68,11 @@ class FoxgloveSink:
         self.clients = Clients(controls or Controls(), self.post)
         """Receiver of the messages and service calls that viewers send."""
         self._node = (controls or Controls()).node
-        self._reports = None if controls is None else self._reporting(controls)
         self._viewers = 0
+        self._reports: Reports | None = None
+        if controls is not None:
+            audience = lambda: Audience(self._viewers, 0)  # noqa: E731
+            self._reports = Reports(self._encoder, self.send, audience, controls)
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._latest: list[Message] = []
         self._answers: str | None = None  # request that the next state answers
@@ -197,16 +200,6 @@ class FoxgloveSink:
         if self._duration is None:
             return None
         return self._encoder.epoch, self._encoder.stamp(self._duration)
-
-    def _reporting(self, controls: Controls) -> Reports:
-        return Reports(
-            self._encoder,
-            self.send,
-            lambda: Audience(self._viewers, 0),
-            node=f"/{NAMESPACE}/{controls.node}",
-            clock=controls.clock,
-            values=controls.values,
-        )
 
     def _steering_options(self) -> dict[str, Any]:
         """Return the server's options for a run that viewers steer."""

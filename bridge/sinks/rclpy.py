@@ -25,7 +25,7 @@ from ..options import Options, live_points
 from ..parameters import RUNNING, Parameter, Running, declare
 from ..reports import Audience, Reports
 from ..ros_node import require_rclpy, ros_node
-from ..services import Services, offer_standard
+from ..services import offer_playback, offer_standard
 from ..sink import Obey, Playback
 from ..topics import COMMAND, NAMESPACE, Controls, Hear, Message, Topic
 
@@ -81,12 +81,7 @@ class RclpySink:
             self._node = self._external or stack.enter_context(ros_node(self._args, controls.node))
             self._name = self._node.get_fully_qualified_name()
             self._reports = Reports(
-                self._encoder,
-                self.send,
-                self._audience,
-                node=self._name,
-                clock=controls.clock,
-                values=controls.values,
+                self._encoder, self.send, self._audience, controls, node=self._name
             )
             topics = [*self._encoder.topics, *self._reports.topics, *controls.published]
             self._publishers = {
@@ -100,7 +95,7 @@ class RclpySink:
             )
             for message in self._encoder.static():
                 self.send(message)
-            Services(self._node, self._ask, lambda: self._playback)
+            offer_playback(self._node, self._ask, lambda: self._playback)
             offer_standard(self._node, controls, self._ask)
             for topic, hear in {COMMAND: self._heard, **controls.heard}.items():
                 self._node.create_subscription(

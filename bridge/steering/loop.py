@@ -178,7 +178,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
         {"header": header, "child_frame_id": child, "transform": _standing(at)}
         for child, at in frames.items()
     ]
-    messages = [_message(TF, stamp, {"transforms": links})]
+    messages = [cdr.message(TF, stamp, {"transforms": links})]
     for name, (force, torque) in live.contacts().items():
         acted_on = live.pairs.get(name)
         frame = whole if acted_on is None else object_frame(options, acted_on)
@@ -187,7 +187,7 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
             "header": {"stamp": when, "frame_id": frame},
             "wrench": {"force": force.tolist(), "torque": torque.tolist()},
         }
-        messages.append(_message(contact(name), stamp, content))
+        messages.append(cdr.message(contact(name), stamp, content))
     return messages
 
 
@@ -204,13 +204,9 @@ def factor_message(factor: float, options: Options, seconds: float) -> Message:
         options: Options with the epoch.
         seconds: Time of the frame since the epoch [s].
     """
-    return _message(FACTOR, stamp_of(options, seconds), {"data": factor})
+    return cdr.message(FACTOR, stamp_of(options, seconds), {"data": factor})
 
 
 def stamp_of(options: Options, seconds: float) -> int:
     """Return the time stamp [ns since 1970] of a time [s since 1970]."""
     return round((options.epoch or 0.0) * cdr.NANO) + round(seconds * cdr.NANO)
-
-
-def _message(topic: Any, stamp: int, content: dict[str, Any]) -> Message:
-    return Message(topic, stamp, cdr.encode(topic.type, content))
