@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gradio as gr
 from gradio import processing_utils
@@ -25,36 +25,28 @@ BROKEN = "The picture's data: URL is broken. Send the file itself."
 FETCHES_NOTHING = "This page downloads nothing from an address. Send the file itself."
 
 
-class Sent(ImageData):
-    """A picture that a program sent; a value that is not a file is refused with a message."""
+def _refusing(model: Any, name: str) -> Any:
+    """Return a model of files that refuses other values by a message with an argument's name."""
 
-    name: ClassVar[str] = "image"
-    """Name of the argument, for error messages."""
+    class Sent(model):
+        # Not a pydantic validator, because the program would not see the exceptions of a validator.
+        @classmethod
+        def model_validate(cls, obj: Any, **options: Any) -> Any:
+            try:
+                return super().model_validate(obj, **options)
+            except ValidationError:
+                raise refusal(f"{name}: {NO_FILE}") from None
 
-    # Not a pydantic validator, because the program would not see the exceptions of a validator.
-    @classmethod
-    def model_validate(cls, obj: Any, **options: Any) -> Sent:
-        """Validate the picture; raise gr.Error if it is not a file."""
-        try:
-            return super().model_validate(obj, **options)
-        except ValidationError:
-            raise refusal(f"{cls.name}: {NO_FILE}") from None
+    return Sent
 
 
-def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
+def photo(studio: Studio, label: str) -> gr.Image:
     """Create a `gr.Image` whose value is the path of the uploaded file; the file is not decoded.
 
-    Args:
-        studio: Stores the pictures that requests contain.
-        label: Name of the argument. Error messages begin with it.
-        options: Options of `gr.Image`.
+    Error messages begin with the label, which is the name of the argument.
     """
-
-    class Named(Sent):
-        name: ClassVar[str] = label
-
-    image = gr.Image(type="filepath", label=label, **options)
-    image.data_model = Named
+    image = gr.Image(type="filepath", label=label)
+    image.data_model = _refusing(ImageData, label)
 
     def preprocess(payload: Any) -> str | None:
         """Return the file's path; raise gr.Error if a data: URL is broken or too large."""
@@ -68,31 +60,17 @@ def photo(studio: Studio, label: str = "image", **options: Any) -> gr.Image:
     return _describe_as_file(image, "picture.png")
 
 
-class SentVideo(FileData):
-    """A video that a program sent; a value that is not a file is refused with a message."""
-
-    @classmethod
-    def model_validate(cls, obj: Any, **options: Any) -> SentVideo:
-        """Validate the video; raise gr.Error if it is not a file."""
-        try:
-            return super().model_validate(obj, **options)
-        except ValidationError:
-            raise refusal(f"video: {NO_FILE}") from None
-
-
-def film(**options: Any) -> gr.File:
-    """Create a `gr.File` whose value is the path of the uploaded video; the video is not
-    decoded.
-    """
-    file = gr.File(**options)
-    file.data_model = SentVideo
+def film(label: str) -> gr.File:
+    """Create a `gr.File` whose value is the path of the uploaded file; the file is not decoded."""
+    file = gr.File(label=label)
+    file.data_model = _refusing(FileData, label)
 
     def preprocess(payload: Any) -> str | None:
         """Return the file's path; raise gr.Error if it is a data: URL."""
         if payload is None:
             return None
         if (payload.url or payload.path or "").startswith("data:"):
-            raise refusal(f"video: {NO_FILE}")
+            raise refusal(f"{label}: {NO_FILE}")
         return payload.path
 
     file.preprocess = preprocess

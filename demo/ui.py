@@ -8,11 +8,11 @@ from typing import Any
 import gradio as gr
 from gradio import themes
 
-from . import handlers, panels
+from . import handlers
 from .endpoints import endpoints
 from .handlers.results import REPORT
 from .jobs import Studio
-from .panels import mark_answers
+from .panels import make_panel, mark_answers
 from .photo import fetch_nothing
 from .settings import Settings
 from .visitors import Visitors
@@ -62,15 +62,16 @@ def build(studio: Studio) -> gr.Blocks:
             with gr.Column(elem_id="scroll"):
                 with gr.Column(elem_id="side"):
                     gr.HTML(MASTHEAD, apply_default_css=False)
-                    picture, extras, others = panels.picture(), panels.extras(), panels.others()
-                    scene = panels.scene()
+                    picture, extras = make_panel("picture"), make_panel("known")
+                    others = make_panel("others")
+                    scene = make_panel("scene")
                 with gr.Column(elem_id="under"):
-                    report, takeaway = panels.report(), panels.takeaway()
-                    history, fit = panels.history(), panels.fit()
+                    report, takeaway = make_panel("report"), make_panel("takeaway")
+                    history, fit = make_panel("history"), make_panel("fit")
             with gr.Column(elem_id="bar"):
                 progress, forecast, go, cancel, grab = _bar()
             with gr.Column(elem_id="stage"):
-                viewer, touch = panels.viewer(), panels.touch()
+                viewer, touch = make_panel("viewer"), make_panel("touch")
         results = [viewer, report, takeaway, history]
         asked = [source, scene, extras]
         cut = _wire_picture(studio, picture, source, others, extras)
@@ -109,7 +110,7 @@ def theme() -> themes.Base:
 
 
 def _bar() -> tuple[gr.HTML, gr.HTML, gr.Button, gr.Button, gr.Button]:
-    progress, forecast = panels.progress(), panels.forecast()
+    progress, forecast = make_panel("progress"), make_panel("forecast")
     go = gr.Button("Generate", variant="primary", elem_id="go", min_width=0)
     grab = gr.Button("Touch", elem_id="begin-touch", min_width=0)
     cancel = gr.Button("Cancel", elem_id="cancel", visible=False, min_width=0)

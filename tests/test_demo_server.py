@@ -365,7 +365,7 @@ def test_pictures_inside_a_request_are_measured_too(tmp_path, gradio, url, messa
     from demo.settings import Settings
     from demo.visitors import Visitors
 
-    image = photo(Studio(Settings(max_upload_mb=0.002), Visitors(tmp_path)), render=False)
+    image = photo(Studio(Settings(max_upload_mb=0.002), Visitors(tmp_path)), "image")
     with pytest.raises(gradio.Error, match=message):
         image.preprocess(gradio.FileData(path="a.png", url=url))
     assert image.preprocess(None) is None
