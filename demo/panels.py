@@ -64,7 +64,7 @@ PANELS = {
     # The report; "finer" requests the same motion at a finer accuracy.
     "report": (HEAD, "finer"),
     # Files to download; "prepare" requests a file that is created on request.
-    "takeaway": (HEAD, "prepare"),
+    "takeaway": (HEAD + _load("static/takeaway.js"), "prepare"),
     # Fits to a video; the value is the offer of a fit or the finished fit. "begin" starts a fit to
     # an uploaded video, "stop" cancels the fit, and "ended" reports its end.
     "fit": (

@@ -54,12 +54,9 @@ def world(body, x, material=JELLY, *, dx=DX, precision="float64", floor=None, g=
     )
 
 
-def beside(body, *, floor=None, g=G, planes=None):
+def beside(body, *, floor=None, g=G):
     """A free body far from the only material."""
-    s = world(body, block((0.2, 0.2, 0.2), (9, 0, 0)), NeoHookean(E=1e4), floor=floor, g=g)
-    if planes is not None:
-        s.bind(planes=planes)
-    return s
+    return world(body, block((0.2, 0.2, 0.2), (9, 0, 0)), NeoHookean(E=1e4), floor=floor, g=g)
 
 
 def whole(s):
@@ -129,7 +126,7 @@ def test_free_body_slides_on_slopes_beyond_its_friction():
         n = (np.sin(slope), 0, np.cos(slope))
         turn = (np.cos(slope / 2), 0.0, np.sin(slope / 2), 0.0)
         body = FreeBody("box", "box", (0.2, 0.15, 0.1), tuple(0.1 * np.array(n)), turn=turn)
-        s = beside(body, planes=[HalfSpace(normal=n, friction=friction)])
+        s = beside(body)
         s.bind(forces=[Gravity()], planes=[HalfSpace(normal=n, friction=friction)])
         s.advance(0.4)
         pull = G * (np.sin(slope) - friction * np.cos(slope)) if moves else 0.0
@@ -370,10 +367,7 @@ def scene(**changes) -> Scene:
             {"objects": [FREE, {**FREE, "name": "more", "place": [3, 0], "on": "floor"}]},
             "between box and more, two freely moving solids, is not computed",
         ),
-        (
-            {"object.held": True},
-            "object is held, and the freely moving solid box would pass through it",
-        ),
+        ({"object.held": True}, "object is held, and the freely moving solid box would pass"),
         (
             {"objects": [FREE, {"name": "led", "shape": "sphere", "motion": {"kind": "swing"}}]},
             "led follows a path, and the freely moving solid box would pass",

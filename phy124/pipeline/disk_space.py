@@ -47,7 +47,7 @@ def estimate_size(run: Simulation, *, films: bool) -> float:
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)
     kept = 12 * (scene.velocities + scene.keeps_contacts) + 16 * (colours > 0)
     moving = 0 if run.light else count * (BYTES_PER_GAUSSIAN + kept)
-    moving += PARTICLE * len(run.carriers) if run.setup.shapes else 0
+    moving += PARTICLE * len(run.deformer.carriers) if run.setup.shapes else 0
     files = frames * moving + count * (2 * PLY + 2 * colours)
     if not films:
         return files

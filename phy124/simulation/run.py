@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 from weakref import proxy
 
@@ -286,14 +286,11 @@ class Simulation:
     @lock_gpu
     def _make_frame(self, index: int, time: float) -> Frame:
         """Return a frame: the deformed Gaussians, the results of observers, and the scenery."""
-        state, scenery, stage = (
-            self.solver.state,
-            self.setup.scenery,
-            self.setup.context.watch.stage,
-        )
+        setup, state = self.setup, self.solver.state
+        scenery, stage = setup.scenery, setup.context.watch.stage
         frame = Frame(index, time, scenery.moving)
         with stage("deform"):
-            x, F = self.carrying() if self.setup.shapes else (state.x, state.deformation)
+            x, F = self.carrying() if setup.shapes else (state.x, state.deformation)
             if self._deforms:
                 v = state.v if self.scene.velocities else None
                 frame = self.deformer(x, F, index=index, time=time, velocities=v)
@@ -305,12 +302,12 @@ class Simulation:
         with stage("deform"):
             self.poses.append(self.solver.free.poses())
             if self.light:
-                frame = replace(frame, gaussians=self.setup.shown.select(np.zeros(0, int)))
+                frame = replace(frame, gaussians=setup.shown.select(np.zeros(0, int)))
             else:
                 frame = scenery.whole(frame, self.poses, self.solver.free.motions())
-            if not (self.setup.keep and self.setup.shapes):
+            if not (setup.keep and setup.shapes):
                 return frame
-            carried = tuple(host(a)[self.carriers].astype(np.float32) for a in (x, F))
+            carried = tuple(host(a)[self.deformer.carriers].astype(np.float32) for a in (x, F))
             return replace(frame, carried=carried)
 
     @property
@@ -346,11 +343,6 @@ class Simulation:
         x, F = self.solver.state.x, self.solver.state.deformation
         return self._smoothing(host(x), host(F)) if self._smoothing else (x, F)
 
-    @cached_property
-    def carriers(self) -> NDArray[np.int32]:
-        """Indices of the particles that carry Gaussians [C]."""
-        return self.deformer.carriers
-
     def _frames_so_far(self) -> Recorded:
         """Return the frames of a light run; the Gaussians are computed when a frame is read."""
         motion = self._motion(np.array([frame.time for frame in self.frames]))
@@ -377,7 +369,7 @@ class Simulation:
             moves=setup.appearance.moves,
             particles=setup.particles,
             limits=setup.appearance.limits(),
-            carriers=self.carriers,
+            carriers=self.deformer.carriers,
             x=[x for x, _ in carried],
             F=[F for _, F in carried],
             times=times,
@@ -401,7 +393,8 @@ class Simulation:
         """
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
-            run_timed(self.solver.timings, "watchdog", lambda: self.before_frame(start))
+            prepare = [partial(observer.before_frame, start) for observer in self.observers]
+            run_timed(self.solver.timings, "watchdog", lambda: [each() for each in prepare])
             problem = self._try(index, until)
             if problem is not None:
                 self.retried.append(index)
@@ -450,11 +443,6 @@ class Simulation:
             self._failed_dt = solver.clock.last_dt or math.inf
             self.roll_back(before)
         return problem
-
-    def before_frame(self, time: float) -> None:
-        """Prepare the observers for the frame that starts at `time` [s]."""
-        for observer in self.observers:
-            observer.before_frame(time)
 
     def before_attempt(self, *, closely: bool = False) -> None:
         """Prepare the observers for an attempt at a frame."""
