@@ -233,6 +233,16 @@ def test_simd_and_plain_transfers_agree(rng):
     np.testing.assert_allclose(simd.state.C.numpy(), plain.state.C.numpy(), atol=0.05)
 
 
+def test_native_and_plain_conjugate_gradients_agree(monkeypatch):
+    def end(form):
+        monkeypatch.setattr("phy124.liquid.projection.form_on", lambda device: form)
+        solver = run(floating(0.5 * DENSITY, 0.325), 8)
+        return solver.state.x.numpy(), solver.free.poses()
+
+    for native, plain in zip(end("native"), end("plain"), strict=True):
+        np.testing.assert_allclose(native, plain, atol=1e-6)
+
+
 def test_only_cells_near_particles_are_active():
     solver = run(liquid(block((0, 0, 0), (0.5, 0.5, 0.5), 8), 8), 6)
     cells, x = solver.cells, solver.state.x.numpy()

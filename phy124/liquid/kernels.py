@@ -33,6 +33,7 @@ def kernels(
     solids: Sequence[str],
     real: Any,
     form: str,
+    device: str = "cpu",
     *,
     mixed: bool = False,
     pushed: bool = False,
@@ -44,6 +45,7 @@ def kernels(
         solids: Shapes of the freely moving rigid solids.
         real: wp.float32 or wp.float64.
         form: Implementation of the transfers, "plain" or "simd".
+        device: Name of the device.
         mixed: Whether other materials move in the liquid.
         pushed: Whether forces act on particles.
     """
@@ -59,7 +61,7 @@ def kernels(
     if solids or mixed:
         yield from solid_kernels(real)
     yield from _of_phases(real, form)
-    yield from projection.kernels()
+    yield from projection.kernels(device)
 
 
 def _of_bodies(real: Any) -> Iterator[Any]:

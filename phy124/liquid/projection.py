@@ -40,6 +40,7 @@ class Projection:
         self.solids = solids
         self._model, self._workers = model, workers
         self._parts = workers if model.device == "cpu" else PARTS
+        self._form = form_on(model.device)
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
         """Number of cells of liquid in each part of all cells."""
@@ -92,7 +93,7 @@ class Projection:
             cells.directions[1],
             self.sums,
         ]
-        phases: list[list[Recorded]] = [[(STAGE, launch(conjugate.begin, parts, inputs, outputs))]]
+        phases: list[list[Recorded]] = [[(STAGE, launch(conjugate.make_begin(self._form), parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]
             inputs = [
@@ -109,11 +110,11 @@ class Projection:
                 *rows,
             ]
             outputs = [after, cells.product, self.sums]
-            phases.append([(STAGE, launch(conjugate.advance, parts, inputs, outputs))])
+            phases.append([(STAGE, launch(conjugate.make_advance(self._form), parts, inputs, outputs))])
             inputs = [part, turn, row, layer, some, *listed, cells.links, cells.inverse]
-            inputs += [after, cells.product, *rows, self.mobility]
-            outputs = [self._responses, x, cells.residual, cells.z, self.sums]
-            phases.append([(STAGE, launch(conjugate.improve, parts, inputs, outputs))])
+            inputs += [after, *rows, self.mobility]
+            outputs = [self._responses, cells.product, x, cells.residual, cells.z, self.sums]
+            phases.append([(STAGE, launch(conjugate.make_improve(self._form), parts, inputs, outputs))])
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
@@ -152,7 +153,13 @@ class Projection:
         return largest <= tolerance * right or right == 0.0
 
 
-def kernels() -> Iterator[Any]:
+def form_on(device: str) -> str:
+    """Return the implementation of the iterations on a device: "native" or "plain"."""
+    return "native" if device == "cpu" else "plain"
+
+
+def kernels(device: str) -> Iterator[Any]:
     """Yield the kernels that solve an equation."""
     yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.project)
-    yield from (conjugate.begin, conjugate.advance, conjugate.improve)
+    makers = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
+    yield from (make(form_on(device)) for make in makers)

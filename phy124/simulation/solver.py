@@ -194,7 +194,7 @@ def kernels(scene: Scene, device: str = "cpu") -> Iterator[Any]:
         solids = [body.shape or "" for body in scene.objects if body.free]
         pushed = any(not force.uniform for force in scene.acting)
         options = {"mixed": scene.mixes, "pushed": pushed}
-        yield from liquid_kernels(scene.boundaries, solids, real, form, **options)
+        yield from liquid_kernels(scene.boundaries, solids, real, form, device, **options)
         yield from free.kernels_of(solids, real)
     yield from repair.kernels(subject.laws, real)
     yield from deform.kernels(real, scene.binding, device)

@@ -4,13 +4,16 @@ The cells of liquid are listed in memory order. The list is divided into parts o
 part per CPU thread, or many parts on a GPU. The modified incomplete Cholesky factor (Bridson 2015,
 "Fluid simulation for computer graphics", ch. 5) ignores matrix entries that couple cells of
 different parts. The parts can therefore be processed in parallel. Sums are added part by part, so a
-result depends only on the number of parts.
+result depends only on the number of parts. native/conjugate.h is used on CPUs.
 """
+
+from typing import Any
 
 import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints
-from phy124.kernels.build import kernel
+from phy124.kernels.build import build_once, kernel
+from phy124.kernels.native import code, constants, native_func
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
 """Weight of the modification in MIC(0); and the smallest modified value that is used, as a fraction
@@ -140,7 +143,9 @@ def precondition(
     residual: Doubles,
     z: Doubles,
 ):
-    """Solve M z = r for a part of the listed cells, by forward and backward substitution."""
+    """Solve M z = r for a part of the listed cells, by forward and backward substitution; return
+    the part's sum of r z.
+    """
     lowest = listed[first]
     highest = listed[last - 1]
     for k in range(first, last):
@@ -165,6 +170,92 @@ def precondition(
         if n + layer <= highest:
             value -= p * link[0] * z[n + layer]
         z[n] = p * value
+    product = wp.float64(0.0)
+    for k in range(first, last):
+        n = listed[k]
+        product += residual[n] * z[n]
+    return product
+
+
+@wp.func
+def turn(
+    first: int,
+    last: int,
+    listed: Ints,
+    row: int,
+    layer: int,
+    diagonal: Doubles,
+    links: Vectors,
+    beta: wp.float64,
+    z: Doubles,
+    before: Doubles,
+    direction: Doubles,
+    product: Doubles,
+):
+    """Compute the direction s = z + beta s and A s for a part of the listed cells; return the
+    part's sum of s A s.
+    """
+    steep = wp.float64(0.0)
+    for k in range(first, last):
+        n = listed[k]
+        here = z[n] + beta * before[n]
+        m = n - layer
+        value = links[m][0] * (z[m] + beta * before[m])
+        m = n - row
+        value += links[m][1] * (z[m] + beta * before[m])
+        value += links[n - 1][2] * (z[n - 1] + beta * before[n - 1])
+        link = links[n]
+        m = n + layer
+        value += link[0] * (z[m] + beta * before[m])
+        m = n + row
+        value += link[1] * (z[m] + beta * before[m])
+        value += link[2] * (z[n + 1] + beta * before[n + 1])
+        value += diagonal[n] * here
+        direction[n] = here
+        product[n] = value
+        steep += here * value
+    return steep
+
+
+@wp.func
+def descend(
+    first: int,
+    last: int,
+    listed: Ints,
+    alpha: wp.float64,
+    direction: Doubles,
+    product: Doubles,
+    x: Doubles,
+    residual: Doubles,
+):
+    """Step along the direction in a part of the listed cells; return the part's largest
+    residual.
+    """
+    largest = wp.float64(0.0)
+    for k in range(first, last):
+        n = listed[k]
+        x[n] = x[n] + alpha * direction[n]
+        r = residual[n] - alpha * product[n]
+        residual[n] = r
+        largest = wp.max(largest, wp.abs(r))
+    return largest
+
+
+def _native(function: Any, returns: Any = None) -> Any:
+    """Return the C++ form of a function over a part of the listed cells."""
+    name = function.key
+    body = constants("double", TUNING=TUNING, SAFETY=SAFETY) + code("conjugate", f"conjugate:{name}")
+    return native_func(body, function.func, f"{name}_native", returns=returns, indexed=False)
+
+
+FORMS = {
+    "plain": (factorise, precondition, turn, descend),
+    "native": (
+        _native(factorise),
+        *(_native(function, wp.float64) for function in (precondition, turn, descend)),
+    ),
+}
+"""Implementations of the loops over the listed cells, by name."""
 
 
 @wp.func
@@ -256,160 +347,173 @@ def project(
             add_rigid(sums_out, which[n], p, x[n] * jumps[n], x[n] * turns[n])
 
 
-@kernel("phy124_liquid_begin", seconds=0.5)
-def begin(
-    part: int,
-    row: int,
-    layer: int,
-    solids: int,
-    counts: Ints,
-    listed: Ints,
-    diagonal: Doubles,
-    links: Vectors,
-    right: Doubles,
-    x: Doubles,
-    which: Ints,
-    jumps: Vectors,
-    turns: Vectors,
-    mobility: Table,
-    responses_out: wp.array2d(dtype=wp.vec3d),
-    inverse_out: Doubles,
-    residual_out: Doubles,
-    z_out: Doubles,
-    direction_out: Doubles,
-    sums_out: Table,
-):
-    """Compute the residual of x, and factorise a part's block of the matrix."""
-    p = part + wp.tid()
-    span = share(count_of(counts), p, counts.shape[0])
-    largest = wp.float64(0.0)
-    right_size = wp.float64(0.0)
-    product = wp.float64(0.0)
-    if solids > 0:
-        respond(sums_out, mobility, p, responses_out)
-    if span[1] > span[0]:
-        factorise(span[0], span[1], listed, row, layer, diagonal, links, inverse_out)
-        for k in range(span[0], span[1]):
-            n = listed[k]
-            r = right[n] - multiply(n, row, layer, diagonal, links, x)
-            if solids > 0:
-                if which[n] >= 0:
-                    r -= rigid_flux(n, p, which[n], jumps, turns, responses_out)
-            residual_out[n] = r
-            largest = wp.max(largest, wp.abs(r))
-            right_size = wp.max(right_size, wp.abs(right[n]))
-        precondition(span[0], span[1], listed, row, layer, links, inverse_out, residual_out, z_out)
-        for k in range(span[0], span[1]):
-            n = listed[k]
-            product += residual_out[n] * z_out[n]
-            direction_out[n] = wp.float64(0.0)
-    sums_out[0, p] = product
-    sums_out[1, p] = wp.float64(1.0)
-    sums_out[RESIDUAL, p] = largest
-    sums_out[RIGHT, p] = right_size
+@build_once
+def make_begin(form: str):
+    """Kernel over parts: computes the residual of x, and factorises a part's block of the matrix."""
+    factorise, precondition, _, _ = FORMS[form]
 
-
-@kernel("phy124_liquid_advance", seconds=0.3)
-def advance(
-    part: int,
-    turn: int,
-    begun: int,
-    row: int,
-    layer: int,
-    solids: int,
-    counts: Ints,
-    listed: Ints,
-    diagonal: Doubles,
-    links: Vectors,
-    z: Doubles,
-    before: Doubles,
-    which: Ints,
-    jumps: Vectors,
-    turns: Vectors,
-    direction_out: Doubles,
-    product_out: Doubles,
-    sums_out: Table,
-):
-    """Compute the next direction s = z + beta s, and A s."""
-    p = part + wp.tid()
-    span = share(count_of(counts), p, counts.shape[0])
-    beta = wp.float64(0.0)
-    if begun > 0:
-        beta = total(sums_out, turn) / total(sums_out, 1 - turn)
-    steep = wp.float64(0.0)
-    clear_rigid(sums_out, solids, p)
-    for k in range(span[0], span[1]):
-        n = listed[k]
-        here = z[n] + beta * before[n]
-        m = n - layer
-        value = links[m][0] * (z[m] + beta * before[m])
-        m = n - row
-        value += links[m][1] * (z[m] + beta * before[m])
-        value += links[n - 1][2] * (z[n - 1] + beta * before[n - 1])
-        link = links[n]
-        m = n + layer
-        value += link[0] * (z[m] + beta * before[m])
-        m = n + row
-        value += link[1] * (z[m] + beta * before[m])
-        value += link[2] * (z[n + 1] + beta * before[n + 1])
-        value += diagonal[n] * here
-        direction_out[n] = here
-        product_out[n] = value
-        steep += here * value
+    @kernel(f"phy124_liquid_begin_{form}", seconds=0.5)
+    def begin(
+        part: int,
+        row: int,
+        layer: int,
+        solids: int,
+        counts: Ints,
+        listed: Ints,
+        diagonal: Doubles,
+        links: Vectors,
+        right: Doubles,
+        x: Doubles,
+        which: Ints,
+        jumps: Vectors,
+        turns: Vectors,
+        mobility: Table,
+        responses_out: wp.array2d(dtype=wp.vec3d),
+        inverse_out: Doubles,
+        residual_out: Doubles,
+        z_out: Doubles,
+        direction_out: Doubles,
+        sums_out: Table,
+    ):
+        p = part + wp.tid()
+        span = share(count_of(counts), p, counts.shape[0])
+        largest = wp.float64(0.0)
+        right_size = wp.float64(0.0)
+        product = wp.float64(0.0)
         if solids > 0:
-            if which[n] >= 0:
-                add_rigid(sums_out, which[n], p, here * jumps[n], here * turns[n])
-    sums_out[STEEP, p] = steep
+            respond(sums_out, mobility, p, responses_out)
+        if span[1] > span[0]:
+            factorise(span[0], span[1], listed, row, layer, diagonal, links, inverse_out)
+            for k in range(span[0], span[1]):
+                n = listed[k]
+                r = right[n] - multiply(n, row, layer, diagonal, links, x)
+                if solids > 0:
+                    if which[n] >= 0:
+                        r -= rigid_flux(n, p, which[n], jumps, turns, responses_out)
+                residual_out[n] = r
+                direction_out[n] = wp.float64(0.0)
+                largest = wp.max(largest, wp.abs(r))
+                right_size = wp.max(right_size, wp.abs(right[n]))
+            product = precondition(
+                span[0], span[1], listed, row, layer, links, inverse_out, residual_out, z_out
+            )
+        sums_out[0, p] = product
+        sums_out[1, p] = wp.float64(1.0)
+        sums_out[RESIDUAL, p] = largest
+        sums_out[RIGHT, p] = right_size
+
+    return begin
 
 
-@kernel("phy124_liquid_improve", seconds=0.4)
-def improve(
-    part: int,
-    turn: int,
-    row: int,
-    layer: int,
-    solids: int,
-    counts: Ints,
-    listed: Ints,
-    links: Vectors,
-    inverse: Doubles,
-    direction: Doubles,
-    product: Doubles,
-    which: Ints,
-    jumps: Vectors,
-    turns: Vectors,
-    mobility: Table,
-    responses_out: wp.array2d(dtype=wp.vec3d),
-    x_out: Doubles,
-    residual_out: Doubles,
-    z_out: Doubles,
-    sums_out: Table,
-):
-    """Step along the search direction to the smallest error, then precondition the residual."""
-    p = part + wp.tid()
-    span = share(count_of(counts), p, counts.shape[0])
-    steep = total(sums_out, STEEP)
-    if solids > 0:
-        steep += respond(sums_out, mobility, p, responses_out)
-    alpha = wp.float64(0.0)
-    if steep > wp.float64(0.0):
-        alpha = total(sums_out, turn) / steep
-    largest = wp.float64(0.0)
-    next_product = wp.float64(0.0)
-    if span[1] > span[0]:
-        for k in range(span[0], span[1]):
-            n = listed[k]
-            x_out[n] = x_out[n] + alpha * direction[n]
-            change = product[n]
-            if solids > 0:
+@build_once
+def make_advance(form: str):
+    """Kernel over parts: computes the next direction s = z + beta s, and A s."""
+    _, _, turn_in, _ = FORMS[form]
+
+    @kernel(f"phy124_liquid_advance_{form}", seconds=0.3)
+    def advance(
+        part: int,
+        turn: int,
+        begun: int,
+        row: int,
+        layer: int,
+        solids: int,
+        counts: Ints,
+        listed: Ints,
+        diagonal: Doubles,
+        links: Vectors,
+        z: Doubles,
+        before: Doubles,
+        which: Ints,
+        jumps: Vectors,
+        turns: Vectors,
+        direction_out: Doubles,
+        product_out: Doubles,
+        sums_out: Table,
+    ):
+        p = part + wp.tid()
+        span = share(count_of(counts), p, counts.shape[0])
+        beta = wp.float64(0.0)
+        if begun > 0:
+            beta = total(sums_out, turn) / total(sums_out, 1 - turn)
+        clear_rigid(sums_out, solids, p)
+        sums_out[STEEP, p] = turn_in(
+            span[0],
+            span[1],
+            listed,
+            row,
+            layer,
+            diagonal,
+            links,
+            beta,
+            z,
+            before,
+            direction_out,
+            product_out,
+        )
+        if solids > 0:
+            for k in range(span[0], span[1]):
+                n = listed[k]
+                here = direction_out[n]
                 if which[n] >= 0:
-                    change += rigid_flux(n, p, which[n], jumps, turns, responses_out)
-            r = residual_out[n] - alpha * change
-            residual_out[n] = r
-            largest = wp.max(largest, wp.abs(r))
-        precondition(span[0], span[1], listed, row, layer, links, inverse, residual_out, z_out)
-        for k in range(span[0], span[1]):
-            n = listed[k]
-            next_product += residual_out[n] * z_out[n]
-    sums_out[1 - turn, p] = next_product
-    sums_out[RESIDUAL, p] = largest
+                    add_rigid(sums_out, which[n], p, here * jumps[n], here * turns[n])
+
+    return advance
+
+
+@build_once
+def make_improve(form: str):
+    """Kernel over parts: steps along the direction to the smallest error, and preconditions the
+    residual.
+    """
+    _, precondition, _, descend = FORMS[form]
+
+    @kernel(f"phy124_liquid_improve_{form}", seconds=0.4)
+    def improve(
+        part: int,
+        turn: int,
+        row: int,
+        layer: int,
+        solids: int,
+        counts: Ints,
+        listed: Ints,
+        links: Vectors,
+        inverse: Doubles,
+        direction: Doubles,
+        which: Ints,
+        jumps: Vectors,
+        turns: Vectors,
+        mobility: Table,
+        responses_out: wp.array2d(dtype=wp.vec3d),
+        product_out: Doubles,
+        x_out: Doubles,
+        residual_out: Doubles,
+        z_out: Doubles,
+        sums_out: Table,
+    ):
+        p = part + wp.tid()
+        span = share(count_of(counts), p, counts.shape[0])
+        steep = total(sums_out, STEEP)
+        if solids > 0:
+            steep += respond(sums_out, mobility, p, responses_out)
+            for k in range(span[0], span[1]):
+                n = listed[k]
+                if which[n] >= 0:
+                    flux = rigid_flux(n, p, which[n], jumps, turns, responses_out)
+                    product_out[n] = product_out[n] + flux
+        alpha = wp.float64(0.0)
+        if steep > wp.float64(0.0):
+            alpha = total(sums_out, turn) / steep
+        largest = wp.float64(0.0)
+        product = wp.float64(0.0)
+        if span[1] > span[0]:
+            largest = descend(
+                span[0], span[1], listed, alpha, direction, product_out, x_out, residual_out
+            )
+            product = precondition(
+                span[0], span[1], listed, row, layer, links, inverse, residual_out, z_out
+            )
+        sums_out[1 - turn, p] = product
+        sums_out[RESIDUAL, p] = largest
+
+    return improve

@@ -69,27 +69,32 @@ def make_excess(real: Any):
                 for b in range(-1, last):
                     for c in range(-1, last):
                         m = n + a * layer + b * row + c
-                        if liquid[m] == 0:
+                        if near == 0 and liquid[m] == 0:
                             if opening(open, m, size) > real(0.0):
-                                near += 1
+                                near = int(1)
             hat = hats[n]
             error = hat - real(1.0)
             if shares[n][1] > real(0.0):
+                low = wp.vec3i()
+                high = wp.vec3i()
+                for axis in range(3):
+                    low[axis] = int(is_wall(open, liquid, n - stride(axis, size), size))
+                    high[axis] = int(is_wall(open, liquid, n + stride(axis, size), size))
+                walls = wp.max(low) + wp.max(high)
                 for a in range(-1, last):
                     for b in range(-1, last):
                         for c in range(-1, last):
-                            behind = int(1)
-                            if a == 0 and b == 0 and c == 0:
-                                behind = 0
-                            if a != 0 and not is_wall(open, liquid, n + a * layer, size):
-                                behind = 0
-                            if b != 0 and not is_wall(open, liquid, n + b * row, size):
-                                behind = 0
-                            if c != 0 and not is_wall(open, liquid, n + c, size):
-                                behind = 0
-                            m = n + a * layer + b * row + c
-                            if behind == 1 and is_wall(open, liquid, m, size):
-                                error += hats[m] - real(1.0)
+                            step = wp.vec3i(a, b, c)
+                            behind = wp.where(a * a + b * b + c * c > 0, walls, 0)
+                            for axis in range(3):
+                                if step[axis] < 0 and low[axis] == 0:
+                                    behind = int(0)
+                                if step[axis] > 0 and high[axis] == 0:
+                                    behind = int(0)
+                            if behind > 0:
+                                m = n + a * layer + b * row + c
+                                if is_wall(open, liquid, m, size):
+                                    error += hats[m] - real(1.0)
             if near > 0:
                 deep = wp.clamp(-phi[n], real(-1.0), real(1.0))
                 solid = shares[n][0]

@@ -31,6 +31,8 @@ def depth(fill: Any):
     sixth = unit / type(fill)(6.0)
     third = unit / type(fill)(3.0)
     f = wp.clamp(fill, type(fill)(0.0), unit)
+    if f == type(fill)(0.0):  # most cells
+        return -type(fill)(1.5)
     if f < sixth:
         return wp.pow(type(fill)(6.0) * f, third) - type(fill)(1.5)
     if f > unit - sixth:

@@ -50,18 +50,22 @@ def constants(kind: str, **values: Any) -> str:
     return f"const {kind} {', '.join(parts)};\n"
 
 
-def native_func(body: str, like: Callable[..., Any], name: str, *, returns: Any = None) -> Any:
-    """Return a C++ device function that takes a thread index and the arguments of a kernel.
+def native_func(
+    body: str, like: Callable[..., Any], name: str, *, returns: Any = None, indexed: bool = True
+) -> Any:
+    """Return a C++ device function that takes the arguments of a kernel or of a plain function.
 
     Args:
-        body: The function's C++ body, in which `thread` is the thread index.
-        like: Function of the kernel; its signature declares the parameters.
+        body: The function's C++ body.
+        like: The function whose signature declares the parameters.
         name: Name of the device function.
         returns: Return type, or None.
+        indexed: Whether a thread index precedes the parameters; `body` calls it `thread`.
     """
     result = "" if returns is None else " -> returns"
+    first = "thread: int, " if indexed else ""
     # Warp recognises a native function by the text of its decorator.
-    source = f"@wp.func_native(body)\ndef {name}(thread: int, {_declare(like)}){result}: ...\n"
+    source = f"@wp.func_native(body)\ndef {name}({first}{_declare(like)}){result}: ...\n"
     return _define(source, name, like, body=body, returns=returns)
 
 
