@@ -184,6 +184,8 @@ class Cells:
         columns = int(self.size[0] * self.size[1])
         self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
         """Lowest and highest cell with particles in each column, with one copy for each worker."""
+        self.below, self.above = (self._zeros(columns, int) for _ in range(2))
+        """Lowest and highest cell with particles in each column and its neighbours along y."""
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
         """First and end index of the active cells of each column."""
 

@@ -82,7 +82,7 @@ def _of_phases(real: Any, form: str) -> Iterator[Any]:
     yield from (faces.make_sum_copies(real, width) for width in (2, 8))
     yield from (make(real) for make in (faces.make_extent, active.make_sweep))
     yield from (active.make_count_active(real), active.make_list_active(real))
-    yield from (active.make_forget(real), mixture.make_mix(real))
+    yield from (active.widen, active.make_forget(real), mixture.make_mix(real))
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))

@@ -284,7 +284,7 @@ class Phases:
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return the launches with which a worker counts and then lists the active cells."""
+        """Return the launches with which a worker finds, counts and then lists the active cells."""
         cells, launch = self._cells, self._model.launch
         part, parts = self._projection.part(worker)
         counts = self._projection.counts
@@ -292,13 +292,15 @@ class Phases:
         outputs = [cells.phi, cells.known, cells.also, cells.liquid]
         kernel = active.make_forget(self._model.real)
         forget = self._over_cells(worker, "active", kernel, [], outputs)
+        inputs = [part, len(self._workers), cells.window, cells.lowest, cells.highest, counts]
+        widen = launch(active.widen, parts, inputs, [cells.below, cells.above])
         where = [int(self._walls.move), cells.window, cells.shares]
-        inputs = [part, len(self._workers), *where, cells.lowest, cells.highest]
         kernel = active.make_count_active(self._model.real)
+        inputs = [part, *where, cells.below, cells.above]
         count = launch(kernel, parts, inputs, [*ends, counts])
         kernel = active.make_list_active(self._model.real)
         listed = launch(kernel, parts, [part, *where, *ends, counts], [cells.active, cells.ends])
-        return [[forget, ("active", count)], [("active", listed)]]
+        return [[forget, ("active", widen)], [("active", count)], [("active", listed)]]
 
     def _scatter(self, worker: int) -> list[Named]:
         model, s, run, cells = self._model, self._state, self._run(worker), self._cells

@@ -24,6 +24,8 @@ CHECK = 8
 """Number of iterations between two checks of the residual on a GPU, because each check waits for
 the device.
 """
+MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
+"""Factories of the kernels of an iteration."""
 
 
 class Projection:
@@ -81,6 +83,7 @@ class Projection:
             rigid: Whether solids move with the liquid.
         """
         launch, (part, parts) = self._model.launch, self.part(worker)
+        begin, advance, improve = (make(self._form) for make in MAKERS)
         row, layer = cells.strides
         listed, equation = [self.counts, cells.listed], [cells.diagonal, cells.links]
         rows, some = [cells.which, cells.jumps, cells.turns], self.solids if rigid else 0
@@ -93,7 +96,7 @@ class Projection:
             cells.directions[1],
             self.sums,
         ]
-        phases: list[list[Recorded]] = [[(STAGE, launch(conjugate.make_begin(self._form), parts, inputs, outputs))]]
+        phases: list[list[Recorded]] = [[(STAGE, launch(begin, parts, inputs, outputs))]]
         for begun, turn in ((0, 0), (1, 1), (1, 0)):
             before, after = cells.directions[1 - turn], cells.directions[turn]
             inputs = [
@@ -110,11 +113,11 @@ class Projection:
                 *rows,
             ]
             outputs = [after, cells.product, self.sums]
-            phases.append([(STAGE, launch(conjugate.make_advance(self._form), parts, inputs, outputs))])
+            phases.append([(STAGE, launch(advance, parts, inputs, outputs))])
             inputs = [part, turn, row, layer, some, *listed, cells.links, cells.inverse]
             inputs += [after, *rows, self.mobility]
             outputs = [self._responses, cells.product, x, cells.residual, cells.z, self.sums]
-            phases.append([(STAGE, launch(conjugate.make_improve(self._form), parts, inputs, outputs))])
+            phases.append([(STAGE, launch(improve, parts, inputs, outputs))])
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
@@ -161,5 +164,4 @@ def form_on(device: str) -> str:
 def kernels(device: str) -> Iterator[Any]:
     """Yield the kernels that solve an equation."""
     yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.project)
-    makers = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
-    yield from (make(form_on(device)) for make in makers)
+    yield from (make(form_on(device)) for make in MAKERS)

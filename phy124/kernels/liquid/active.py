@@ -12,6 +12,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
 
@@ -41,9 +42,39 @@ def make_sweep(real: Any):
     return sweep
 
 
+@kernel("phy124_liquid_widen", seconds=0.2)
+def widen(
+    part: int,
+    copies: int,
+    window: wp.array(dtype=wp.vec3i),
+    lowest: Ints,
+    highest: Ints,
+    counts: Ints,
+    below_out: Ints,
+    above_out: Ints,
+):
+    """Merge the workers' ranges of cells, and extend each column's range to those of the columns
+    within `REACH` along y; `counts` contains one number for each group of columns.
+    """
+    size = window[1]
+    columns = size[0] * size[1]
+    span = share(columns, part + wp.tid(), counts.shape[0])
+    for c in range(span[0], span[1]):
+        j = c % size[1]
+        low = int(size[2])
+        high = int(-1)
+        for copy in range(copies):
+            first = copy * columns + c - j
+            for b in range(wp.max(j - REACH, 0), wp.min(j + REACH + 1, size[1])):
+                low = wp.min(low, item(lowest, first + b))
+                high = wp.max(high, item(highest, first + b))
+        below_out[c] = low
+        above_out[c] = high
+
+
 @build_once
 def make_count_active(real: Any):
-    """Kernel over groups of columns: merges and widens the workers' ranges of cells, and counts the
+    """Kernel over groups of columns: extends the ranges of `widen` along x and z, and counts the
     cells.
 
     Cells whose B-spline lies inside walls are counted only if `all` is set.
@@ -53,20 +84,18 @@ def make_count_active(real: Any):
     @kernel(f"phy124_liquid_count_active_{real.__name__}", real, seconds=0.2)
     def count_active(
         part: int,
-        copies: int,
         all: int,
         window,
         shares: t.vec2s,
-        lowest: Ints,
-        highest: Ints,
+        below: Ints,
+        above: Ints,
         begins_out: Ints,
         ends_out: Ints,
         counts_out: Ints,
     ):
         p = part + wp.tid()
         size = window[1]
-        columns = size[0] * size[1]
-        span = share(columns, p, counts_out.shape[0])
+        span = share(size[0] * size[1], p, counts_out.shape[0])
         count = int(0)
         for c in range(span[0], span[1]):
             i = c // size[1]
@@ -74,11 +103,8 @@ def make_count_active(real: Any):
             low = int(size[2])
             high = int(-1)
             for a in range(wp.max(i - REACH, 0), wp.min(i + REACH + 1, size[0])):
-                for b in range(wp.max(j - REACH, 0), wp.min(j + REACH + 1, size[1])):
-                    for copy in range(copies):
-                        m = copy * columns + a * size[1] + b
-                        low = wp.min(low, lowest[m])
-                        high = wp.max(high, highest[m])
+                low = wp.min(low, item(below, a * size[1] + j))
+                high = wp.max(high, item(above, a * size[1] + j))
             begin = int(0)
             end = int(0)
             if high >= low and inner(wp.vec3i(i, j, 1), size, 1):
@@ -87,7 +113,7 @@ def make_count_active(real: Any):
             begins_out[c] = begin
             ends_out[c] = end
             for k in range(begin, end):
-                if all > 0 or shares[c * size[2] + k][1] < real(1.0):
+                if all > 0 or item(shares, c * size[2] + k)[1] < real(1.0):
                     count += 1
         counts_out[p] = count
 
@@ -123,7 +149,7 @@ def make_list_active(real: Any):
         for c in range(span[0], span[1]):
             for k in range(begins[c], ends[c]):
                 n = c * size[2] + k
-                if all > 0 or shares[n][1] < real(1.0):
+                if all > 0 or item(shares, n)[1] < real(1.0):
                     active_out[at] = n
                     at += 1
         if p == 0:

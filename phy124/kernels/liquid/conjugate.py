@@ -244,7 +244,8 @@ def descend(
 def _native(function: Any, returns: Any = None) -> Any:
     """Return the C++ form of a function over a part of the listed cells."""
     name = function.key
-    body = constants("double", TUNING=TUNING, SAFETY=SAFETY) + code("conjugate", f"conjugate:{name}")
+    body = code("conjugate", f"conjugate:{name}")
+    body = constants("double", TUNING=TUNING, SAFETY=SAFETY) + body
     return native_func(body, function.func, f"{name}_native", returns=returns, indexed=False)
 
 
@@ -349,7 +350,7 @@ def project(
 
 @build_once
 def make_begin(form: str):
-    """Kernel over parts: computes the residual of x, and factorises a part's block of the matrix."""
+    """Kernel over parts: computes the residual of x, and factorises a part's block."""
     factorise, precondition, _, _ = FORMS[form]
 
     @kernel(f"phy124_liquid_begin_{form}", seconds=0.5)

@@ -9,6 +9,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 
 FILL = 3
 """Index of the sum of particle volumes, with quadratic weights around the cell's centre [m^3]."""
@@ -81,10 +82,10 @@ def local(x: Any, lattice: Any, window: wp.array(dtype=wp.vec3i)):
 @wp.func
 def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k: int):
     """Return the k-th active cell of a worker, or -1 if the worker has fewer active cells."""
-    at = ends[worker] + k
-    if at >= ends[worker + 1]:
+    at = item(ends, worker) + k
+    if at >= item(ends, worker + 1):
         return -1
-    return active[at]
+    return item(active, at)
 
 
 @build_once

@@ -11,6 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import FILL, entry, stride, sums
 
 CENTRE = wp.constant(3)
@@ -55,12 +56,12 @@ def make_mix(real: Any):
             return
         q = t.vec4(real(1.0), real(1.0), real(1.0), real(1.0))
         for k in range(4):
-            volume = cells[n][FILL]
-            total = fills[n][0]
+            volume = item(cells, n)[FILL]
+            total = item(fills, n)[0]
             if k < 3:
                 m = n - stride(k, window[1])
-                volume += cells[m][FILL]
-                total += fills[m][0]
+                volume += item(cells, m)[FILL]
+                total += item(fills, m)[0]
             if volume > real(0.0):
                 q[k] = total / volume
         mixed_out[n] = q

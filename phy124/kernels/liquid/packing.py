@@ -13,6 +13,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.surface import opening
 
@@ -25,9 +26,17 @@ MOST = 0.5
 @wp.func
 def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size: wp.vec3i):
     """Return whether a cell is inside a wall."""
-    if liquid[n] == 1:
+    if item(liquid, n) == 1:
         return False
-    return opening(open, n, size) <= type(open[n][0])(0.0)
+    return opening(open, n, size) <= type(item(open, n)[0])(0.0)
+
+
+@wp.func
+def leads_behind(step: int, low: int, high: int):
+    """Return whether a step along an axis stays in a cell or leads into a wall; `low` and `high`
+    are 1 if the neighbours on the two sides are walls.
+    """
+    return step == 0 or (step < 0 and low > 0) or (step > 0 and high > 0)
 
 
 @build_once
@@ -59,7 +68,7 @@ def make_excess(real: Any):
             return
         size = window[1]
         error = real(0.0)
-        if liquid[n] == 1 and inner(cell_of(n, size), size, 2):
+        if item(liquid, n) == 1 and inner(cell_of(n, size), size, 2):
             # The loop count is not a constant, so that the compiler does not unroll the loops.
             last = int(2)
             near = int(0)
@@ -69,35 +78,29 @@ def make_excess(real: Any):
                 for b in range(-1, last):
                     for c in range(-1, last):
                         m = n + a * layer + b * row + c
-                        if near == 0 and liquid[m] == 0:
+                        if near == 0 and item(liquid, m) == 0:
                             if opening(open, m, size) > real(0.0):
                                 near = int(1)
-            hat = hats[n]
+            hat = item(hats, n)
             error = hat - real(1.0)
-            if shares[n][1] > real(0.0):
+            if item(shares, n)[1] > real(0.0):
                 low = wp.vec3i()
                 high = wp.vec3i()
                 for axis in range(3):
                     low[axis] = int(is_wall(open, liquid, n - stride(axis, size), size))
                     high[axis] = int(is_wall(open, liquid, n + stride(axis, size), size))
-                walls = wp.max(low) + wp.max(high)
                 for a in range(-1, last):
-                    for b in range(-1, last):
-                        for c in range(-1, last):
-                            step = wp.vec3i(a, b, c)
-                            behind = wp.where(a * a + b * b + c * c > 0, walls, 0)
-                            for axis in range(3):
-                                if step[axis] < 0 and low[axis] == 0:
-                                    behind = int(0)
-                                if step[axis] > 0 and high[axis] == 0:
-                                    behind = int(0)
-                            if behind > 0:
-                                m = n + a * layer + b * row + c
-                                if is_wall(open, liquid, m, size):
-                                    error += hats[m] - real(1.0)
+                    if leads_behind(a, low[0], high[0]):
+                        for b in range(-1, last):
+                            if leads_behind(b, low[1], high[1]):
+                                for c in range(-1, last):
+                                    if leads_behind(c, low[2], high[2]):
+                                        m = n + a * layer + b * row + c
+                                        if m != n and is_wall(open, liquid, m, size):
+                                            error += item(hats, m) - real(1.0)
             if near > 0:
-                deep = wp.clamp(-phi[n], real(-1.0), real(1.0))
-                solid = shares[n][0]
+                deep = wp.clamp(-item(phi, n), real(-1.0), real(1.0))
+                solid = item(shares, n)[0]
                 flat = real(1.0) - real(0.5) * (real(1.0) - deep) * (real(1.0) - deep)
                 below = hat - solid - (real(1.0) - solid) * flat
                 least = real(0.0)

@@ -14,6 +14,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
 
@@ -66,7 +67,7 @@ def make_assemble(real: Any):
         size = window[1]
         total = real(0.0)
         links = wp.vec3d()
-        if liquid[n] == 1:
+        if item(liquid, n) == 1:
             for axis in range(3):
                 step = stride(axis, size)
                 for side in range(2):
@@ -75,15 +76,15 @@ def make_assemble(real: Any):
                     if side == 0:
                         m = n - step
                         face = n
-                    share = open[face][axis]
+                    share = item(open, face)[axis]
                     if share > real(0.0):
-                        share /= densities[face][axis]
-                        if liquid[m] == 1:
+                        share /= item(densities, face)[axis]
+                        if item(liquid, m) == 1:
                             total += share
                             if side == 1:
                                 links[axis] = -wp.float64(share)
                         else:
-                            total += share / beyond(phi[n], phi[m])
+                            total += share / beyond(item(phi, n), item(phi, m))
             total += real(6.0) * real(COMPRESSIBLE)
         diagonal_out[n] = wp.float64(total)
         links_out[n] = links
@@ -123,13 +124,13 @@ def make_divergence(real: Any):
             return
         size = window[1]
         flux = real(0.0)
-        if liquid[n] == 1:
+        if item(liquid, n) == 1:
             cell = cell_of(n, size)
             for axis in range(3):
                 m = n + stride(axis, size)
-                low = open[n][axis]
-                high = open[m][axis]
-                flux += high * velocity[m][axis] - low * velocity[n][axis]
+                low = item(open, n)[axis]
+                high = item(open, m)[axis]
+                flux += high * item(velocity, m)[axis] - low * item(velocity, n)[axis]
                 jump = high - low
                 if moving > 0 and jump != real(0.0):
                     owner = wall_across(cell, axis, jump, size, distances, owners, lattice[3])
@@ -138,7 +139,7 @@ def make_divergence(real: Any):
                         flux -= jump * speed_of(motions, owner, x)[axis]
         right_out[n] = -wp.float64(flux)
         guess = wp.float64(0.0)
-        if liquid[n] == 1:
+        if item(liquid, n) == 1:
             guess = carry[0] * x_out[n]
         x_out[n] = guess
 
@@ -154,11 +155,11 @@ def rise_to(
     pressure: wp.array(dtype=wp.float64),
 ):
     """Return the increase of q from cell m to the next cell n; one of the two may be empty."""
-    rise = type(phi[n])(pressure[n] - pressure[m])
-    if liquid[n] == 0:
-        rise = -type(phi[n])(pressure[m]) / beyond(phi[m], phi[n])
-    if liquid[m] == 0:
-        rise = type(phi[n])(pressure[n]) / beyond(phi[n], phi[m])
+    rise = type(item(phi, n))(item(pressure, n) - item(pressure, m))
+    if item(liquid, n) == 0:
+        rise = -type(item(phi, n))(item(pressure, m)) / beyond(item(phi, m), item(phi, n))
+    if item(liquid, m) == 0:
+        rise = type(item(phi, n))(item(pressure, n)) / beyond(item(phi, n), item(phi, m))
     return rise
 
 
@@ -195,9 +196,9 @@ def make_anticipate(real: Any):
             v = velocity_out[n]
             for axis in range(3):
                 m = n - stride(axis, size)
-                if liquid[n] + liquid[m] > 0 and open[n][axis] > real(0.0):
+                if item(liquid, n) + item(liquid, m) > 0 and item(open, n)[axis] > real(0.0):
                     rise = rise_to(n, m, phi, liquid, pressure)
-                    v[axis] = v[axis] + factor * real(carry[0]) * rise / densities[n][axis]
+                    v[axis] = v[axis] + factor * real(carry[0]) * rise / item(densities, n)[axis]
             velocity_out[n] = v
 
     return anticipate
@@ -239,9 +240,9 @@ def make_gradient(real: Any):
             v = t.vec4()
         for axis in range(3):
             m = n - stride(axis, size)
-            wet = liquid[n] + liquid[m]
-            if wet > 0 and open[n][axis] > real(0.0):
-                rise = rise_to(n, m, phi, liquid, pressure) / densities[n][axis]
+            wet = item(liquid, n) + item(liquid, m)
+            if wet > 0 and item(open, n)[axis] > real(0.0):
+                rise = rise_to(n, m, phi, liquid, pressure) / item(densities, n)[axis]
                 if shifts > real(0.0):
                     rise = lattice[3] * wp.clamp(rise, -shifts, shifts)
                 v[axis] = v[axis] - rise

@@ -15,6 +15,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, stride, sums
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
@@ -31,8 +32,8 @@ def in_body(
     """Return whether a face is inside a freely moving body; `body` is the first such wall."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
-    shut = open[n][axis] == type(open[n][axis])(0.0)
-    return shut and owners[point(cell_of(n, size), at[0], at[1], at[2], size)] >= body
+    shut = item(open, n)[axis] == type(item(open, n)[axis])(0.0)
+    return shut and item(owners, point(cell_of(n, size), at[0], at[1], at[2], size)) >= body
 
 
 @wp.func
@@ -44,13 +45,13 @@ def mean_around(
     size: wp.vec3i,
 ):
     """Return the mean velocity of the known neighbours of a face, and their number."""
-    total = type(velocity[n][axis])(0.0)
+    total = type(item(velocity, n)[axis])(0.0)
     count = type(total)(0.0)
     for along in range(3):
         for side in range(2):
             m = n + (2 * side - 1) * stride(along, size)
-            if known[m] & (1 << axis) > 0:
-                total += velocity[m][axis]
+            if item(known, m) & (1 << axis) > 0:
+                total += item(velocity, m)[axis]
                 count += type(total)(1.0)
     return total / count, count
 
@@ -68,14 +69,15 @@ def change_around(
 
     `cells` contains the momenta before the step and the masses.
     """
-    gain = type(velocity[n][axis])(0.0)
+    gain = type(item(velocity, n)[axis])(0.0)
     mass = type(gain)(0.0)
     for along in range(3):
         for side in range(2):
             m = n + (2 * side - 1) * stride(along, size)
-            heavy = cells[m][4 + axis]
-            if known[m] & (1 << axis) > 0 and heavy > type(gain)(0.0):
-                gain += heavy * velocity[m][axis] - cells[m][axis]
+            q = item(cells, m)
+            heavy = q[4 + axis]
+            if item(known, m) & (1 << axis) > 0 and heavy > type(gain)(0.0):
+                gain += heavy * item(velocity, m)[axis] - q[axis]
                 mass += heavy
     return gain, mass
 
@@ -115,30 +117,32 @@ def make_spread(real: Any):
         if n < 0:
             return
         size = window[1]
-        mask = known[n]
+        mask = item(known, n)
         missing = int(0)
         if mask < 7:
             dx = stride(0, size)
             dy = stride(1, size)
-            missing = known[n - 1] | known[n + 1] | known[n - dy] | known[n + dy]
-            missing = (missing | known[n - dx] | known[n + dx]) & (7 - mask)
+            missing = (
+                item(known, n - 1) | item(known, n + 1) | item(known, n - dy) | item(known, n + dy)
+            )
+            missing = (missing | item(known, n - dx) | item(known, n + dx)) & (7 - mask)
         if missing > 0:
-            v = velocity_out[n]
+            v = item(velocity_out, n)
             for axis in range(3):
                 if missing & (1 << axis) > 0:
                     mean, count = mean_around(known, velocity_out, n, axis, size)
                     v[axis] = mean
                     mass = real(0.0)
                     if cells.shape[0] > 0:
-                        mass = cells[n][4 + axis]
+                        mass = item(cells, n)[4 + axis]
                     if mass > real(0.0) and not in_body(open, owners, body, n, axis, size):
                         gain, moved = change_around(known, cells, velocity_out, n, axis, size)
                         if moved > real(0.0):
                             k = real(0.0)
                             if viscosity > real(0.0):
-                                k = viscosity * clock[0] * viscosities[n][axis] * count
-                                k /= densities[n][axis]
-                            apart = cells[n][axis] / mass + gain / moved - mean
+                                k = viscosity * clock[0] * item(viscosities, n)[axis] * count
+                                k /= item(densities, n)[axis]
+                            apart = item(cells, n)[axis] / mass + gain / moved - mean
                             v[axis] = mean + apart / (real(1.0) + k)
             velocity_out[n] = v
         known_out[n] = mask | missing
@@ -149,7 +153,7 @@ def make_spread(real: Any):
 @wp.func
 def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
     """Return the velocity at a cell's low face; tangential components are means over four faces."""
-    q = velocity[n]
+    q = item(velocity, n)
     v = wp.vector(q[0], q[1], q[2])
     back = stride(axis, size)
     for other in range(3):
@@ -157,9 +161,9 @@ def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
             step = stride(other, size)
             v[other] = type(q[0])(0.25) * (
                 q[other]
-                + velocity[n + step][other]
-                + velocity[n - back][other]
-                + velocity[n - back + step][other]
+                + item(velocity, n + step)[other]
+                + item(velocity, n - back)[other]
+                + item(velocity, n - back + step)[other]
             )
     return v
 
@@ -168,12 +172,12 @@ def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
 def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size: wp.vec3i):
     """Return the direction away from walls at the point `at` [half cells from a cell's corner]."""
     n = wp.vector(
-        distances[point(cell, at[0] + 1, at[1], at[2], size)]
-        - distances[point(cell, at[0] - 1, at[1], at[2], size)],
-        distances[point(cell, at[0], at[1] + 1, at[2], size)]
-        - distances[point(cell, at[0], at[1] - 1, at[2], size)],
-        distances[point(cell, at[0], at[1], at[2] + 1, size)]
-        - distances[point(cell, at[0], at[1], at[2] - 1, size)],
+        item(distances, point(cell, at[0] + 1, at[1], at[2], size))
+        - item(distances, point(cell, at[0] - 1, at[1], at[2], size)),
+        item(distances, point(cell, at[0], at[1] + 1, at[2], size))
+        - item(distances, point(cell, at[0], at[1] - 1, at[2], size)),
+        item(distances, point(cell, at[0], at[1], at[2] + 1, size))
+        - item(distances, point(cell, at[0], at[1], at[2] - 1, size)),
     )
     return wp.normalize(n)
 
@@ -217,19 +221,19 @@ def make_slide(real: Any):
         if n < 0:
             return
         size = window[1]
-        v = velocity[n]
+        v = item(velocity, n)
         # The B-spline of a cell far from walls does not reach into a solid.
-        if known[n] > 0 and shares[n][1] > real(0.0):
+        if item(known, n) > 0 and item(shares, n)[1] > real(0.0):
             cell = cell_of(n, size)
             for axis in range(3):
                 at = wp.vec3i(1, 1, 1)
                 at[axis] = 0
-                shut = open[n][axis] == real(0.0)
+                shut = item(open, n)[axis] == real(0.0)
                 near = shut
                 if rubs > 0 and not shut:
-                    near = distances[point(cell, at[0], at[1], at[2], size)] < lattice[3]
+                    near = item(distances, point(cell, at[0], at[1], at[2], size)) < lattice[3]
                 if near:
-                    owner = owners[point(cell, at[0], at[1], at[2], size)]
+                    owner = item(owners, point(cell, at[0], at[1], at[2], size))
                     u = t.vec3()
                     rough = t.vec2()
                     if owner >= 0:
@@ -241,11 +245,11 @@ def make_slide(real: Any):
                     relative = whole(velocity, n, axis, size) - u
                     across = wp.dot(relative, normal)
                     along = relative - across * normal
-                    dense = densities[n][axis]
+                    dense = item(densities, n)[axis]
                     kept = real(1.0)
                     if rubs > 0:
                         back = n - stride(axis, size)
-                        pressed = real(wp.max(pressure[n], pressure[back])) / dense
+                        pressed = real(wp.max(item(pressure, n), item(pressure, back))) / dense
                         speed = wp.length(along)
                         if speed > real(0.0):
                             kept = wp.max(real(0.0), real(1.0) - rough[0] * pressed / speed)
@@ -255,8 +259,8 @@ def make_slide(real: Any):
                         v[axis] = u[axis] + kept * along[axis]
                     elif kept < real(1.0):
                         change = (kept - real(1.0)) * along[axis]
-                        if liquid[n] + liquid[n - stride(axis, size)] > 0:
-                            impulse = wp.float64(weight * dense * open[n][axis] * change)
+                        if item(liquid, n) + item(liquid, n - stride(axis, size)) > 0:
+                            impulse = wp.float64(weight * dense * item(open, n)[axis] * change)
                             mean = wp.float64(v[axis] + real(0.5) * change)
                             wp.atomic_add(sums_out, owner, axis, impulse)
                             wp.atomic_add(sums_out, owner, 6, impulse * mean)

@@ -11,6 +11,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride, sums
 from phy124.kernels.liquid.walls import SHUT, point
 
@@ -47,10 +48,10 @@ def depth(fill: Any):
 @wp.func
 def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
     """Return the sum of the open fractions of the six faces of a cell."""
-    q = open[n]
+    q = item(open, n)
     total = q[0] + q[1] + q[2]
     for axis in range(3):
-        total += open[n + stride(axis, size)][axis]
+        total += item(open, n + stride(axis, size))[axis]
     return total
 
 
@@ -79,15 +80,15 @@ def thickness(
     result = type(most)(0.0)
     for axis in range(3):
         step = stride(axis, size)
-        jump = open[n + step][axis] - open[n][axis]
+        jump = item(open, n + step)[axis] - item(open, n)[axis]
         if wp.abs(jump) > type(most)(0.5):
             away = int(wp.sign(jump)) * step
-            if cells[n + away][component] < most:
+            if item(cells, n + away)[component] < most:
                 result = type(most)(0.0)
                 for k in range(5):
-                    result += cells[n + (k - 2) * step][component]
+                    result += item(cells, n + (k - 2) * step)[component]
                 # Walls at the sides of the layer occupy a fraction of the column.
-                result /= wp.max(type(most)(1.0) - shares[n + 2 * away][1], type(most)(0.3))
+                result /= wp.max(type(most)(1.0) - item(shares, n + 2 * away)[1], type(most)(0.3))
     return result
 
 
@@ -126,7 +127,7 @@ def level(
     """
     zero = type(dx)(0.0)
     volume = dx * dx * dx
-    filled = filled_share(cells[n][component], shares[n][1], dx)
+    filled = filled_share(item(cells, n)[component], item(shares, n)[1], dx)
     phi = -depth(filled)
     wet = int(0)
     if filled > zero and inner(cell_of(n, size), size, 2):
@@ -136,11 +137,15 @@ def level(
             wet = wp.where(phi < zero, 1, 0)
             thick = zero
             middle = point(cell_of(n, size), 1, 1, 1, size)
-            if shares[n][1] > zero and filled < type(dx)(1.0) and owners[middle] < solid:
+            if (
+                item(shares, n)[1] > zero
+                and filled < type(dx)(1.0)
+                and item(owners, middle) < solid
+            ):
                 most = type(dx)(0.5) * filled * volume
                 thick = thickness(cells, component, open, shares, n, size, most) / volume
             if thick > zero:
-                phi = distances[middle] / dx - thick
+                phi = item(distances, middle) / dx - thick
                 wet = wp.where(filled >= type(dx)(LONE), 1, 0)
                 filled = type(dx)(wet)
     return filled, phi, wet
@@ -184,7 +189,7 @@ def make_levels(real: Any):
         if n < 0:
             return
         size = window[1]
-        q = cells[n]
+        q = item(cells, n)
         a = values[0]
         v = t.vec4()
         known = int(0)
@@ -192,9 +197,9 @@ def make_levels(real: Any):
             m = q[4 + axis]
             if m > real(0.0):
                 v[axis] = q[axis] / m + clock[0] * a[axis]
-                if open[n][axis] > real(0.0):
+                if item(open, n)[axis] > real(0.0):
                     known += 1 << axis
-        share = shares[n]
+        share = item(shares, n)
         filled, phi, wet = level(
             cells, FILL, open, shares, distances, owners, solid, n, size, lattice[3]
         )
@@ -234,8 +239,8 @@ def make_refill(real: Any):
         if n < 0:
             return
         size = window[1]
-        share = shares[n]
-        q = fills[n]
+        share = item(shares, n)
+        q = item(fills, n)
         hats_out[n] = q[1] / (lattice[3] * lattice[3] * lattice[3]) + share[0]
         _, phi, wet = level(fills, 0, open, shares, distances, owners, solid, n, size, lattice[3])
         phi_out[n] = phi

@@ -15,6 +15,7 @@ import warp as wp
 
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, inner, stride, sums
 from phy124.kernels.liquid.mixture import between
 from phy124.kernels.liquid.spread import normal_at
@@ -44,7 +45,7 @@ def wall_link(
     Every wall stops the normal velocity component. Only a sticky wall stops the tangential
     components.
     """
-    zero = type(open[n][0])(0.0)
+    zero = type(item(open, n)[0])(0.0)
     size = window[1]
     g = type(zero)(0.0)
     gu = type(zero)(0.0)
@@ -52,12 +53,12 @@ def wall_link(
     for along in range(3):
         for side in range(2):
             m = n + (2 * side - 1) * stride(along, size)
-            if open[m][axis] == zero:
+            if item(open, m)[axis] == zero:
                 cell = cell_of(m, size)
                 at = wp.vec3i(1, 1, 1)
                 at[axis] = 0
                 face = point(cell, at[0], at[1], at[2], size)
-                wall = owners[face]
+                wall = item(owners, face)
                 if wall >= 0:
                     part = frictions[wall][1]
                     if along == axis:
@@ -66,7 +67,7 @@ def wall_link(
                     x = centre_of(cell, lattice, window[0])
                     x[axis] = x[axis] - type(zero)(0.5) * lattice[3]
                     unit = type(zero)(1.0)
-                    near = unit + distances[face] / lattice[3]
+                    near = unit + item(distances, face) / lattice[3]
                     part /= wp.clamp(near, type(zero)(CLOSEST), unit)
                     g += part
                     gu += part * speed_of(motions, wall, x)[axis]
@@ -110,22 +111,22 @@ def make_diffuse(real: Any):
             return
         size = window[1]
         v = before[n]
-        mask = known[n]
+        mask = item(known, n)
         if mask > 0 and inner(cell_of(n, size), size, 1):
             for axis in range(3):
                 bit = 1 << axis
                 if mask & bit > 0:
-                    k = viscosity * clock[0] / densities[n][axis]
-                    eta = viscosities[n][axis]
+                    k = viscosity * clock[0] / item(densities, n)[axis]
+                    eta = item(viscosities, n)[axis]
                     total = v[axis]
                     weight = real(1.0)
                     for along in range(3):
                         step = stride(along, size)
                         for side in range(2):
                             m = n + (2 * side - 1) * step
-                            if known[m] & bit > 0:
-                                link = k * between(eta, viscosities[m][axis])
-                                total += link * velocity[m][axis]
+                            if item(known, m) & bit > 0:
+                                link = k * between(eta, item(viscosities, m)[axis])
+                                total += link * item(velocity, m)[axis]
                                 weight += link
                     g, gu, _ = wall_link(
                         n, axis, lattice, window, open, distances, owners, frictions, motions
@@ -171,16 +172,21 @@ def make_drag(real: Any):
         if n < 0:
             return
         size = window[1]
-        v = velocity[n]
-        if known[n] > 0 and inner(cell_of(n, size), size, 1):
+        v = item(velocity, n)
+        if item(known, n) > 0 and inner(cell_of(n, size), size, 1):
             for axis in range(3):
-                if known[n] & (1 << axis) > 0:
+                if item(known, n) & (1 << axis) > 0:
                     g, gu, owner = wall_link(
                         n, axis, lattice, window, open, distances, owners, frictions, motions
                     )
                     if owner >= 0:
-                        k = viscosity * clock[0] * viscosities[n][axis] / densities[n][axis]
-                        impulse = wp.float64(cells[n][4 + axis] * k * (gu - g * v[axis]))
+                        k = (
+                            viscosity
+                            * clock[0]
+                            * item(viscosities, n)[axis]
+                            / item(densities, n)[axis]
+                        )
+                        impulse = wp.float64(item(cells, n)[4 + axis] * k * (gu - g * v[axis]))
                         wp.atomic_add(sums_out, owner, axis, impulse)
                         wp.atomic_add(sums_out, owner, 6, impulse * wp.float64(v[axis]))
         velocity_out[n] = v
