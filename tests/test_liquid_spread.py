@@ -22,19 +22,41 @@ def spread(mass: float, *, viscosity=0.0, shut=False, body=9, displaces=False) -
     known[KNOWN], velocity[KNOWN, :3] = 7, (2, 3, 4)
     cells[KNOWN, :3], cells[KNOWN, 4:7] = (1, 2, 3), 1
     cells[FACE, :3], cells[FACE, 4:7] = mass * np.array([7, 8, 9]), mass
-    space, ones = np.ones((count, 4)), np.ones((count, 4))
+    space = np.ones((count, 4))
     space[FACE] = 0.0 if shut else 1.0
-    kind = sums(wp.float32)
-    moved = wp.array(velocity, dtype=wp.vec4)
-    inputs = [0, wp.array([FACE], dtype=int), wp.array([0, 1], dtype=int), viscosity]
+    known, velocity = launch(
+        known, velocity, cells[: 0 if displaces else None], space, body, viscosity
+    )
+    assert known[FACE] == 7
+    return velocity[FACE, :3]
+
+
+def launch(known, velocity, cells, space, body, viscosity, form="simd"):
+    """The flags and the velocities after one layer of the inner cells has been filled."""
+    count = SIZE**3
+    inner = np.arange(count).reshape((SIZE,) * 3)[1:-1, 1:-1, 1:-1].ravel()
+    ones, moved = np.ones((count, 4)), wp.array(velocity, dtype=wp.vec4)
+    inputs = [0, wp.array(inner, dtype=int), wp.array([0, len(inner)], dtype=int), viscosity]
     inputs += [wp.array([(0,) * 3, (SIZE,) * 3], dtype=wp.vec3i), wp.array([0.5, 0.5], dtype=float)]
     inputs += [wp.array(known, dtype=int), *(wp.array(ones, dtype=wp.vec4) for _ in range(2))]
-    inputs += [wp.zeros(0, dtype=kind) if displaces else wp.array(cells, dtype=kind)]
-    inputs += [wp.array(space, dtype=wp.vec4), wp.ones((2 * SIZE + 1) ** 3, dtype=int), body]
+    inputs += [wp.array(cells, dtype=sums(wp.float32)), wp.array(space, dtype=wp.vec4)]
+    inputs += [wp.ones((2 * SIZE + 1) ** 3, dtype=int), body]
     flags = wp.zeros(count, dtype=int)
-    wp.launch(make_spread(wp.float32), 1, inputs, [moved, flags], device="cpu")
-    assert flags.numpy()[FACE] == 7
-    return moved.numpy()[FACE, :3]
+    kernel = make_spread(wp.float32, form)
+    wp.launch(kernel, len(inner), inputs, [moved, flags], device="cpu")
+    return flags.numpy(), moved.numpy()
+
+
+@pytest.mark.parametrize("displaces", [False, True])
+def test_simd_and_plain_sums_over_neighbours_agree(rng, displaces):
+    count = SIZE**3
+    known, velocity = rng.integers(0, 8, count), rng.normal(size=(count, 4))
+    cells = rng.normal(1, 1, size=(count, 8)) * rng.choice([0, 1, 1], (count, 8))
+    values = known, velocity, cells[: 0 if displaces else None], np.ones((count, 4)), 9, 0.1
+    (flags, simd), (same, plain) = (launch(*values, form) for form in ("simd", "plain"))
+    np.testing.assert_array_equal(flags, same)
+    np.testing.assert_allclose(simd, plain, rtol=1e-5, atol=1e-5)
+    assert np.any(simd != velocity)
 
 
 @pytest.mark.parametrize("shut", [False, True])

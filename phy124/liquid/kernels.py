@@ -86,6 +86,6 @@ def _of_phases(real: Any, form: str) -> Iterator[Any]:
     yield from (make(real) for make in (surface.make_levels, surface.make_refill))
     yield from (make(real) for make in (pressure.make_assemble, pressure.make_divergence))
     yield from (make(real) for make in (pressure.make_gradient, impulses.make_wall_impulses))
-    yield from (make(real) for make in (spread.make_spread, spread.make_slide))
+    yield from (spread.make_spread(real, form), spread.make_slide(real))
     yield from (packing.make_excess(real), impulses.settle)
     yield from (pressure.make_anticipate(real), viscous.make_diffuse(real), viscous.make_drag(real))

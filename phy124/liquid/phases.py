@@ -439,7 +439,7 @@ class Phases:
         inputs += [self._mixture.densities, self._mixture.viscosities]
         inputs += [sums, cells.open, cells.owners, self._solids.first(self._walls)]
         outputs = [cells.velocity, known[1 - turn % 2]]
-        kernel = spread.make_spread(self._model.real)
+        kernel = spread.make_spread(self._model.real, self._form)
         return self._over_cells(worker, "spread", kernel, inputs, outputs)
 
     def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:

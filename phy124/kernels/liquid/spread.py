@@ -18,6 +18,7 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, entry, stride, sums
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
+from phy124.kernels.native import code
 
 
 @wp.func
@@ -37,53 +38,65 @@ def in_body(
 
 
 @wp.func
-def mean_around(
-    known: wp.array(dtype=int),
-    velocity: wp.array(dtype=Any),
-    n: int,
-    axis: int,
-    size: wp.vec3i,
-):
-    """Return the mean velocity of the known neighbours of a face, and their number."""
-    total = type(item(velocity, n)[axis])(0.0)
-    count = type(total)(0.0)
-    for along in range(3):
-        for side in range(2):
-            m = n + (2 * side - 1) * stride(along, size)
-            if item(known, m) & (1 << axis) > 0:
-                total += item(velocity, m)[axis]
-                count += type(total)(1.0)
-    return total / count, count
-
-
-@wp.func
-def change_around(
+def around(
     known: wp.array(dtype=int),
     cells: wp.array(dtype=Any),
     velocity: wp.array(dtype=Any),
     n: int,
-    axis: int,
-    size: wp.vec3i,
+    row: int,
+    layer: int,
 ):
-    """Return the momentum that the known neighbours of a face gained in the step, and their mass.
+    """Sum over the known neighbours of a cell's low faces; one column per face.
 
-    `cells` contains the momenta before the step and the masses.
+    Returns rows: the sum of the velocities; the number of neighbours; the momentum that neighbours
+    with mass gained in the step; and the mass. `cells` contains the momenta before the step and
+    the masses. If `cells` is empty, the last two rows are zero.
     """
-    gain = type(item(velocity, n)[axis])(0.0)
-    mass = type(gain)(0.0)
-    for along in range(3):
-        for side in range(2):
-            m = n + (2 * side - 1) * stride(along, size)
-            q = item(cells, m)
-            heavy = q[4 + axis]
-            if item(known, m) & (1 << axis) > 0 and heavy > type(gain)(0.0):
-                gain += heavy * item(velocity, m)[axis] - q[axis]
-                mass += heavy
-    return gain, mass
+    zero = type(velocity[n][0])(0.0)
+    total = wp.vector(zero, zero, zero, zero)
+    count = wp.vector(zero, zero, zero, zero)
+    gain = wp.vector(zero, zero, zero, zero)
+    mass = wp.vector(zero, zero, zero, zero)
+    for k in range(6):
+        step = 1
+        if k < 4:
+            step = row
+        if k < 2:
+            step = layer
+        m = n + (2 * (k % 2) - 1) * step
+        bits = item(known, m)
+        v = item(velocity, m)
+        for axis in range(3):
+            if bits & (1 << axis) > 0:
+                total[axis] = total[axis] + v[axis]
+                count[axis] = count[axis] + type(zero)(1.0)
+                if cells.shape[0] > 0:
+                    heavy = item(cells, m)[4 + axis]
+                    if heavy > zero:
+                        gain[axis] = gain[axis] + (heavy * v[axis] - item(cells, m)[axis])
+                        mass[axis] = mass[axis] + heavy
+    return wp.matrix_from_rows(total, count, gain, mass)
+
+
+@wp.func_native(code("spread"))
+def around_rows(
+    known: wp.array(dtype=int),
+    cells: wp.array(dtype=sums(wp.float32)),
+    velocity: wp.array(dtype=wp.vec4),
+    n: int,
+    row: int,
+    layer: int,
+) -> wp.mat44:
+    """Sum over neighbours with the vector instructions of a CPU, as `around` does."""
+    ...
+
+
+FORMS = {"plain": around, "simd": around_rows}
+"""Implementations of the sums over neighbours, by name."""
 
 
 @build_once
-def make_spread(real: Any):
+def make_spread(real: Any, form: str):
     """Kernel over cells: sets the velocities at unknown faces from their known neighbours.
 
     `cells` contains the sums over the particles. If `cells` is empty, `velocity_out` contains
@@ -94,8 +107,9 @@ def make_spread(real: Any):
     """
     t = types(real)
     vec8 = sums(real)
+    add_up = FORMS[form]
 
-    @kernel(f"phy124_liquid_spread_{real.__name__}", real, seconds=0.4)
+    @kernel(f"phy124_liquid_spread_{real.__name__}_{form}", real, seconds=0.4)
     def spread(
         worker: int,
         active: Ints,
@@ -128,21 +142,23 @@ def make_spread(real: Any):
             missing = (missing | item(known, n - dx) | item(known, n + dx)) & (7 - mask)
         if missing > 0:
             v = item(velocity_out, n)
+            rows = add_up(known, cells, velocity_out, n, stride(1, size), stride(0, size))
             for axis in range(3):
                 if missing & (1 << axis) > 0:
-                    mean, count = mean_around(known, velocity_out, n, axis, size)
+                    count = rows[1, axis]
+                    mean = rows[0, axis] / count
                     v[axis] = mean
                     mass = real(0.0)
                     if cells.shape[0] > 0:
                         mass = item(cells, n)[4 + axis]
                     if mass > real(0.0) and not in_body(open, owners, body, n, axis, size):
-                        gain, moved = change_around(known, cells, velocity_out, n, axis, size)
+                        moved = rows[3, axis]
                         if moved > real(0.0):
                             k = real(0.0)
                             if viscosity > real(0.0):
                                 k = viscosity * clock[0] * item(viscosities, n)[axis] * count
                                 k /= item(densities, n)[axis]
-                            apart = item(cells, n)[axis] / mass + gain / moved - mean
+                            apart = item(cells, n)[axis] / mass + rows[2, axis] / moved - mean
                             v[axis] = mean + apart / (real(1.0) + k)
             velocity_out[n] = v
         known_out[n] = mask | missing
