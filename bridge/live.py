@@ -62,7 +62,7 @@ def play(
         sink.show(player)
         return refusal
 
-    announcer = _DropAnnouncer(player, clock)
+    logged, logged_at = 0, -math.inf  # number of dropped frames in the log, and time of this line
     sink.show(player)
     while not player.finished if going is None else going():
         sink.listen(min(player.wait(clock()), LONGEST_WAIT), obey)
@@ -76,7 +76,9 @@ def play(
             record.write(frame)
         if player.finished:
             sink.show(player)
-        announcer.look()
+        if player.dropped > logged and clock() - logged_at >= REPORT_EVERY:
+            log.warning(SLOW, player.dropped)
+            logged, logged_at = player.dropped, clock()
 
 
 def follow(
@@ -85,7 +87,6 @@ def follow(
     *,
     records: Sequence[Sink] = (),
     speed: float = 1.0,
-    clock: Clock = time.monotonic,
 ) -> None:
     """Send each frame of a running simulation when the frame has been computed and is due.
 
@@ -98,9 +99,8 @@ def follow(
         sink: Shows the frames, and receives commands.
         records: Other sinks, which record the frames.
         speed: Largest number of simulated seconds per real second.
-        clock: Function that returns the current time [s].
     """
-    pacer = Pacer(speed, clock)
+    pacer = Pacer(speed, time.monotonic)
 
     def obey(text: str) -> str | None:
         refusal = _attempt(lambda: pacer.command(text))
@@ -210,20 +210,6 @@ class Pacer:
                 "pause, toggle and speed FACTOR."
             )
             raise InputError("command", text, limit, "For the other commands, play the saved clip.")
-
-
-class _DropAnnouncer:
-    """Logs the number of dropped frames at intervals instead of after every frame."""
-
-    def __init__(self, player: Player, clock: Clock) -> None:
-        self._player, self._clock = player, clock
-        self._said, self._when = 0, -math.inf
-
-    def look(self) -> None:
-        dropped, now = self._player.dropped, self._clock()
-        if dropped > self._said and now - self._when >= REPORT_EVERY:
-            log.warning(SLOW, dropped)
-            self._said, self._when = dropped, now
 
 
 def _attempt(action: Callable[[], None]) -> str | None:

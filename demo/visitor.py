@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
 """Folders that contain the results of stages (see `demo.visitors`)."""
-UPLOADS = 8
-"""Number of uploads that are kept per visitor."""
+UPLOADS = JOBS = 8
+"""Numbers of uploads, and of jobs of each kind, that are kept per visitor."""
 
 
 class Visitor:
@@ -68,8 +68,8 @@ class Visitor:
         """Time since the visitor's last request [s]."""
         return time.monotonic() - self.seen
 
-    def remember(self, job: Job, most: int = 8) -> None:
-        """Store a job, and remove finished jobs if there are more than `most` of its kind.
+    def remember(self, job: Job) -> None:
+        """Store a job, and remove finished jobs if there are more than `JOBS` of its kind.
 
         Jobs without a result are removed first, then the oldest, so that a result is not lost when
         many runs are cancelled or many cut-outs are made.
@@ -77,7 +77,7 @@ class Visitor:
         self.jobs[job.name] = job
         alike = [each for each in self.jobs.values() if each.kind == job.kind]
         over = sorted((j for j in alike if j.over), key=lambda j: j.progress.result is not None)
-        for each in over[: max(0, len(alike) - most)]:
+        for each in over[: max(0, len(alike) - JOBS)]:
             del self.jobs[each.name]
 
     def latest(self, *kinds: str) -> Job | None:

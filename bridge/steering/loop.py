@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame
@@ -86,9 +85,18 @@ def steer(
     from phy124.live import RealTime
 
     run.epoch = options.epoch or 0.0
-    listening = _Listening(run, sink)
-    outlets = _Outlets(run, sink, options, records)
-    run.show = lambda frame: outlets.show(look(frame))
+    listening, outlets = _Listening(run, sink), (sink, *records)
+
+    def show(frame: Frame) -> None:
+        """Send a frame to the sink and the recordings, together with the frame's messages."""
+        seen = look(frame)
+        for outlet in outlets:
+            outlet.write(seen)
+        for message in contact_messages(run.live, options, frame.time):
+            for outlet in outlets:
+                outlet.send(message)
+
+    run.show = show
     run.changed = lambda: sink.show(run)
     sink.show(run)
     run.advance()
@@ -101,24 +109,9 @@ def steer(
         elif not run.finished:
             run.advance()
             clock.speed = run.speed
-            sink.send(factor_message(clock.wait(), options, run.position))
+            factor = clock.wait()
+            sink.send(cdr.message(FACTOR, stamp_of(options, run.position), {"data": factor}))
     sink.show(run)
-
-
-class _Outlets:
-    """Sends each frame to the sink and the recordings, together with the frame's messages."""
-
-    def __init__(
-        self, run: SteeredRun, sink: LiveSink, options: Options, records: Sequence[Recorder]
-    ) -> None:
-        self._live, self._sink, self._options, self._records = run.live, sink, options, records
-
-    def show(self, frame: Frame) -> None:
-        for each in (self._sink, *self._records):
-            each.write(frame)
-        for message in contact_messages(self._live, self._options, frame.time):
-            for each in (self._sink, *self._records):
-                each.send(message)
 
 
 class _Listening:
@@ -174,8 +167,13 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
     centres = live.centres if live.scene.objects else {}
     frames = {whole: centre} | {object_frame(options, name): at for name, at in centres.items()}
     header = {"stamp": when, "frame_id": options.frame_id}
+    axes = {"rotation": (0.0, 0.0, 0.0, 1.0)}  # those of the world
     links = [
-        {"header": header, "child_frame_id": child, "transform": _standing(at)}
+        {
+            "header": header,
+            "child_frame_id": child,
+            "transform": {"translation": at.tolist(), **axes},
+        }
         for child, at in frames.items()
     ]
     messages = [cdr.message(TF, stamp, {"transforms": links})]
@@ -189,22 +187,6 @@ def contact_messages(live: Live, options: Options, seconds: float) -> list[Messa
         }
         messages.append(cdr.message(contact(name), stamp, content))
     return messages
-
-
-def _standing(at: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the transform to a position [3], m, with the axes of the world."""
-    return {"translation": at.tolist(), "rotation": (0.0, 0.0, 0.0, 1.0)}
-
-
-def factor_message(factor: float, options: Options, seconds: float) -> Message:
-    """Return the message with the real-time factor.
-
-    Args:
-        factor: Simulated seconds per real second.
-        options: Options with the epoch.
-        seconds: Time of the frame since the epoch [s].
-    """
-    return cdr.message(FACTOR, stamp_of(options, seconds), {"data": factor})
 
 
 def stamp_of(options: Options, seconds: float) -> int:

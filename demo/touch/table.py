@@ -38,10 +38,6 @@ Each grab and each change of gravity needs one of them.
 """
 
 
-def nothing() -> None:
-    """Do nothing, because no run has started yet."""
-
-
 @dataclass
 class Ticket:
     """The permission of a visitor to start a live run."""
@@ -54,7 +50,7 @@ class Ticket:
     created: float = field(default_factory=time.monotonic)
     taken: bool = False
     """Whether a page has presented this permission."""
-    end: Callable[[], None] = nothing
+    end: Callable[[], None] = lambda: None
     """Function that ends the run. Any thread may call it."""
     session: dict[str, Any] | None = None
     """The session as a scene; None until it is saved."""

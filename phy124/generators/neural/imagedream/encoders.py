@@ -182,10 +182,10 @@ def picture_tokens(encoder: CLIPVisionModel, image: Tensor) -> Tensor:
     return encoder(pixels, output_hidden_states=True).hidden_states[-2]
 
 
-def clip_pixels(image: Tensor, size: int = CLIP_SIZE) -> Tensor:
+def clip_pixels(image: Tensor) -> Tensor:
     """Resize `image [3,H,W]`, crop and normalise it for CLIP; return the result [3,S,S]."""
     pixels = (image.permute(1, 2, 0).cpu().float().numpy() * 255).astype(np.uint8)
-    height, width = pixels.shape[:2]
+    (height, width), size = pixels.shape[:2], CLIP_SIZE
     scale = size / min(height, width)
     wide, high = max(size, int(width * scale)), max(size, int(height * scale))
     resized = Image.fromarray(pixels).resize((wide, high), Image.Resampling.BICUBIC)

@@ -232,9 +232,9 @@ def network_input(views: Tensor) -> Tensor:
     return torch.cat([(views - mean) / std, rays], dim=1)
 
 
-def to_gaussians(rows: NDArray, *, opacity_min: float = OPACITY_MIN) -> Gaussians:
+def to_gaussians(rows: NDArray) -> Gaussians:
     """Convert LGM's rows [N,14] to Gaussians; remove Gaussians with low opacity."""
-    rows = rows[rows[:, 3] >= opacity_min]
+    rows = rows[rows[:, 3] >= OPACITY_MIN]
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
     )

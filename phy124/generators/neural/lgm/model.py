@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from phy124.errors import InputError
 from phy124.generators.neural.lgm.unet import UNet
-from phy124.generators.neural.orbit import FOV_Y, focal, orbit
+from phy124.generators.neural.orbit import focal, orbit
 from phy124.generators.neural.splatting import orbit_view, rasterize
 from phy124.weights.checkpoints import StateDict, fill, read_tensors
 from phy124.weights.store import compute_sha256
@@ -28,12 +28,12 @@ AZIMUTHS = (0, 90, 180, 270)
 """Azimuths of the views [degrees]: the front, then counter-clockwise as seen from above."""
 
 
-def pluecker(camera_to_world: NDArray, size: int, fov_y: float = FOV_Y) -> NDArray[np.float32]:
+def pluecker(camera_to_world: NDArray, size: int) -> NDArray[np.float32]:
     """Return the Pluecker ray of every pixel [6,S,S]: moment o x d, then unit direction d.
 
     `camera_to_world` is [4,4] in OpenGL axes; pixel centres lie at half integers.
     """
-    f = focal(size, fov_y)
+    f = focal(size)
     x = (np.arange(size) - size / 2 + 0.5) / f
     right, up = np.meshgrid(x, -x)
     directions = np.stack([right, up, np.full_like(right, -1)], axis=-1) @ camera_to_world[:3, :3].T
@@ -216,16 +216,12 @@ def error(rows: Tensor, pictures: Tensor) -> float:
 
 
 @torch.no_grad()
-def draw_rows(rows: Tensor, azimuth: float, size: int, *, elevation: float = 0.0) -> Tensor:
-    """Render Gaussians from LGM's orbit: an image [3,S,S] over white.
+def draw_rows(rows: Tensor, azimuth: float, size: int) -> Tensor:
+    """Render Gaussians [N,14] from LGM's orbit: an image [3,S,S] over white.
 
-    Args:
-        rows: LGM's Gaussians [N,14].
-        azimuth: Azimuth, degrees.
-        size: Side of the image, pixels.
-        elevation: Elevation, degrees; positive is below the object.
+    The azimuth is in degrees.
     """
     rows = rows.float()
-    view = orbit_view(elevation, azimuth, RADIUS, size)
+    view = orbit_view(0.0, azimuth, RADIUS, size)
     parts = rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14]
     return rasterize(*parts, view, rows.new_ones(3)).rgb.permute(2, 0, 1).clamp(0, 1)
