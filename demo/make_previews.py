@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.camera import Camera
-from phy124.gaussians import Frame, Gaussians
+from phy124.gaussians import Frame
 from phy124.generators import make
 from phy124.imaging.cutout import cut_out
 from phy124.io.clip import Clip
@@ -31,6 +31,7 @@ from phy124.scene import Scene, View, preset_names
 from phy124.simulation import Simulation, prepare
 
 from .catalogue import PREVIEWS, READY, SUBSTANCES
+from .work.shows import thin_frame
 
 Pictures = list[NDArray[np.uint8]]
 
@@ -131,12 +132,7 @@ def _thin(clip: Clip, step: int) -> Clip:
     """Keep every `step`-th frame and some of the Gaussians, enlarged to cover the same area."""
     count = clip.means.shape[1]
     chosen = np.sort(np.random.default_rng(0).permutation(count)[:SPLATS])
-    frames = []
-    for frame in list(clip.frames())[::step]:
-        g = frame.gaussians
-        larger = g.scales[chosen] * (count / len(chosen)) ** 0.5
-        parts = g.means[chosen], g.quats[chosen], larger, g.opacities[chosen], g.sh[chosen]
-        frames.append(Frame(frame.index, frame.time, Gaussians(*parts)))
+    frames = [thin_frame(frame, chosen) for frame in list(clip.frames())[::step]]
     return replace(Clip.from_frames(frames), scene=clip.scene)
 
 

@@ -65,7 +65,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
         if chosen is None:
             rng = np.random.default_rng(0)
             chosen = np.sort(rng.permutation(count)[:SHOWN])
-        some = _thin(frame, chosen)
+        some = thin_frame(frame, chosen)
         path = folder / f"{frame.index:04d}.pack"
         background = order.scene.view.background
         rest = frame.gaussians.means if rest is None else rest
@@ -82,7 +82,7 @@ def lives(order: Order, tell: Tell) -> Callable[[Frame], None]:
     return show
 
 
-def _thin(frame: Frame, chosen: np.ndarray) -> Frame:
+def thin_frame(frame: Frame, chosen: np.ndarray) -> Frame:
     """Select some of a frame's Gaussians, and enlarge them so that they cover the same area."""
     g = frame.gaussians
     larger = g.scales[chosen] * (len(g) / len(chosen)) ** 0.5

@@ -127,9 +127,8 @@ def _refusals_of_immersed(scene: Any) -> Iterator[Refusal]:
     if solids:
         limit = "free solids are not supported if lattices are in a liquid."
         yield Refusal("objects.motion", solids, limit)
-    moving = [item for item in (scene, *scene.objects) if not getattr(item, "scenery", False)]
-    names = [each.name for each in scene.every_object if not each.scenery]
-    wet = [name for name, item in zip(names, moving, strict=True) if item.material.law == "fluid"]
+    objects = zip(scene.names, scene.object_materials, strict=True)
+    wet = [name for name, materials in objects if materials and materials[0].law == "fluid"]
     for number, force in enumerate(scene.acting):
         if len(wet) > 1 and force.object in wet:
             limit = "a force cannot act on one of several liquids if lattices are in the liquids."

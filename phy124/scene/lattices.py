@@ -32,14 +32,7 @@ The run on a lattice stops early; the run with MPM does not.
 
 def find_elastic(scene: Any) -> list[bool]:
     """Return whether each object moves and is elastic everywhere."""
-    return [
-        not getattr(item, "scenery", False)
-        and all(
-            is_elastic(section)
-            for section in (item.material, *(p.material for p in item.parts if not p.static))
-        )
-        for item in (scene, *scene.objects)
-    ]
+    return [bool(each) and all(map(is_elastic, each)) for each in scene.object_materials]
 
 
 def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
@@ -56,8 +49,8 @@ def reason_for_mpm(scene: Any, device: str = "cpu") -> str:
         return "" if accuracy.solver == "lattice" else f"accuracy.solver is {accuracy.solver}"
     elastic = find_elastic(scene)
     immersed = scene.projects and any(elastic)
-    for item, springs in zip((scene, *scene.objects), elastic, strict=True):
-        if not springs and not immersed and not getattr(item, "scenery", False):
+    for materials, springs in zip(scene.object_materials, elastic, strict=True):
+        if materials and not springs and not immersed:
             return "lattices are for elastic materials"
     needed = _needs_lattice(scene)
     double = immersed and accuracy.precision == "auto"  # In a liquid, `auto` is float64.

@@ -5,7 +5,7 @@ An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from phy124.errors import InputError, Remedy
@@ -88,26 +88,19 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
 
 def _of_objects(scene: Any) -> Iterator[tuple[str, object, str]]:
     """Yield descriptions of the features of objects that are not supported."""
-    wet = [_is_liquid(item) for item in (scene, *scene.objects)]
+    wet = [_is_liquid(materials) for materials in scene.object_materials]
     for body, holds_liquid in zip(scene.every_object, wet, strict=True):
         if body.held and holds_liquid:
             yield "object.held", body.name, "liquids that are held"
         if holds_liquid is None:
             yield "material.law", body.name, "objects that are partly liquid"
-    moving = [w for w, body in zip(wet, scene.every_object, strict=True) if not _is_scenery(body)]
+    moving = [w for w, body in zip(wet, scene.every_object, strict=True) if not body.scenery]
     order = [number for number, holds_liquid in enumerate(moving) if holds_liquid]
     if order and order[-1] - order[0] >= len(order):
         yield "objects", "the order", "other objects listed between two liquids"
 
 
-def _is_liquid(item: Any) -> bool | None:
-    """Return whether an object is a liquid; None if only some of its parts are."""
-    if _is_scenery(item):
-        return False
-    moving = [item.material, *(part.material for part in item.parts if not part.static)]
-    laws = {section.law == "fluid" for section in moving}
-    return None if len(laws) > 1 else laws.pop()
-
-
-def _is_scenery(item: Any) -> bool:
-    return getattr(item, "scenery", False)
+def _is_liquid(materials: Sequence[Any]) -> bool | None:
+    """Return whether an object of these materials is a liquid; None if only some parts are."""
+    liquid = {section.law == "fluid" for section in materials}
+    return None if len(liquid) > 1 else liquid == {True}

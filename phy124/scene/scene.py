@@ -261,11 +261,7 @@ class Scene(Section):
     @property
     def couples(self) -> bool:
         """Whether the scene has objects on lattices and also moving objects made of particles."""
-        made = [
-            not (isinstance(item, SceneObject) and item.scenery) for item in (self, *self.objects)
-        ]
-        number = sum(self.on_lattices)
-        return 0 < number < sum(made)
+        return 0 < sum(self.on_lattices) < sum(map(bool, self.object_materials))
 
     @property
     def acting(self) -> list[AnyForce]:
@@ -295,11 +291,17 @@ class Scene(Section):
     @property
     def materials(self) -> list[AnyMaterial]:
         """Material of each object with particles, followed by the materials of its moving parts."""
-        materials = []
-        for item in (self, *self.objects):
-            if not (isinstance(item, SceneObject) and item.scenery):
-                materials += [item.material, *(p.material for p in item.parts if not p.static)]
-        return materials
+        return [section for materials in self.object_materials for section in materials]
+
+    @property
+    def object_materials(self) -> list[list[AnyMaterial]]:
+        """Materials of each object and of its moving parts; empty if it has no particles."""
+        return [
+            []
+            if body.scenery
+            else [item.material, *(p.material for p in item.parts if not p.static)]
+            for body, item in zip(self.every_object, (self, *self.objects), strict=True)
+        ]
 
     def with_solids(self) -> Scene:
         """Return the scene with a boundary added for each object that follows a path."""
