@@ -186,7 +186,7 @@ def _motion(report: dict[str, Any]) -> str:
     balance = report.get("balance") or {}
     if balance.get("energy_gain") is not None:
         gain = balance["energy_gain"]
-        label = "Spurious energy" if gain > 0 else "Numerical energy loss"
+        label = "Spurious energy" if gain > 0 else "Energy lost (material, contact, numerics)"
         rows.append((label, f"{abs(gain):.2%}"))
     if balance.get("momentum_gain") is not None:
         rows.append(("Spurious momentum", f"{balance['momentum_gain']:.2%}"))

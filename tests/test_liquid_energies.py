@@ -5,7 +5,6 @@ import pytest
 import warp as wp
 
 from phy124.boundaries import Container, HalfSpace, Path
-from phy124.errors import InputError
 from phy124.forces import ZoneForce
 from phy124.kernels.liquid.energies import make_push_work
 from phy124.kernels.work import EXCHANGE, WORK
@@ -185,11 +184,6 @@ def test_gravity_that_varies_gives_the_same_balance():
     )
     assert varied["projection"] == pytest.approx(steady["projection"], rel=0.01)
     assert varied["forces"] == pytest.approx(steady["forces"], rel=0.15)
-
-
-def test_bodies_in_a_liquid_have_no_split():
-    with pytest.raises(InputError, match=r"objects in a liquid, because the work of .*pressure"):
-        basin(objects=[{"name": "duck"}])
 
 
 STEADY = {"kind": "keyframes", "times": [0.0, 0.01], "factors": [0.9999999, 1.0]}

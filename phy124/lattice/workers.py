@@ -138,7 +138,7 @@ class Crew:
         self._push_donors = self._sparse(lattice, lattice.pushes)
         self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._read_stray = reader(self.stray)
-        self._still = wp.zeros(1, dtype=t.vec4, device=device)
+        self.no_pull = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero."""
         self._middle = wp.zeros_like(nodes.u)
         """Unused output [N,3]: velocities after pushes and before all other forces."""
@@ -208,6 +208,12 @@ class Crew:
             inputs += [self._offset, state.F, pushes, turns]
             count, part = span.stop - span.start, self.part_of(self.lasting, index)
             wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
+
+    def lasting_forces(self) -> list[Any]:
+        """Return the arguments of `force_on` (phy124/kernels/lattice/nodes.py) for the lasting
+        forces.
+        """
+        return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
         """Return the launches that sum the forces due to trial displacements.
@@ -291,7 +297,7 @@ class Crew:
             pool = self._pushes if pushed else self._pool
         nodes, span, model = self.nodes, worker.nodes, self._model
         donors = self._push_donors if pushed else self._donors
-        uniform = tracks.values if at == STRESS else self._still
+        uniform = tracks.values if at == STRESS else self.no_pull
         inputs = [span.start, at, nodes.inverse, pool, self._spans, donors, tracks.clock]
         inputs += [uniform, nodes.before, nodes.v]
         kernel = make_node_work(model.real)
@@ -393,7 +399,7 @@ class Crew:
         kicks: list[Named] = []
         for pool in (self.lasting, self._pushes if pushed else None):
             if pool is not None:
-                push = [span, pool, self._push_donors, clock, self._still, v]
+                push = [span, pool, self._push_donors, clock, self.no_pull, v]
                 kicks += self._kick(*push, self._middle if kicks else before)
         return kicks + self._kick(*stress, self._middle if kicks else before)
 
@@ -458,7 +464,7 @@ class Crew:
         """
         span, pool = worker.nodes, self._pool if pool is None else pool
         clock = self._model.array([1.0, 1.0, 0.0], self._model.real)  # resting nodes, for a second
-        kick = self._kick(span, pool, self._donors, clock, self._still, out, self._middle)
+        kick = self._kick(span, pool, self._donors, clock, self.no_pull, out, self._middle)
         return [("clear", cast("wp.array", out[span]).zero_), *kick]
 
     def _measure(self, worker: Worker) -> list[Named]:

@@ -20,6 +20,7 @@ from phy124.kernels.liquid import bodies as kernels
 from phy124.kernels.liquid import films, shapes
 from phy124.kernels.liquid.active import EMPTY
 from phy124.liquid.cells import Cells, Region
+from phy124.liquid.exchange import BodyWork
 from phy124.liquid.rigid import FreeSolids, Moments, Motion
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls
@@ -51,6 +52,7 @@ class Bodies:
         state: State,
         grids: Sequence[Grid],
         free: FreeBodies,
+        work: BodyWork,
         expect: Expect | None = None,
     ) -> None:
         """Allocate the arrays of the particles.
@@ -60,11 +62,12 @@ class Bodies:
             state: State of the particles.
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
+            work: Sums the work of the pressure on the bodies.
             expect: Predicts the mean motion of the particles in a step; None: the present motion.
         """
         self._model, self._state, self._grids = model, state, grids
-        self._expect, self._motion = expect, (state.v, state.C)
-        self.numbers = [body for body in range(model.bodies) if body not in model.wet]
+        self._expect, self._motion, self.work = expect, (state.v, state.C), work
+        self.numbers = work.numbers
         """Indices of the bodies."""
         t, device, count = types(model.real), model.device, len(self.numbers)
         self.free, self.first = FreeSolids(model, free), len(free.all)
@@ -145,6 +148,8 @@ class Bodies:
         """End the substeps; the last pressure no longer contributes to the bound of the
         acceleration.
         """
+        self.work.end(self.pushes, self.turns, self._drift)
+        self.free.finish()
         self.limit = 0.0
 
     def fit(self, cells: Cells) -> None:
@@ -321,6 +326,7 @@ class Bodies:
             drift: Duration over which the pressure acts on the bodies [s].
         """
         model, real = self._model, self._model.real
+        self._drift = drift
         before = np.array(self._exchanged.numpy(), np.float64)
         self.period = math.inf
         for index in range(len(self.numbers)):
@@ -451,6 +457,7 @@ class Bodies:
             "forces": self._forces.tolist(),
             "period": self.period,
             "films": self._films.tolist(),
+            "work": self.work.total.tolist(),
             **(self._pressure() if self._expect else {}),
         }
 
@@ -460,7 +467,7 @@ class Bodies:
         self._impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
         self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
         self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
-        self.period = snapshot["period"]
+        self.period, self.work.total = snapshot["period"], np.array(snapshot["work"])
         if self._expect:
             self.limit = snapshot["limit"]
             self.pushes.assign(snapshot["pushes"])

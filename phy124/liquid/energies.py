@@ -36,9 +36,11 @@ class Works(NamedTuple):
     friction: float
     """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
-    """Work of the pressure, without the work of walls."""
+    """Work of the pressure, without the work of walls; includes the work of solids and bodies."""
     density: float
-    """Work of the uniform acceleration on the displacements that restore the density."""
+    """Work of the uniform acceleration on the displacements that restore the density and move
+    particles out of bodies.
+    """
 
 
 class Energies:
@@ -62,17 +64,20 @@ class Energies:
         """Start to sum the work when the launches are recorded again."""
         self.on = True
 
-    def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses, gains: wp.array) -> None:
+    def fit(
+        self, walls: Walls, count: int, tracks: Tracks, impulses: WallImpulses, gains: wp.array
+    ) -> None:
         """Store walls, accelerations and gains, and allocate the arrays of a window.
 
         Args:
-            walls: The walls.
+            walls: The walls, including freely moving solids and bodies, which come last.
+            count: Number of walls without solids and bodies.
             tracks: Quantities that change over time.
             impulses: Sums of the walls' impulses.
             gains: Mass, and momentum gained by forces on particles, in each cell, per worker.
         """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
-        self._gains = gains
+        self._gains, self._fixed = gains, count
         if self.on:
             self._before = wp.zeros_like(self._cells.velocity)
 
@@ -88,7 +93,7 @@ class Energies:
         """Return the launch with which a worker sums the work of walls since the step began."""
         if not (self.on and self._walls.all):
             return []
-        inputs = [at, self._walls.motions, self._impulses.rows(worker)]
+        inputs = [at, self._fixed, self._walls.motions, self._impulses.rows(worker)]
         kernel = kernels.make_wall_work(self._model.real)
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 

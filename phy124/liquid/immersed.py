@@ -20,6 +20,7 @@ from phy124.lattice.coupled import copy_points, part_of_bodies
 from phy124.lattice.shock import LatticeClock
 from phy124.lattice.solver import LatticeSolver
 from phy124.liquid.bodies import Bodies
+from phy124.liquid.exchange import LatticeBodyWork
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.mixed import MixedClock, liquid_model, liquid_span, liquid_state
 from phy124.liquid.solver import LiquidSolver
@@ -113,7 +114,8 @@ class ImmersedSolver:
         self._grids = grids_of(part)
         self.lattice.follow()
         self._find_windows()
-        self.bodies = Bodies(part, points, self._grids, self.lattice.free, weakly(self._predict))
+        work, expect = LatticeBodyWork(self.lattice), weakly(self._predict)
+        self.bodies = Bodies(part, points, self._grids, self.lattice.free, work, expect)
         crew.lasting = crew.new_pool()
         self.lattice.record()
         span = liquid_span(model)
@@ -208,6 +210,12 @@ class ImmersedSolver:
         self.lattice.keep_pushes(of_bodies)
         self.liquid.keep_pushes(of_liquid)
 
+    def keep_works(self) -> None:
+        """From now on, sum the work on the liquid and on the bodies by cause."""
+        self.lattice.keep_works()
+        self.liquid.keep_works()
+        self.bodies.work.start()
+
     def _of_all(self, accumulators: Sequence[Accumulator]) -> list[Any]:
         """Return the sums, attached to all particles instead of only to the lattices' points."""
         return [_OfAll(item, self.model, self.state) for item in accumulators]
@@ -245,7 +253,9 @@ class ImmersedSolver:
         for body, (impulse, moment) in zip(self._numbers, bodies.impulses, strict=True):
             self.pairs.add(wet, body, impulse, moment)
         self._press()
+        bodies.work.begin()
         lattice.advance(until, after=self._after)
+        bodies.work.end(bodies.pushes, bodies.turns, until - self.liquid.clock.time)
         self._find_windows()
         self.liquid.clock.bodies = self.clock.extremes.speed
 

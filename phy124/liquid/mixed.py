@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from phy124.boundaries import Boundary
 from phy124.liquid.bodies import Bodies
 from phy124.liquid.clock import LiquidClock
+from phy124.liquid.exchange import BodyWork
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.rigid import Moments, Motion
 from phy124.liquid.solver import LiquidSolver
@@ -107,7 +108,8 @@ class MixedSolver(Solver):
             model, state, forces=forces, boundaries=boundaries, accumulators=accumulators,
             planes=planes, threads=threads, graph=False, **options,
         )  # fmt: skip
-        self.bodies = Bodies(model, state, self.grids, self.free)
+        work = BodyWork(model, state)
+        self.bodies = Bodies(model, state, self.grids, self.free, work)
         self.bodies.pushed = pushed
         self._liquid = LiquidSolver(
             part, liquid_state(state, span), forces=uniform, boundaries=walls, free=self.free.all,
@@ -129,6 +131,12 @@ class MixedSolver(Solver):
         """The solver of the liquid."""
         assert self._liquid is not None
         return self._liquid
+
+    def keep_works(self) -> None:
+        """From now on, sum the work on the liquid by cause, and the liquid's work on bodies."""
+        assert self.bodies is not None
+        self.liquid.keep_works()
+        self.bodies.work.start()
 
     @property
     def impulses(self) -> WallImpulses:
@@ -208,6 +216,7 @@ class MixedSolver(Solver):
         wet = min(self.model.wet)
         for body, (impulse, moment) in zip(self.bodies.numbers, self.bodies.impulses, strict=True):
             self.pairs.add(wet, body, impulse, moment)
+        self.bodies.work.begin()
         super().advance(until, after=self._after, each=self._each)
         self.bodies.finish()
         self.liquid.clock.bodies = self.clock.extremes.speed

@@ -134,7 +134,8 @@ class Phases:
         in_cells = bool(walls.all) or self.energies.on
         between = self._bodies is not None and self._bodies.pushed
         self.pushes.fit(len(self._workers), pushes, in_cells=in_cells, between=between)
-        self.energies.fit(walls, tracks, impulses_of_walls, self.pushes.gains)
+        fixed = self._solids.first(walls)
+        self.energies.fit(walls, fixed, tracks, impulses_of_walls, self.pushes.gains)
         names: list[str] = []
         for index, worker in enumerate(self._workers):
             named = list(self._phases(pushes, index, grid))
@@ -181,7 +182,7 @@ class Phases:
         if solids:
             drift = self._solids.bodies.drift() if alone else []
             yield "drift", keep if between else launches(drift)
-            yield "fill", launches(self._push_out(worker, stops=False))
+            yield "fill", launches(self._sum_shifts(worker, self._push_out(worker, stops=False)))
         yield "fill", self._fill(worker, self._model.volume)
         for records in self._density_equation(worker):
             yield "fill", launches(records)
@@ -232,14 +233,14 @@ class Phases:
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
         yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
-        yield self._respond(worker)
+        yield self._respond(worker, pulled=True)
         for turn in range(LAYERS):
             yield [self._spread(worker, turn, self._copy(self._cells.sums, 0))]
         slide = self._slide(worker, self._walls.motions, rubs=self._walls.rub)
         yield [slide, *energies.of_faces(worker, self.viscosity)]
         stop = [*self._push_out(worker, stops=True), *energies.of_walls(AT_END, worker)]
         yield [self._gather(worker), *stop]
-        yield self._respond(worker)
+        yield self._respond(worker, pulled=False)
 
     def _density_equation(self, worker: int) -> Iterator[list[Recorded]]:
         """Yield the phases in which a worker sets up the equation for the density correction."""
@@ -254,8 +255,13 @@ class Phases:
             yield [self._spread(worker, turn, self._no_sums)]
         yield [self._slide(worker, self._walls.still, rubs=False)]
         moves = [self._displace(worker), *self._push_out(worker, stops=False)]
-        first, last = (self.energies.of_shifts(worker, self._run(worker), sign) for sign in (-1, 1))
-        yield [*first, *moves, *last, *self.pushes.work(worker, self._run(worker))]
+        yield [*self._sum_shifts(worker, moves), *self.pushes.work(worker, self._run(worker))]
+
+    def _sum_shifts(self, worker: int, moves: list[Recorded]) -> list[Recorded]:
+        """Return launches that displace a worker's particles, and launches that sum the work."""
+        run = self._run(worker)
+        first, last = (self.energies.of_shifts(worker, run, sign) for sign in (-1, 1))
+        return [*first, *moves, *last]
 
     def _run(self, worker: int) -> slice:
         """Return the particles of a worker."""
@@ -395,11 +401,11 @@ class Phases:
         known = self._cells, self._tracks.clock, worker, self._model.real
         return [(BODIES, self._bodies.yields(*known))]
 
-    def _respond(self, worker: int) -> list[Recorded]:
+    def _respond(self, worker: int, *, pulled: bool) -> list[Recorded]:
         if worker > 0 or not self._solids.present:
             return []
         if self._bodies is None:
-            return self._solids.respond(self._walls, self._impulses_of_walls)
+            return self._solids.respond(self._walls, self._impulses_of_walls, self._tracks, pulled)
         step = self._impulses_of_walls.step
         return [(BODIES, self._bodies.answer(self._walls, step, self._model))]
 

@@ -90,6 +90,8 @@ class FreeSolids:
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
         """Acceleration [m/s^2] and torque [N m] of the liquid on each solid."""
+        self._acting: list[tuple[NDArray, NDArray, NDArray, NDArray]] = []
+        """Impulse, moment, pose and motion of each solid at the start of the substeps."""
 
     def attach(self, tracks: Tracks) -> list[Stage]:
         """Return the stages that accelerate the solids in each substep."""
@@ -134,14 +136,29 @@ class FreeSolids:
             drift: Duration over which the pressure acts on the solids [s].
         """
         rates = np.zeros((len(impulses), 2, 3))
-        motions = self._solids.motions()
+        self._acting = []
+        rows = zip(self._solids.poses(), self._solids.motions(), strict=True)
+        start = list(rows) if len(impulses) else []
         for index, (impulse, moment) in enumerate(impulses):
             turn = moment - np.cross(centres[index], impulse)
             rates[index] = impulse / self._solids.all[index].mass / kick, turn / kick
-            work = float(impulse @ motions[index, :3] + turn @ motions[index, 3:])
-            row = [*-impulse, *-moment, -work, np.linalg.norm(impulse), abs(work)]
+            row = [*-impulse, *-moment, 0.0, np.linalg.norm(impulse), 0.0]
             self._solids.add(index, min(self._model.wet), np.array(row) * drift / kick)
+            self._acting.append((impulse / kick, drift * turn / kick, *start[index]))
         self._rates.assign(rates)
+
+    def finish(self) -> None:
+        """Sum the work of the pressure in the substeps since `receive`.
+
+        The work is the force times the displacement plus the moment times the mean rotation.
+        """
+        now = zip(self._solids.poses(), self._solids.motions(), strict=True)
+        for index, (acted, (pose, motion)) in enumerate(zip(self._acting, now, strict=False)):
+            force, moment, before, moved = acted
+            work = float(force @ (pose[:3] - before[:3]) + moment @ (motion[3:] + moved[3:]) / 2)
+            row = np.array([*np.zeros(6), -work, 0.0, abs(work)])
+            self._solids.add(index, min(self._model.wet), row)
+        self._acting = []
 
 
 def _turn(quat: NDArray, angle: NDArray) -> NDArray[np.float64]:

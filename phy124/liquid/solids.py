@@ -112,12 +112,22 @@ class Solids:
         outputs = [cells.which, cells.jumps, cells.turns]
         return STAGE, cells.record(worker, kernels.make_jumps(self._model.real), inputs, outputs)
 
-    def respond(self, walls: Walls, impulses: WallImpulses) -> list[Recorded]:
-        """Return the launches that apply the liquid's impulses to freely moving solids."""
+    def respond(
+        self, walls: Walls, impulses: WallImpulses, tracks: Tracks, pulled: bool
+    ) -> list[Recorded]:
+        """Return the launches that apply the liquid's impulses to freely moving solids.
+
+        Args:
+            walls: The walls.
+            impulses: Sums of the walls' impulses.
+            tracks: Quantities that change over time.
+            pulled: Whether gravity has changed the velocities since the last launch.
+        """
         records = []
         for index, solid in enumerate(self.bodies.all):
             wall = self.first(walls) + index
-            inputs = [solid.mass, wp.vec3d(*solid.moments), wall]
+            inputs = [solid.mass, wp.vec3d(*solid.moments), wall, int(pulled)]
+            inputs += [tracks.clock, tracks.values]
             body = self.bodies.numbers[index]
             outputs = [impulses.step, walls.motions, self.bodies.total(index), body]
             kernel = kernels.make_respond(self._model.real)

@@ -26,6 +26,11 @@ from phy124.monitor.lattice import (
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.liquid import LiquidDissipation
 from phy124.monitor.observer import Observer
+from phy124.monitor.pool_dissipation import (
+    ImmersedDissipation,
+    MixedDissipation,
+    PoolDissipation,
+)
 from phy124.monitor.pool_work import PoolWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening
@@ -52,13 +57,18 @@ Each observer wraps the stages that earlier observers return. `ExternalWork` the
 walls together, around the measurements of single walls. An error ends an attempt, so `Tearing`
 reads only valid frames.
 """
-LIQUID_OBSERVERS: tuple[type[Observer], ...] = tuple(
-    MeanWork if observer is ExternalWork else observer for observer in OBSERVERS
-)
+
+
+def _replace(changes: dict[type[Observer], type[Observer]]) -> tuple[type[Observer], ...]:
+    """Return all observers, some of which are replaced."""
+    return tuple(changes.get(observer, observer) for observer in OBSERVERS)
+
+
+LIQUID_OBSERVERS = _replace({ExternalWork: MeanWork})
 """Observers of a projected liquid without other bodies."""
-MIXED_OBSERVERS: tuple[type[Observer], ...] = tuple(
-    PoolWork if observer is ExternalWork else observer for observer in OBSERVERS
-)
+POOL_OBSERVERS = _replace({ExternalWork: MeanWork, LiquidDissipation: PoolDissipation})
+"""Observers of a projected liquid that contains only freely moving solids."""
+MIXED_OBSERVERS = _replace({ExternalWork: PoolWork, LiquidDissipation: MixedDissipation})
 """Observers of a projected liquid that contains particle bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
@@ -92,6 +102,7 @@ IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
     Softening,
     ImmersedWrenches,
     ImmersedWork,
+    ImmersedDissipation,
     CoupledWatchdog,
 )
 """Observers of runs with bodies on lattices in a projected liquid."""
@@ -104,5 +115,8 @@ def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
     if scene.couples:
         return COUPLED_OBSERVERS
     if scene.projects:
-        return MIXED_OBSERVERS if scene.mixes else LIQUID_OBSERVERS
+        if scene.mixes:
+            return MIXED_OBSERVERS
+        free = any(item.free for item in scene.objects)
+        return POOL_OBSERVERS if free else LIQUID_OBSERVERS
     return LATTICE_OBSERVERS if scene.on_lattice else OBSERVERS

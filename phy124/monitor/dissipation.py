@@ -74,7 +74,8 @@ class Dissipation(Observer):
         shape = (workers, STRIDE)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._stress = wp.zeros(len(model), dtype=wp.mat33d, device=model.device)
-        self._plastic = any(group.law.project is not None for group in model.groups)
+        solid = (group for group in model.groups if group.body not in model.wet)
+        self._plastic = any(group.law.project is not None for group in solid)
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
@@ -114,15 +115,22 @@ class Dissipation(Observer):
             material += float(total[STRAINED]) - stored
         return Loss(material, rubbed, -gained - material)
 
-    def details(self, loss: Loss, change: float) -> dict[str, float]:
+    def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
         """Return further terms of the energy balance [J]; none by default.
 
         Args:
             loss: Lost energy by cause.
             change: Change of the energy.
+            stored: Change of the elastic energy.
         """
-        del loss, change
+        del loss, change, stored
         return {}
+
+    def false_gain(self) -> float:
+        """Return the energy [J] that the exchange between liquid and bodies created; zero if none
+        was created.
+        """
+        return 0.0
 
     def open(self) -> None:
         """Start counting from the current state."""

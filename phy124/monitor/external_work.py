@@ -211,6 +211,10 @@ class ExternalWork(Observer):
         """Return the work of the walls since the start [J]; negative for walls at rest."""
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
+    def of_grids(self) -> float:
+        """Return the part of `of_walls` that walls do on the grids of MPM bodies [J]."""
+        return float(self._sum(WALL)[kernels.WORK])
+
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot of the state, as plain data."""
         return {

@@ -95,7 +95,7 @@ class LatticeWatchdog(Watchdog):
         """Return the lost energy [J] by cause, and the largest supplied energy [J]."""
         divided = self._dissipation
         if not isinstance(divided, LatticeDissipation):
-            return {}
+            return super()._energy()
         losses = divided.divide(self.first, self.last)
         return {"energy": {"turnover": self.balance.turnover, **losses}}
 

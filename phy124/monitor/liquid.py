@@ -70,14 +70,16 @@ class LiquidDissipation(Dissipation):
         viscous, friction = 0.0 - works.viscous, 0.0 - works.friction
         return Loss(viscous, friction, lost - viscous - friction)
 
-    def details(self, loss: Loss, change: float) -> dict[str, float]:
+    def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
         """Return the work [J] that changed the kinetic energy, and the parts [J] of the numerical
         loss.
 
         Args:
             loss: Lost energy by cause.
             change: Change of the kinetic energy.
+            stored: Elastic energy, which is zero for a liquid.
         """
+        del stored
         works = self._energies.read()
         return {
             "kinetic": change,

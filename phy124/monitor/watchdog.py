@@ -46,6 +46,10 @@ ENERGY_GAIN = 0.25
 Of 6,500 random scenes, 1 % reached 0.7 %. The worst scene, with two particles whose velocity is set
 in every substep, reached 13 %. An unstable run exceeds any limit within a few frames.
 """
+EXCHANGE_GAIN = 0.25
+"""Tolerated energy that the exchange between a liquid and bodies creates, relative to the largest
+supplied energy; checked if `checks.energy` is on.
+"""
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to all transferred momentum."""
 PROJECTED = 0.5
@@ -301,7 +305,7 @@ class Watchdog(Observer):
         stored = self.last.elastic - self.first.elastic
         gained, rubbed = self.balance.energy_gain * turnover, -self.external.of_walls()
         loss = self._dissipation.loss(gained, rubbed, stored)
-        details = self._dissipation.details(loss, self.last.energy - self.first.energy)
+        details = self._dissipation.details(loss, self.last.energy - self.first.energy, stored)
         return {"energy": {"turnover": turnover, "lost": loss.total, **loss._asdict(), **details}}
 
     def _check_room(self) -> Violation | None:
@@ -353,6 +357,7 @@ class Watchdog(Observer):
         # In the half step of a liquid's `lag`, the floor may already resist gravity.
         sure = gained - max(now.lag, 0.0) if self._solver.projects else gained
         problem = self._check_energy(sure, turnover) or self._check_momentum(momentum_gain)
+        problem = problem or self._check_exchange(turnover)
         if problem is None:
             trembles = self.balance.trembles
             self.balance = Balance(turnover, moved, gained / turnover, momentum_gain, trembles)
@@ -373,6 +378,19 @@ class Watchdog(Observer):
         rounded = energy <= self._strain_energy(faded)
         what = f"{energy / turnover:.0%} of the energy has no physical source, {who}"
         return Violation(what, ROUNDED if rounded else self._unstable())
+
+    def _check_exchange(self, turnover: float) -> Violation | None:
+        """Return an error if the exchange between liquid and bodies created energy, otherwise
+        None.
+        """
+        created = self._dissipation.false_gain() if self._dissipation is not None else 0.0
+        if created <= EXCHANGE_GAIN * turnover:
+            return None
+        what = (
+            f"the exchange between the liquid and the bodies created {created / turnover:.0%} of "
+            "the energy"
+        )
+        return Violation(what, ("solver", "substep"))
 
     def _check_momentum(self, fraction: float) -> Violation | None:
         """Return an error if there is spurious momentum, otherwise None."""

@@ -293,6 +293,10 @@ class FreeBodies:
         """Return the sums of impulse and work of all solids on all particles [EXCHANGE]."""
         return self._total().sum(axis=(0, 1))
 
+    def works(self) -> NDArray[np.float64]:
+        """Return the work [J] of each solid on each body since the start of the run [F,bodies]."""
+        return self._total()[..., kernels.WORK]
+
     @property
     def _met(self) -> list[int]:
         """Indices of the particle bodies that the solids can touch."""

@@ -72,8 +72,10 @@ class Balance(TypedDict):
     """Results of the watchdog."""
 
     energy_gain: float | None
-    """Energy created by numerical errors, as a fraction of the supplied energy. A negative value
-    means a loss; null means that the energy balance was not computed.
+    """Energy created by numerical errors, minus all energy that was lost, as a fraction of the
+    supplied energy. The losses include friction, viscosity and plastic deformation, so a negative
+    value is not necessarily an error; `checks.energy` divides the losses by cause. The value is
+    null if the energy balance was not computed.
     """
     momentum_gain: float | None
     """Momentum created by numerical errors, as a fraction of the exchanged momentum; null if the
@@ -206,17 +208,19 @@ class Energy(TypedDict):
     """Energy lost by the numerical method; negative if the method created energy."""
     kinetic: NotRequired[float]
     """Change of the kinetic energy. The keys `kinetic`, `forces` and `walls` are present for
-    lattices and projected liquids. `kinetic` plus `elastic` equals the sum of all work minus
-    `lost`.
+    lattices and projected liquids. `kinetic` plus `elastic` equals the sum of all work (`forces`,
+    `walls`, `held`, `solids` and `stiffening`) minus `lost`.
     """
     elastic: NotRequired[float]
     """Change of the elastic energy. The keys from `elastic` to `unexplained` are present for
-    lattices.
+    lattices; `elastic`, `solids`, `stiffening` and `shock` also for liquids with bodies.
     """
     forces: NotRequired[float]
     """Work done by gravity and other forces."""
     walls: NotRequired[float]
-    """Work done by the motion of walls."""
+    """Work done by the motion of walls; in liquids with bodies, also by clamps. If walls move,
+    their work on bodies made of particles includes friction.
+    """
     held: NotRequired[float]
     """Work done by the motion of boundaries that hold a part of the object."""
     solids: NotRequired[float]
@@ -237,14 +241,24 @@ class Energy(TypedDict):
     """Part of `numerical`: elastic energy lost because substeps have a finite length."""
     unexplained: NotRequired[float]
     """Part of `numerical`: the rounding error of the energy balance."""
+    exchange: NotRequired[dict[str, float]]
+    """Work of the liquid's pressure on each body and each free solid. The liquid and the walls
+    supply this energy. The key is present for liquids with bodies.
+    """
     projection: NotRequired[float]
-    """Part of `numerical`: energy lost in solving the pressure equation. The keys from `projection`
-    to `transfers` are present for projected liquids.
+    """Part of `numerical`: energy lost in solving the pressure equation, and in passing its
+    pressure to bodies; negative if energy was created. The keys from `projection` to `transfers`
+    are present for projected liquids.
     """
     density: NotRequired[float]
-    """Part of `numerical`: potential energy lost to the displacements that restore the density."""
+    """Part of `numerical`: potential energy lost to the displacements that restore the density and
+    move particles out of bodies.
+    """
     transfers: NotRequired[float]
-    """Part of `numerical`: energy lost in the transfers between particles and grid."""
+    """Part of `numerical`: energy lost in the transfers between particles and grid. In liquids with
+    bodies, this also includes the errors of finite substeps, and the contact between bodies made of
+    particles.
+    """
 
 
 class Report(TypedDict):

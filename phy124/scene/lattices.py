@@ -99,8 +99,8 @@ def _find_too_light(scene: Any, sections: Sequence[Any]) -> str:
 def _needs_lattice(scene: Any) -> bool:
     """Return whether a scene requests causes of energy loss that MPM cannot determine."""
     moves = any(wall.moves for wall in scene.boundaries)
-    harder = bool(scene.objects) or moves or scene.stiffness_profile is not None
-    return bool(scene.checks.energy and harder)
+    several = (bool(scene.objects) or moves) and not scene.projects
+    return bool(scene.checks.energy and (several or scene.stiffness_profile is not None))
 
 
 def keep_lattice(scene: Any, before: Any) -> Any:

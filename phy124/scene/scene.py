@@ -158,19 +158,14 @@ class Scene(Section):
         """Refuse `checks.energy` if the causes of the energy loss cannot be determined."""
         if not self.checks.energy:
             return
-        why, solid = reason_for_others(self), not self._is_liquid
+        why, solid = reason_for_others(self), not self.projects
         moves = any(wall.moves for wall in self.boundaries)
         limits = {
             "objects": bool(self.objects) and solid,
             "a boundary that moves": moves and solid,
-            "stiffness_profile": self.stiffness_profile is not None,
+            "stiffness_profile": self.stiffness_profile is not None and not self.immerses,
         }
         end = f", unless all objects are on lattices; here they are not: {why}"
-        if self.projects:
-            end = (
-                " in a liquid, because the work of the liquid's pressure on them is not summed as "
-                "a cause; balance.energy_gain in the report contains the sum of all losses"
-            )
         check_energy(
             self.checks,
             {
@@ -179,12 +174,6 @@ class Scene(Section):
                 "accuracy.rpic_damping and a viscous material": self._damped_twice,
             },
         )
-
-    @property
-    def _is_liquid(self) -> bool:
-        """Whether only walls and projected liquids move."""
-        free = any(item.free for item in self.objects)
-        return self.projects and not self.has_solids and not free
 
     @property
     def _damped_twice(self) -> bool:

@@ -158,7 +158,7 @@ class Checks(Section):
         default=False,
         exclude_if=_is(False),
         description="Report the energy lost in the material, in contact, and by the numerical "
-        "method; on lattices, report also the work of each cause.",
+        "method; on lattices and in liquids, report also the work of each cause.",
     )
 
 

@@ -158,21 +158,23 @@ def make_face_work(real: Any):
 
 @build_once
 def make_wall_work(real: Any):
-    """Single-thread kernel: adds the work of all walls since the start of the step to `sums_out`.
+    """Single-thread kernel: adds the work of the first `count` walls since the start of the step to
+    `sums_out`.
 
-    `at` is the index of the sum computed with the walls' velocities; the next sum is computed with
-    the liquid's velocities.
+    The remaining walls are freely moving solids and bodies. `at` is the index of the sum computed
+    with the walls' velocities; the next sum is computed with the liquid's velocities.
     """
     t = types(real)
 
     @kernel(f"phy124_liquid_wall_work_{real.__name__}", real)
     def wall_work(
         at: int,
+        count: int,
         motions: wp.array2d(dtype=t.vec3),
         impulses: wp.array2d(dtype=wp.float64),
         sums_out,
     ):
-        for wall in range(impulses.shape[0]):
+        for wall in range(count):
             J = wp.vec3d(impulses[wall, 0], impulses[wall, 1], impulses[wall, 2])
             sums_out[at] = sums_out[at] + wp.dot(J, wide(motions[wall, 0]))
             sums_out[at + 1] = sums_out[at + 1] + impulses[wall, 6]

@@ -274,7 +274,9 @@ def make_predict(real: Any):
 def make_respond(real: Any):
     """Single-thread kernel: applies the opposite of a solid's impulses on the liquid to the solid.
 
-    `total_out` accumulates the impulses on the liquid, as in phy124/kernels/free.
+    `total_out` accumulates the impulses on the liquid, as in phy124/kernels/free. The work of an
+    impulse is the impulse times the mean of the solid's velocities at the start of the step and
+    after the impulse. If `pulled` is 1, the present velocity already includes the step's gravity.
     """
     t = types(real)
 
@@ -283,6 +285,9 @@ def make_respond(real: Any):
         mass: wp.float64,
         moments,
         wall: int,
+        pulled: int,
+        clock,
+        values,
         sums_out: Sums,
         motions_out: wp.array2d(dtype=t.vec3),
         total_out: Doubles,
@@ -292,15 +297,18 @@ def make_respond(real: Any):
         J = wp.vec3d(row[0], row[1], row[2])
         moment = wp.vec3d(row[3], row[4], row[5])
         about = moment - wp.cross(at3(body_out, PLACE), J)
+        V = at3(body_out, VELOCITY) - wp.float64(pulled) * wp.float64(clock[0]) * wide(values[0])
+        spin = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
         put3(body_out, VELOCITY, at3(body_out, VELOCITY) - J / mass)
         put3(body_out, ANGULAR, at3(body_out, ANGULAR) - about)
         for k in range(3):
             total_out[k] += J[k]
             total_out[MOMENT + k] += moment[k]
-        total_out[WORK] += row[6]
-        total_out[MOVED] += wp.length(J)
-        total_out[TURNED] += wp.abs(row[6])
         w = spin_of(axes(body_out), moments, at3(body_out, ANGULAR))
+        both = wp.dot(J, V + at3(body_out, VELOCITY)) + wp.dot(about, spin + w)
+        total_out[WORK] += wp.float64(0.5) * both
+        total_out[MOVED] += wp.length(J)
+        total_out[TURNED] += wp.float64(0.5) * wp.abs(both)
         put_motion(motions_out, wall, at3(body_out, VELOCITY), w, at3(body_out, PLACE))
 
     return respond

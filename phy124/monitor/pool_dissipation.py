@@ -1,0 +1,268 @@
+"""PoolDissipation: reports how much energy a liquid and the bodies in it lose to each cause.
+
+The liquid sums the work of each cause on the liquid (phy124/liquid/energies.py). The work of its
+pressure on each body is summed at the body (phy124/liquid/exchange.py). The pressure should take
+from the liquid and from walls what the bodies receive. The difference is the loss by the pressure
+equation; a negative loss is energy that the coupling created.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phy124.kernels.lattice.work import make_contact_work, make_node_work
+from phy124.liquid.energies import energy_kernels
+from phy124.monitor.dissipation import Dissipation, Loss
+from phy124.monitor.external_work import ExternalWork
+from phy124.monitor.liquid import LiquidDissipation
+from phy124.monitor.observer import Observed, Observer, Subject, find
+from phy124.mpm import Model, State
+from phy124.mpm.stage import Recorded
+from phy124.mpm.tracks import Tracks
+from phy124.mpm.workers import Part
+from phy124.scene import Scene
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+
+class PoolDissipation(LiquidDissipation):
+    """Divides the energy loss of a liquid and of freely moving solids in the liquid by cause."""
+
+    _omits_shifts = True
+    """Whether the work of a varying acceleration omits the displacements that restore the density.
+    """
+
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, and let the solver sum the work from its first step on."""
+        self._solver, self._external = solver, find(observers, ExternalWork)
+        self._energies = self._liquid(solver).energies
+        solver.keep_works()
+        self._begun, self._others = self._sum_exchange(), self._of_solids(every=True)
+
+    def _liquid(self, solver: Any) -> Any:
+        """Return the solver of the liquid."""
+        return solver
+
+    def open(self) -> None:
+        """Start counting from the current state."""
+        super().open()
+        self._begun, self._others = self._sum_exchange(), self._of_solids(every=True)
+
+    def exchange(self) -> dict[str, float]:
+        """Return the work [J] of the liquid's pressure on each solid and body since the start."""
+        works = (self._sum_exchange() - self._begun).tolist()
+        return dict(zip(self._names(), works, strict=True))
+
+    def false_gain(self) -> float:
+        """Return the energy [J] that the exchange between liquid and bodies has created."""
+        return max(0.0, -self._projection())
+
+    def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
+        """Return the energy [J] lost to the materials, to contact, and to numerical errors.
+
+        Args:
+            gained: Energy of liquid and bodies minus the initial energy and the work of all forces
+                and walls.
+            rubbed: Minus the work of walls, which includes friction.
+            stored: Change of the elastic energy.
+        """
+        works, bodies = self._energies.read(), self._of_bodies(stored)
+        lost = rubbed + works.walls + bodies["walls"] - gained
+        if self._external is not None and self._external.by_momentum and self._omits_shifts:
+            lost += works.density
+        material, contact = bodies["material"] - works.viscous, bodies["contact"] - works.friction
+        return Loss(material, contact, lost - material - contact)
+
+    def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
+        """Return the changes of energy, the work of each cause, and the numerical losses [J].
+
+        Args:
+            loss: Lost energy by cause.
+            change: Change of the energy.
+            stored: Change of the elastic energy.
+        """
+        works, bodies = self._energies.read(), self._of_bodies(stored)
+        projection = self._projection()
+        external = self._external
+        outer = {
+            "walls": works.walls + bodies["walls"],
+            "solids": -float((self._of_solids(every=True) - self._others).sum()),
+            "stiffening": external.stored if external is not None else 0.0,
+        }
+        shock = bodies.get("shock", 0.0)
+        return {
+            "kinetic": change - stored,
+            "elastic": stored,
+            "forces": change + loss.total - sum(outer.values()),
+            **outer,
+            "exchange": self.exchange(),
+            "projection": projection,
+            "density": works.density,
+            "shock": shock,
+            "transfers": loss.numerical - projection - works.density - shock,
+        }
+
+    def _projection(self) -> float:
+        """Return the energy [J] that the pressure equation and the coupling have removed."""
+        return 0.0 - self._energies.read().projection - sum(self.exchange().values())
+
+    def _of_bodies(self, stored: float) -> dict[str, float]:
+        """Return the work of moving walls on bodies, and the bodies' losses by cause [J]."""
+        del stored
+        return {"walls": 0.0, "material": 0.0, "contact": 0.0}
+
+    def _names(self) -> list[str]:
+        """Return the names of the freely moving solids and of the bodies."""
+        return [solid.name for solid in self._solver.free.all]
+
+    def _sum_exchange(self) -> NDArray[np.float64]:
+        """Return the work [J] of the liquid on each solid and body."""
+        return self._of_solids(every=False)
+
+    def _of_solids(self, *, every: bool) -> NDArray[np.float64]:
+        """Return the work [J] on each freely moving solid, of the liquids or of everything."""
+        if not self._solver.free.all:
+            return np.zeros(0)
+        wet = sorted(self._solver.model.wet) or [0]
+        works = self._solver.free.works()
+        return -(works if every else works[:, wet]).sum(axis=1)
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a snapshot of the sums."""
+        begun = [self._begun.tolist(), self._others.tolist()]
+        return {**super().snapshot(), "begun": begun}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore the sums."""
+        super().restore(snapshot)
+        self._begun, self._others = map(np.array, snapshot["begun"])
+
+
+class MixedDissipation(PoolDissipation):
+    """Divides the energy loss of a liquid and of particle bodies by cause."""
+
+    in_gathers = True
+    in_substeps = False
+    _omits_shifts = False
+
+    def __init__(self) -> None:
+        """Prepare the sums of the work of the bodies' stress."""
+        super().__init__()
+        self._stress = Dissipation()
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum the work on the liquid and in the bodies."""
+        yield from energy_kernels(real)
+        yield from Dissipation.kernels(without_liquids(subject), real)
+
+    def allocate(self, model: Model, workers: int) -> None:
+        """Allocate the sums of the work of the bodies' stress."""
+        self._stress.allocate(model, workers)
+
+    def record(
+        self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
+    ) -> Recorded:
+        """Record the launch that sums the work of the stress in a worker's part.
+
+        Args:
+            part: A worker's particles of one law.
+            worker: Index of the worker.
+            model: The particles' constants.
+            state: The state after the gather.
+            tracks: Quantities that change over time.
+        """
+        return self._stress.record(part, worker, model, state, tracks)
+
+    @classmethod
+    def of(cls, setup: Observed) -> Self:
+        """Return the observer of a run."""
+        observer = super().of(setup)
+        observer.change(setup.scene)
+        return observer
+
+    def change(self, scene: Scene) -> None:
+        """Note whether the walls of a scene move."""
+        self._driven = any(wall.moves for wall in scene.boundaries)
+
+    def _liquid(self, solver: Any) -> Any:
+        return solver.liquid
+
+    def _of_bodies(self, stored: float) -> dict[str, float]:
+        """Return the bodies' losses; if walls move, their work on bodies includes friction."""
+        assert self._external is not None
+        work = self._external.of_grids()
+        walls, contact = (work, 0.0) if self._driven else (0.0, 0.0 - work)
+        material = self._stress.loss(0.0, 0.0, stored).material
+        return {"walls": walls, "material": material, "contact": contact}
+
+    def _names(self) -> list[str]:
+        return [*super()._names(), *self._solver.bodies.names]
+
+    def _sum_exchange(self) -> NDArray[np.float64]:
+        return np.concatenate([super()._sum_exchange(), self._solver.bodies.work.total])
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a snapshot of the sums."""
+        return {**super().snapshot(), "stress": self._stress.snapshot()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore the sums."""
+        super().restore(snapshot)
+        self._stress.restore(snapshot["stress"])
+
+
+class ImmersedDissipation(PoolDissipation):
+    """Divides the energy loss of a liquid and of bodies on lattices by cause."""
+
+    _omits_shifts = False
+
+    @classmethod
+    def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
+        """Yield the kernels that sum the work of each cause."""
+        yield from super().kernels(subject, real)
+        yield from (make_node_work(real), make_contact_work(real))
+
+    def _liquid(self, solver: Any) -> Any:
+        return solver.liquid
+
+    def open(self) -> None:
+        """Start counting from the current state."""
+        super().open()
+        self._solver.lattice.energies.clear()
+
+    def _of_bodies(self, stored: float) -> dict[str, float]:
+        del stored
+        works = self._solver.lattice.energies.read()
+        return {
+            "walls": works.walls + works.held,
+            "material": 0.0 - works.viscous,
+            "contact": 0.0 - works.friction - works.impacts - works.itself - works.pairs,
+            "shock": 0.0 - works.shock,
+        }
+
+    def _names(self) -> list[str]:
+        return list(self._solver.bodies.names)
+
+    def _sum_exchange(self) -> NDArray[np.float64]:
+        return np.concatenate([super()._sum_exchange(), self._solver.bodies.work.total])
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return a snapshot of the sums."""
+        return {**super().snapshot(), "lattice": self._solver.lattice.energies.snapshot()}
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restore the sums."""
+        super().restore(snapshot)
+        self._solver.lattice.energies.restore(snapshot["lattice"])
+
+
+def without_liquids(subject: Subject) -> Subject:
+    """Return the subject without the materials that are liquids."""
+    solid = [section for section in subject.materials if section.device_law.name != "fluid"]
+    return subject._replace(materials=solid)

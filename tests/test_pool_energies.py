@@ -1,0 +1,116 @@
+"""Energy balance of liquids with bodies: work of the pressure on bodies, and losses by cause."""
+
+from typing import Any, cast
+
+import pytest
+
+from phy124.liquid.bodies import Bodies
+from phy124.monitor.lattice import LatticeTotals
+from phy124.monitor.pool_dissipation import PoolDissipation
+from phy124.runtime.context import RunContext
+from phy124.simulation import Simulation, prepare
+from support.liquids import G, pool
+from support.runs import resumed
+from support.shapes import ball
+
+STONE = {"name": "stone", "shape": "sphere", "size": 0.4, "lift": 0.5, "place": (0.4, 0.4)}
+FREE = {**STONE, "motion": {"kind": "free"}}
+
+
+def scene(solver="lattice", objects=(), frames=8, **changes):
+    every = [*pool().data()["objects"], *objects]
+    start = pool(objects=every, time={"frames": frames, "fps": 24}, **changes)
+    return start.replaced({"accuracy.solver": solver, "checks.energy": True})
+
+
+def start(solver="lattice", threads=1, **changes):
+    return Simulation(prepare(ball(), scene(solver, **changes), RunContext(threads=threads)))
+
+
+def total(energy):
+    """Return the work on liquid and bodies minus the losses [J]."""
+    return energy["forces"] + energy["walls"] + energy["solids"] - energy["lost"]
+
+
+@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+def test_report_divides_the_loss_of_a_pool(solver, tmp_path):
+    whole = start(solver).run().report["energy"]
+    assert whole["exchange"]["object"] < -0.2 * whole["turnover"], "the impact slows the ball down"
+    assert whole["projection"] > 0.1 * whole["turnover"]
+    numerical = sum(whole[name] for name in ("projection", "density", "shock", "transfers"))
+    assert numerical == pytest.approx(whole["numerical"], rel=1e-12)
+    assert total(whole) == pytest.approx(whole["kinetic"] + whole["elastic"], rel=1e-9)
+    paused = start(solver)
+    assert resumed(paused, 4, tmp_path / "pause.safetensors").run().report["energy"] == whole
+
+
+def test_work_on_lattices_changes_their_kinetic_energy():
+    run = start()
+    lattice, losses = cast("Any", run.solver).lattice, cast("Any", run.find(PoolDissipation))
+    totals = LatticeTotals(lattice)
+    run.step()
+    first = totals.read(lattice.clock).kinetic
+    run.run()
+    received = losses.exchange()["object"]
+    change = totals.read(lattice.clock).kinetic - first
+    assert received < -0.5 * abs(first)
+    # The kinetic energy lags behind the displacements by half a substep.
+    assert sum(lattice.energies.read()) + received == pytest.approx(change, rel=0.04)
+
+
+def test_work_on_particles_changes_the_energy_of_their_body():
+    run = start("mpm")
+    model, state = run.solver.model, run.solver.state
+    losses = cast("Any", run.find(PoolDissipation))
+    mine = model.particles(0)
+    mass = model.mass.numpy()[mine].astype(float)
+
+    def energy():
+        x, v = (array.numpy()[mine].astype(float) for array in (state.x, state.v))
+        return mass @ (G * x[:, 2] + (v**2).sum(axis=1) / 2)
+
+    run.step()
+    first = energy()
+    report = run.run().report["energy"]
+    change = energy() + report["elastic"] - first
+    assert losses.exchange()["object"] == pytest.approx(change, rel=0.1)
+
+
+@pytest.mark.parametrize(("law", "error"), [("fluid", 1e-6), ("neo_hookean", 0.02)])
+def test_work_on_a_free_solid_changes_its_kinetic_energy(law, error):
+    """Without gravity, only the liquid slows the solid down."""
+    far = {"material": {"law": law}, "object": {"lift": 2.5}, "forces": []}
+    run = start("mpm", objects=[{**FREE, "velocity": (0.3, 0, -2)}], **far)
+    solid = run.solver.free.all[0]
+
+    def energy():
+        motion = run.solver.free.motions()[0]
+        moving, turning = (part @ part for part in (motion[:3], motion[3:]))
+        return (solid.mass * moving + solid.moments[0] * turning) / 2
+
+    first = energy()
+    report = run.run().report["energy"]
+    received = report["exchange"]["stone"]
+    assert report["solids"] == pytest.approx(-received, rel=1e-9)
+    assert received < -0.3 * first
+    assert received == pytest.approx(energy() - first, rel=error)
+
+
+def weaken(monkeypatch, factor):
+    """Multiply the pressure that acts on the bodies by a factor."""
+    receive = Bodies.receive
+
+    def broken(self, *arguments):
+        receive(self, *arguments)
+        self.pushes.assign(factor * self.pushes.numpy())
+
+    monkeypatch.setattr(Bodies, "receive", broken)
+
+
+@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+def test_exchange_that_creates_energy_stops_the_run(solver, monkeypatch):
+    """The ball pushes the water, but the water hardly pushes the ball."""
+    assert start(solver).run().report["stopped"] is None
+    weaken(monkeypatch, 0.3)
+    stopped = start(solver).run().report["stopped"]
+    assert "the exchange between the liquid and the bodies created" in stopped
