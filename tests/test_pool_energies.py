@@ -114,3 +114,16 @@ def test_exchange_that_creates_energy_stops_the_run(solver, monkeypatch):
     weaken(monkeypatch, 0.3)
     stopped = start(solver).run().report["stopped"]
     assert "the exchange between the liquid and the bodies created" in stopped
+
+
+@pytest.mark.parametrize("solver", ["lattice", "mpm"])
+def test_threads_and_varying_gravity_do_not_change_the_losses(solver):
+    steady = {"kind": "keyframes", "times": [0.0, 0.01], "factors": [0.9999999, 1.0]}
+    varied = {"forces": [{"kind": "gravity", "profile": steady}]}
+    whole, *others = (
+        start(solver, **changes).run().report["energy"] for changes in ({}, {"threads": 2}, varied)
+    )
+    for other in others:
+        for name in ("lost", "forces", "projection", "density", "transfers"):
+            assert other[name] == pytest.approx(whole[name], abs=3e-3 * whole["turnover"]), name
+        assert other["exchange"]["object"] == pytest.approx(whole["exchange"]["object"], rel=1e-3)

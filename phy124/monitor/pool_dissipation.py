@@ -91,7 +91,7 @@ class PoolDissipation(LiquidDissipation):
         external = self._external
         outer = {
             "walls": works.walls + bodies["walls"],
-            "solids": -float((self._of_solids(every=True) - self._others).sum()),
+            "solids": 0.0 - float((self._of_solids(every=True) - self._others).sum()),
             "stiffening": external.stored if external is not None else 0.0,
         }
         shock = bodies.get("shock", 0.0)
