@@ -59,15 +59,18 @@ class Silhouette:
     weights: Field
     """Weights 1/theta of the rim in the direction of each neighbour [4,H,W]; 0 if the neighbour is
     inside."""
-    factors: Factors
-    """LU factors of the operator's matrix."""
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
         """Return the operator for an alpha channel [H,W] in 0..1 that has a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
-        return cls(inside, weights, Factors(_laplacian(inside, weights)))
+        return cls(inside, weights)
+
+    @cached_property
+    def factors(self) -> Factors:
+        """LU factors of the operator's matrix, which a thread computes."""
+        return Factors(_laplacian(self.inside, self.weights))
 
     def poisson(self, source: float) -> Field:
         """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], which is 0 outside."""

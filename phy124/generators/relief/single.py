@@ -33,6 +33,7 @@ from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.rings import find_ring
 from phy124.generators.relief.shell import DRAWN_IN, Shell
+from phy124.generators.relief.shoulders import find_shoulder
 from phy124.generators.relief.sides import Box, check_back
 from phy124.generators.relief.solids import (
     apply_depth,
@@ -41,6 +42,7 @@ from phy124.generators.relief.solids import (
     is_block,
     is_turned,
     make_slab,
+    round_thickness,
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 from phy124.generators.relief.table_fit import find_table
@@ -136,8 +138,12 @@ def _inflated_shell(
     arguments are those of `from_front`.
     """
     view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
-    silhouette = Silhouette.of(work.alpha)
-    half = half_thickness(silhouette, work, WORK, shape)
+    shoulder = find_shoulder(work)
+    silhouette, joined = Silhouette.of(work.alpha), None
+    if shoulder is not None:
+        parts = Silhouette.of(shoulder.separate(work.alpha, PADDING))
+        joined = shoulder.join(round_thickness(parts, WORK), work.alpha)
+    half = half_thickness(silhouette, work, WORK, shape, joined)
     mapped = work.rgba.shape[2] > 4
     if half is None:
         work = work.shorten()
@@ -150,6 +156,8 @@ def _inflated_shell(
         limited = flatten(half, surface, work, WORK, always=always)
     if limited is not None:
         surface = inflate(limited, silhouette, work, view, thickness)
+    if shoulder is not None and half is not None:
+        surface = shoulder.close(surface, view, work.alpha)
     if mapped:
         surface = apply_depth(surface, work.rgba[..., 4], work.object_mask)
     step(1)

@@ -119,11 +119,16 @@ def round_thickness(silhouette: Silhouette, size: int) -> Field:
         silhouette: The silhouette.
         size: Size of the object, pixels.
     """
+    _ = silhouette.factors  # a thread computes them meanwhile
     return _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
 
 
 def half_thickness(
-    silhouette: Silhouette, picture: Continued, size: int, shape: str = "auto"
+    silhouette: Silhouette,
+    picture: Continued,
+    size: int,
+    shape: str = "auto",
+    joined: Field | None = None,
 ) -> Field | None:
     """Return the squared half thicknesses [H,W] of a round object; None if the object is a slab.
 
@@ -133,8 +138,10 @@ def half_thickness(
         size: Size of the object, pixels.
         shape: "upright" for a solid of revolution, "round" or "flat" for an object that is neither
             a solid of revolution nor a slab; "auto": the most plausible one.
+        joined: Squared half thicknesses for which each part is as deep as it is wide [H,W], if the
+            parts were inflated separately.
     """
-    round_ = round_thickness(silhouette, size)
+    round_ = round_thickness(silhouette, size) if joined is None else joined
     if shape in ("round", "flat"):
         return round_
     if shape == "auto" and _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
