@@ -14,6 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from phy124.generators.relief.back import most_common
+from phy124.generators.relief.outlines import outline_of
 from phy124.generators.relief.shell import DRAWN_IN
 from phy124.generators.relief.surface import View
 
@@ -23,6 +24,18 @@ TOLERANCES, OVERLAP = (0.01, 0.007, 0.004), 0.98
 
 The first numbers are tolerances, relative to the outline's length, which are tried in turn. The
 last number is the smallest overlap (IoU).
+"""
+ROUGH, LONG, BLUNT, ROUNDED = 1.5, 0.06, 8.0, 0.95
+"""Limits for a hexagon with rounded corners.
+
+The numbers are the largest distance of the outline from its straight edges [pixels], the smallest
+length of an edge, relative to the outline's length, the smallest angle between two edges [degrees],
+and the smallest overlap (IoU) with the hexagon.
+"""
+LOWEST_VIEW, ELONGATED = 10.0, 4.0
+"""Smallest elevation of the camera that sees a box with rounded corners [degrees].
+
+The second number is the largest ratio of this box's longest side to its shortest side.
 """
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
@@ -91,13 +104,23 @@ class Cuboid:
         The box axis that looks most vertical in the image becomes vertical, unless the box stands
         askew or is seen from below.
         """
-        axes = self.turn.T * np.where(self.turn[1] > 0, -1, 1)[:, None]
-        up = axes[axes[:, 1].argmin()]  # rows point downwards
-        roll, elevation = np.arctan2(up[0], -up[1]), np.arcsin(up[2])
+        roll, elevation = self._tilt()
         if abs(roll) > np.radians(ASKEW) or elevation < 0:
             return np.eye(3)
         rotation = scipy.spatial.transform.Rotation
         return (rotation.from_euler("z", roll) * rotation.from_euler("x", -elevation)).as_matrix()
+
+    def stands(self) -> bool:
+        """Return whether the box stands upright, is seen from above, and is not elongated."""
+        roll, elevation = np.degrees(self._tilt())
+        upright = abs(roll) <= ASKEW and elevation >= LOWEST_VIEW
+        return upright and bool(self.half.max() <= ELONGATED * self.half.min())
+
+    def _tilt(self) -> tuple[float, float]:
+        """Return the angle of the most vertical axis in the image, and the camera's elevation."""
+        axes = self.turn.T * np.where(self.turn[1] > 0, -1, 1)[:, None]
+        up = axes[axes[:, 1].argmin()]  # rows point downwards
+        return float(np.arctan2(up[0], -up[1])), float(np.arcsin(up[2]))
 
     def colours(self, points: Field, normals: Field, seen: Field) -> Field:
         """Return colours [N,3].
@@ -126,7 +149,8 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
     If the front camera `view` sees no such box, cameras that are farther away are tried, because
     drawings of boxes often have a weak perspective.
     """
-    corners = _hexagon(object_mask)
+    sharp = _hexagon(object_mask)
+    corners = _rounded_hexagon(object_mask) if sharp is None else sharp
     if corners is None:
         return None
     corners = corners - view.middle[:2]
@@ -136,7 +160,7 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
         box, misfit = min(farther, key=lambda fit: fit[1])
     if box is None or misfit > MISFIT or box.half.max() > LONGEST * box.half.min():
         return None
-    return box
+    return box if sharp is not None or box.stands() else None
 
 
 def _fit_box(corners: Field, view: View) -> tuple[Cuboid | None, float]:
@@ -152,18 +176,47 @@ def _fit_box(corners: Field, view: View) -> tuple[Cuboid | None, float]:
 
 def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
     """Return the corners of a silhouette [6,2], pixels; None if the silhouette is not a hexagon."""
-    outlines, _ = cv2.findContours(
-        object_mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
-    hull = cv2.convexHull(max(outlines, key=len))
+    hull = cv2.convexHull(outline_of(object_mask))
     length = cv2.arcLength(hull, closed=True)
     for tolerance in TOLERANCES:
         corners = cv2.approxPolyDP(hull, tolerance * length, closed=True)
-        drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
-        overlap = np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
-        if len(corners) == 6 and overlap > OVERLAP:
+        if len(corners) == 6 and _covers(object_mask, corners) > OVERLAP:
             return corners[:, 0].astype(np.float64)
     return None
+
+
+def _covers(object_mask: NDArray[np.bool_], corners: NDArray[np.integer]) -> float:
+    """Return the overlap (IoU) of a silhouette [H,W] with a polygon of corners [N,1,2]."""
+    drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
+    return np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
+
+
+def _rounded_hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
+    """Return the corners [6,2] of a hexagon whose corners were rounded, pixels.
+
+    The corners are the intersections of the six long edges; None if the silhouette has more or
+    fewer long edges, or if it does not fill the hexagon.
+    """
+    hull = cv2.convexHull(outline_of(object_mask))
+    start = cv2.approxPolyDP(hull, ROUGH, closed=True)[:, 0].astype(np.float64)
+    edges = np.roll(start, -1, axis=0) - start
+    long = np.hypot(*edges.T) > LONG * cv2.arcLength(hull, closed=True)
+    if np.count_nonzero(long) != 6:
+        return None
+    start, edges = start[long], edges[long]
+    after, gap = np.roll(edges, -1, axis=0), np.roll(start, -1, axis=0) - start
+    turning = _cross(edges, after)
+    sines = turning / np.hypot(*edges.T) / np.hypot(*after.T)
+    if np.abs(sines).min() < np.sin(np.radians(BLUNT)):
+        return None
+    corners = start + (_cross(gap, after) / turning)[:, None] * edges
+    covered = _covers(object_mask, np.rint(corners[:, None]).astype(np.int32))
+    return corners if covered >= ROUNDED else None
+
+
+def _cross(first: Field, second: Field) -> Field:
+    """Return the cross products [N] of vectors in the plane [N,2]."""
+    return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 
 def _project(values: Field, distance: float) -> Field:
