@@ -22,6 +22,7 @@ from phy124.generators.relief.height import Silhouette, nearest_of
 from phy124.generators.relief.outlines import outline_of, solidity
 from phy124.generators.relief.robust import fit_most
 from phy124.generators.relief.surface import Surface, View, smooth
+from phy124.generators.relief.upright import Profile
 
 Field = NDArray[np.float64]
 SMOOTHING = 0.02
@@ -36,6 +37,8 @@ WAISTED = 0.97
 COMPACT = 1.25
 """Largest ratio of the longer to the shorter side of a convex shape that is assumed to be a solid
 of revolution. Longer shapes may lie on their side, so `stands` must be true for them."""
+CONVEX = 0.93
+"""Smallest ratio of the areas of a silhouette and its convex hull if its outline is convex."""
 OVERHANG = 3.0
 """Largest ratio of depth to height of a brim; it limits the depth of features such as wings."""
 STRAIGHT = 0.98
@@ -216,11 +219,16 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
 def is_block(picture: Continued) -> bool:
     """Return whether a symmetric outline is that of an angular object, such as a printer.
 
-    Objects with arcs at both ends are cylinders.
+    Objects with arcs at both ends are cylinders. Convex outlines that end in a tip are those of
+    shields and clothes.
     """
-    if picture.body is not None or not is_turned(picture.object_mask):
+    solid = picture.object_mask
+    if picture.body is not None:
         return False
-    return not stands(picture.object_mask) and is_angular(picture.rgba)
+    profile = Profile.of(solid)
+    if profile.symmetric and profile.tapers and solidity(solid) > CONVEX:
+        return True
+    return is_turned(solid) and not stands(solid) and is_angular(picture.rgba)
 
 
 def _lathe(silhouette: Silhouette, picture: Continued) -> Field:

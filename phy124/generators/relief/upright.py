@@ -54,6 +54,13 @@ NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
 The second number is the height of this place, relative to the height of the object. The third
 number is the largest amount by which the vessel may become wider below its rim.
 """
+UPPER, TIP_HEIGHT, TAPERED, HIGHER = 0.22, 0.1, 0.46, 0.6
+"""Limits of outlines that end in a tip, such as those of shields and briefs.
+
+The rim is in this fraction of the height, from the top. Near the tip, at the second fraction of the
+height, the width is at most the third fraction of the largest width. The last number is the
+smallest ratio of height to width. Lower outlines may be those of bowls without a foot.
+"""
 STEP, SPAN = 0.12, 0.03
 """Largest decrease of half the width of a vessel over a short height, relative to its maximum.
 
@@ -138,6 +145,18 @@ class Profile:
         """The first row that is almost as wide as the widest row."""
         return int((self.half >= FULL * self.half.max()).argmax())
 
+    @property
+    def tapers(self) -> bool:
+        """Whether the outline becomes narrower from its upper part to a tip, as shields do."""
+        height, widest = len(self.half), self.half.max()
+        near_tip = self.half[-max(1, round(TIP_HEIGHT * height))]
+        return bool(
+            self.rim <= UPPER * height
+            and near_tip <= TAPERED * widest
+            and self._widening(self.rim) <= WIDENING * widest
+            and height >= HIGHER * 2 * widest
+        )
+
     def is_drum(self) -> bool:
         """Return whether the sides are vertical and the lower edge is half of an ellipse."""
         bottom, top = _arc(self.half[::-1]), max(self.top, self.rim)
@@ -154,19 +173,22 @@ class Profile:
         """Return whether the object is widest at its rim and becomes narrower towards its foot."""
         height, widest = len(self.half), self.half.max()
         top = max(self.top, self.rim)
-        if top > (LOW_RIM if self.top else FLAT_RIM) * height:
+        if self.tapers or top > (LOW_RIM if self.top else FLAT_RIM) * height:
             return False
         if self.top + _arc(self.half[::-1]) > EGG * height:
             return False
-        below = self.half[top:]
-        widening = np.maximum.accumulate(below[::-1])[::-1] - below
         foot, span = max(1, round(FOOT * height)), max(1, round(SPAN * height))
         above = self.half[: height - foot]
         return bool(
-            widening.max() <= WIDENING * widest
+            self._widening(top) <= WIDENING * widest
             and (above[:-span] - above[span:]).max() <= STEP * widest
             and self.half[-foot] <= NARROWER * widest
         )
+
+    def _widening(self, row: int) -> float:
+        """Return the largest amount by which the outline becomes wider below a row [pixels]."""
+        below = self.half[row:]
+        return float((np.maximum.accumulate(below[::-1])[::-1] - below).max())
 
 
 def _arc(half: Field) -> int:
