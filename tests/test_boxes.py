@@ -48,6 +48,31 @@ def test_sizes_of_a_box_follow_from_its_corners(yaw, pitch, distance):
     np.testing.assert_allclose(ratios / ratios.mean(), 1, atol=0.08)
 
 
+def round_corners(mask, radius=40):
+    """Return a mask [H,W] whose outline has rounded corners."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, disc) > 0
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(-35, -25), (50, -40)])
+def test_a_box_may_have_rounded_corners(yaw, pitch):
+    mask = round_corners(draw_box(yaw, pitch)[..., 3] > 0)
+    box = find_box(mask, View.of(mask, DISTANCE))
+    assert box is not None
+    ratios = np.sort(box.half) / np.sort(HALF)
+    np.testing.assert_allclose(ratios / ratios.mean(), 1, atol=0.08)
+
+
+def test_boxes_with_rounded_corners_stand_upright():
+    """Tilted outlines, or those from the height of the box, may show many other objects."""
+    level = round_corners(draw_box(40, -3)[..., 3] > 0)
+    turned = draw_box(-35, -25)[..., 3]
+    middle = cv2.getRotationMatrix2D((200, 200), 20, 1)
+    askew = round_corners(cv2.warpAffine(turned, middle, (400, 400)) > 127)
+    for mask in (level, askew):
+        assert find_box(mask, View.of(mask, DISTANCE)) is None
+
+
 def test_hidden_faces_have_the_colours_of_opposite_faces():
     """The bottom is green like the top, and the box is closed and flat."""
     gaussians = relief(Image.fromarray(draw_box(-35, -25)), count=5000)

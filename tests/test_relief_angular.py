@@ -57,6 +57,36 @@ def test_an_angular_object_has_a_flat_front_and_is_less_deep_than_wide():
     assert 0.3 * width < depth < 0.7 * width
 
 
+SHIELD = (abs(X - 96) < 70 * np.sqrt(np.clip((176 - Y) / 120, 0, 1))) & (abs(X - 96) < 60)
+SHIELD &= Y > 30
+
+
+def continued(solid):
+    return continue_silhouette(work_picture(open_picture(picture(solid))), PADDING)
+
+
+def test_a_shield_is_less_deep_than_wide():
+    assert is_block(continued(SHIELD))
+    depth, width = extents(relief(picture(SHIELD), count=6000), -0.1, 0.4)
+    assert 0.2 * width < depth < 0.7 * width
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [
+        np.hypot((X - 96) / 60, (Y - 96) / 75) < 1,  # an egg
+        np.hypot(X - 96, Y - 60) < 90 - np.clip(Y - 60, 0, None) / 2,  # a balloon
+        (np.hypot(X - 96, Y - 70) < 55) | ((abs(X - 96) < 22) & (abs(Y - 130) < 40)),  # a bulb
+        (np.hypot(X - 96, Y - 60) < 85) & (Y > 60),  # a bowl
+        abs(X - 96) < np.clip(np.minimum(Y - 20, (170 - Y) * 0.7), 0, 90),  # a spinning top
+        ((abs(X - 96) < 50) & (abs(Y - 50) < 30))
+        | ((abs(X - 96) < 8) & (abs(Y - 120) < 60)),  # a pin
+    ],
+)
+def test_other_outlines_with_a_narrow_end_are_no_shields(solid):
+    assert not is_block(continued(solid))
+
+
 def test_an_angular_outline_that_is_shaded_like_a_cylinder_is_round():
     lit = shaded(PRINTER, np.clip((X - 96) / np.maximum(WIDTHS, 1), -1, 1))
     depth, width = extents(relief(lit, count=6000), -0.1, 0.1)

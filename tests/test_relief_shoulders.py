@@ -35,7 +35,7 @@ def test_the_edge_of_a_pot_is_found_beside_the_stalk():
         (np.hypot(X - 96, Y - 110) < 60) | STALK,  # an apple
         ((abs(X - 96) < 60 - abs(Y - 120) / 2) & (abs(Y - 120) < 60)) | STALK,  # an urn
         (abs(X - 96) < 60) & (abs(Y - 100) < 60),  # a box
-        ((abs(X - 96) < 80) & (abs(Y - 120) < 12)) | STALK,  # a rack
+        ((abs(X - 96) < 80) & (abs(Y - 88) < 8)) | (POT & (abs(X - 96) < 30)) | STALK,  # a table
     ],
 )
 def test_other_objects_have_no_such_edge(mask):
