@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from phy124.generators.relief.ends import CORNERED, MIRRORED, Continued
+from phy124.generators.relief.ends import CORNERED, Continued
 from phy124.generators.relief.height import nearest_of
 from phy124.generators.relief.solids import RIM, is_turned
 from phy124.generators.relief.surface import Surface, View
@@ -36,6 +36,8 @@ WIDE, LOW = 0.35, 0.35
 
 The second number is the smallest height of the body below the edge, relative to the body's width.
 """
+LENGTH = 0.2
+"""Height of the mirror image of the body, relative to the image's height."""
 THINNEST = 1.0
 """Smallest half thickness of the body at its edge [pixels]."""
 
@@ -60,8 +62,9 @@ class Shoulder:
         Both are extended beyond the cut. There are `padding` empty rows between them.
         """
         above, below = np.where(self._rises(alpha), alpha, 0.0)[: self.row], alpha[self.row :]
-        length = min(round(MIRRORED * len(alpha)), len(below) - 1)
-        longer, gap = np.repeat(above[-1:], length, axis=0), np.zeros((padding, alpha.shape[1]))
+        length = min(round(LENGTH * len(alpha)), len(below) - 1)
+        longer = np.repeat(above[-1:], length // 4, axis=0)
+        gap = np.zeros((padding, alpha.shape[1]))
         mirrored = np.minimum(below[1 : length + 1], below[0])[::-1]
         mirrored = np.where(np.isfinite(self.edge), mirrored, below[0])
         return np.concatenate([above, longer, gap, mirrored, below])

@@ -189,9 +189,10 @@ def _balls(silhouette: Silhouette) -> Field:
     squares = silhouette.distance**2
     reach = int(silhouette.distance.max())
     for _ in range(2):
-        highest = squares.copy()
+        squares = np.ascontiguousarray(squares)
+        highest, lowered = squares.copy(), np.empty_like(squares)
         for step in range(1, min(reach + 1, len(squares))):
-            lowered = squares - float(step**2)
+            np.subtract(squares, float(step**2), out=lowered)
             np.maximum(highest[step:], lowered[:-step], out=highest[step:])
             np.maximum(highest[:-step], lowered[step:], out=highest[:-step])
         squares = highest.T
