@@ -53,6 +53,16 @@ def test_a_pot_is_as_deep_at_its_edge_as_below_and_the_stalk_stays_thin(mask):
     assert extents(made, top + 0.06, 0.48)[0] < 0.2 * below[0]
 
 
+def test_an_angular_body_is_less_deep_than_wide():
+    suitcase = (abs(X - 96) < 70) & (abs(Y - 110) < 60)
+    handle = (abs(X - 96) < 25) & (Y > 30) & (Y < 60) & ~((abs(X - 96) < 15) & (Y > 40))
+    wheels = (abs(abs(X - 96) - 55) < 10) & (Y > 100) & (Y < 172)
+    solid = suitcase | handle | wheels
+    assert shoulder_of(solid) is not None
+    depth, width = extents(relief(picture(solid), count=6000), -0.1, 0.1)
+    assert 0.2 * width < depth < 0.6 * width
+
+
 def test_separate_parts_are_joined_in_their_places():
     shoulder, alpha = shoulder_of(PLANT), np.pad(PLANT.astype(np.float64), 8)
     assert shoulder is not None

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.generators.relief.ends import CORNERED, Continued
-from phy124.generators.relief.height import nearest_of
-from phy124.generators.relief.solids import RIM, is_turned
+from phy124.generators.relief.height import Silhouette, nearest_of
+from phy124.generators.relief.picture import PADDING, WORK
+from phy124.generators.relief.solids import RIM, is_turned, round_thickness
 from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
@@ -55,6 +56,11 @@ class Shoulder:
     """
     visible: Mask
     """Columns in which the image shows the edge [W]."""
+
+    def round_thickness(self, alpha: Field) -> Field:
+        """Return squared half thicknesses [H,W] for which each part is as deep as it is wide."""
+        parts = Silhouette.of(self.separate(alpha, PADDING))
+        return self.join(round_thickness(parts, WORK), alpha)
 
     def separate(self, alpha: Field, padding: int) -> Field:
         """Return the silhouettes [H+N,W] of the parts above the cut, and below it of the body.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from phy124.generators.relief.angular import is_angular
 from phy124.generators.relief.back import (
     BackLook,
     card_back,
@@ -42,7 +43,6 @@ from phy124.generators.relief.solids import (
     is_block,
     is_turned,
     make_slab,
-    round_thickness,
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 from phy124.generators.relief.table_fit import find_table
@@ -139,10 +139,8 @@ def _inflated_shell(
     """
     view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)
-    silhouette, joined = Silhouette.of(work.alpha), None
-    if shoulder is not None:
-        parts = Silhouette.of(shoulder.separate(work.alpha, PADDING))
-        joined = shoulder.join(round_thickness(parts, WORK), work.alpha)
+    silhouette = Silhouette.of(work.alpha)
+    joined = shoulder and shoulder.round_thickness(work.alpha)
     half = half_thickness(silhouette, work, WORK, shape, joined)
     mapped = work.rgba.shape[2] > 4
     if half is None:
@@ -152,7 +150,8 @@ def _inflated_shell(
         surface = inflate(half, silhouette, work, view, thickness)
     limited = None
     if half is not None and not mapped and shape != "round":
-        always = shape == "flat" or (shape == "auto" and is_block(work))
+        block = is_block(work) or (shoulder is not None and is_angular(work.rgba))
+        always = shape == "flat" or (shape == "auto" and block)
         limited = flatten(half, surface, work, WORK, always=always)
     if limited is not None:
         surface = inflate(limited, silhouette, work, view, thickness)
