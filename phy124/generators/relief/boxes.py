@@ -185,7 +185,7 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
     return None
 
 
-def _covers(object_mask: NDArray[np.bool_], corners: NDArray[np.integer]) -> float:
+def _covers(object_mask: NDArray[np.bool_], corners: NDArray) -> float:
     """Return the overlap (IoU) of a silhouette [H,W] with a polygon of corners [N,1,2]."""
     drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
     return np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
