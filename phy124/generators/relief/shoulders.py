@@ -52,7 +52,7 @@ class Shoulder:
     edge: Field
     """First row of the body in each column [W].
 
-    The rows are interpolated where other parts rise, and NaN beside the body.
+    The rows are interpolated where other parts rise, and NaN outside the body.
     """
     visible: Mask
     """Columns in which the image shows the edge [W]."""
@@ -138,9 +138,9 @@ def find_shoulder(picture: Continued) -> Shoulder | None:
             continue
         across = np.arange(first, last)
         edge = np.interp(across, across[visible], edge[visible])
-        beside = first, solid.shape[1] - last
+        outer = first, solid.shape[1] - last
         shoulder = Shoulder(
-            row, np.pad(edge, beside, constant_values=np.nan), np.pad(visible, beside)
+            row, np.pad(edge, outer, constant_values=np.nan), np.pad(visible, outer)
         )
         widest = last - first
     return shoulder
