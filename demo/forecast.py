@@ -22,6 +22,7 @@ from phy124.particles.thickness import Proportions
 from phy124.runtime.context import RunContext
 from phy124.scene import PRESETS, Scene
 
+from .course import Course
 from .rates import Learned
 from .studies import Measurement, on_grid
 
@@ -53,6 +54,10 @@ class Estimate:
     """Time to compile missing kernels [s]."""
     unloaded: float = 0.0
     """Predicted time without load from other programs [s]; 0 if unknown."""
+    after: float = 0.0
+    """Predicted time of the stages after the simulation, as part of `seconds` [s]."""
+    course: Course | None = None
+    """Predicted course of the run under the page's time limit; None if no limit is known."""
     accuracy: object = None
     """Accuracy of the scene; a named accuracy is a string."""
     stops: Sequence[Stop] = ()
@@ -139,6 +144,7 @@ class Estimator:
             load=load,
             compiling=seconds.get("compile", 0.0),
             unloaded=sum(costs.values()) + network,
+            after=seconds.get("film", 0.0) + seconds.get("rest", 0.0),
         )
 
     def study(
@@ -248,6 +254,7 @@ def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float)
         rest: Predicted time of all other stages [s].
     """
     probe = Forecaster(RunContext(device=device)).forecast(gaussians, scene)
+    films = sum(probe.stages.get(name, 0.0) for name in ("render", "encode"))
     return Estimate(
         probe.seconds + rest,
         probe.substeps,
@@ -257,6 +264,7 @@ def probe_estimate(gaussians: Gaussians, scene: Scene, device: str, rest: float)
         probe.load,
         measured=True,
         proportions=probe.proportions,
+        after=films + rest,
     )
 
 

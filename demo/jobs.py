@@ -27,6 +27,7 @@ from phy124.runtime.isolated import Deadline
 from phy124.scene import Scene
 
 from .catalogue import check_limits, check_time, scene_of
+from .course import Course
 from .extras import ExtraInputs, extras_of
 from .fits import Fits
 from .forecast import Estimate, Estimator, probe_estimate, promise_of
@@ -239,7 +240,9 @@ class Studio:
             study=study,
         )
         promise = promise_of(scene, proportions, study)
+        course = Course.of(scene, estimate.seconds, estimate.after, self.settings.max_seconds)
         estimate = replace(estimate, promise=promise, accuracy=scene.accuracy, stops=stops)
+        estimate = replace(estimate, course=course)
         if promise.missing and not promise.of_scene:
             seconds = self._study_seconds(choice.source, scene, order)
             estimate = replace(estimate, study_seconds=seconds)
@@ -265,6 +268,9 @@ class Studio:
         stages = STAGES if isinstance(source, Cutout) else STAGES | READING
         job = Job("run", visitor.new_stop_file(), expected, stages=stages)
         job.progress.unloaded = usual.unloaded
+        if usual.seconds > usual.after:
+            limit = self.settings.max_seconds
+            job.progress.course = Course.of(scene, expected, usual.after, limit)
         order = replace(order, stop=job.stop, expected=expected)
         job.choice = choice
         return self._submit(visitor, job, self.runs, lambda job: self._run(visitor, order, job))

@@ -206,7 +206,7 @@ class Line:
             job.end("failed", FAILED)
             with self._changed:
                 self._running.discard(job)
-                if job.progress.state == "done" and job.progress.unloaded > 0:
+                if job.progress.whole and job.progress.unloaded > 0:
                     self._slowdowns.append((time.monotonic() - start) / job.progress.unloaded)
 
 

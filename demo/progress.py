@@ -11,6 +11,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from .course import Course
+
 STAGES = {"generate": "Picture to 3D", "simulate": "Physics", "render": "Videos", "save": "Files"}
 READING = {"generate": "File to 3D"}
 """Title of the first stage if the visitor sent a file of Gaussians."""
@@ -27,6 +29,10 @@ class Progress:
     message: str = ""
     expected: float = 0.0
     """Predicted duration of the job [s]."""
+    course: Course | None = None
+    """Predicted course of a run; None for other jobs."""
+    first: float = 0.0
+    """Time from the start to the first simulated frame [s]; 0 before this frame."""
     unloaded: float = 0.0
     """Predicted duration without load from other programs [s]; 0 if unknown."""
     names: Mapping[str, str] = field(default_factory=lambda: STAGES)
@@ -45,6 +51,10 @@ class Progress:
         """Update the progress from an event of the job; None means only that time has passed."""
         if isinstance(event, Step):
             self.stages[event.stage] = event
+            if self.course and event.stage == "simulate" and event.done:
+                elapsed = time.monotonic() - self.start
+                self.first = self.first or elapsed
+                self.course = self.course.observe(event.done, elapsed, self.first)
         elif isinstance(event, Reused):
             self.reused.append(event.stage)
         elif isinstance(event, Glimpse):
@@ -58,6 +68,11 @@ class Progress:
         """Record that the job has started to run."""
         self.state, self.start = "running", time.monotonic()
 
+    @property
+    def whole(self) -> bool:
+        """Whether the job is done, and the time limit has not shortened it."""
+        return self.state == "done" and not (self.course and self.course.ended)
+
     def duration(self, slowdowns: Sequence[float]) -> float:
         """Predict the duration of the job [s].
 
@@ -65,6 +80,8 @@ class Progress:
             slowdowns: Durations of the latest jobs, each divided by its predicted duration without
                 other load.
         """
+        if self.course and self.course.ended:
+            return self.course.seconds
         if slowdowns and self.unloaded:
             return median(slowdowns) * self.unloaded
         return self.expected
@@ -83,7 +100,8 @@ class Progress:
             "state": self.state,
             "message": self.message,
             "elapsed": time.monotonic() - self.start,
-            "expected": self.expected,
+            "expected": self.course.seconds if self.course else self.expected,
+            "warning": self.course.warning if self.course else "",
             "stages": [self._row(name) for name in self.names],
             "glimpses": [base64.b64encode(picture).decode() for picture in self.glimpses[frames]],
             "live": self.live[frames],

@@ -69,15 +69,20 @@ def show_refusal(error: InputError) -> str:
 def show_estimate(estimate: Estimate, *, opened: bool = False) -> str:
     """Format a forecast as HTML: the time, and a pop-up panel with the error and the accuracies.
 
-    The panel is visible at once if `opened` is true.
+    The panel is visible at once if `opened` is true. If the time
+    limit will end the run, a warning comes first.
     """
     table = stops_table(estimate.stops, estimate.accuracy)
     if estimate.study is not None:
         table += f"<p>Measured on this scene, without drawing:</p>{estimate.study.table()}"
     _, _, rest = estimate.sentence.partition(": ")
+    course = estimate.course
+    seconds = course.seconds if course else estimate.seconds
+    ends = course.warning if course else ""
+    warning = f'<p class="ends">{escape(ends)}</p>' if ends else ""
     return (
-        f'<details class="pop about"{" open" if opened else ""}><summary>about '
-        f'{format_seconds(estimate.seconds)} {INFO}</summary><div class="panel">'
+        f'{warning}<details class="pop about"{" open" if opened else ""}><summary>about '
+        f'{format_seconds(seconds)} {INFO}</summary><div class="panel">'
         f"{_error_line(estimate)}{table}<small>{escape(rest)}</small></div></details>"
     )
 

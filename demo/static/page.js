@@ -173,14 +173,14 @@
       return true;
     }
 
-    draw({ state, place, wait, elapsed, expected }) {
+    draw({ state, place, wait, elapsed, expected, warning }) {
       const left = Math.max(0, expected - elapsed), part = state === 'waiting' ? 0 : Math.min(0.98, elapsed / Math.max(expected, elapsed + 0.3));
       const text = state === 'waiting' ? place > 0 ? `${place} before you${wait > 0 ? `, about ${seconds(wait)}` : ''}` : 'Starting soon' : left > 0.5 ? `about ${seconds(left)} to go` : 'nearly there';
       const dot = part * globalThis.Phy124.live.played();
       this.element.replaceChildren(h('section', { class: `progress ${state}`, 'aria-label': 'Progress' },
         h('div', { class: 'line', role: 'progressbar', 'aria-label': 'Progress', 'aria-valuenow': Math.round(100 * part), 'aria-valuetext': text },
           h('i', { style: `width:${100 * part}%` }), dot ? h('em', { style: `left:${100 * dot}%` }) : null),
-        h('p', { class: 'clock' }, text)));
+        h('p', { class: 'clock' }, text), warning ? h('p', { class: 'ends' }, warning) : null));
     }
 
     end(told) {

@@ -21,8 +21,9 @@ from phy124.rendering.stage.build import make_stage, pack_stage
 from phy124.runtime.stopwatch import Stopwatch
 from phy124.scene import View
 
+from ..course import FILMING
 from ..progress import Step
-from .limits import FILMING, Limits
+from .limits import Limits
 from .order import Order
 
 MOVING = 320

@@ -8,20 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from phy124.errors import Cancelled, InputError
-from phy124.scene import Scene
 from phy124.simulation import Stopped
 
+from ..course import HOPELESS, SIMULATING, easier
 from ..progress import Event
 from .order import Order
 
-SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Fractions of the time limit.
-
-After the first fraction, no further frame is simulated. After the second, no further video is
-started. At the third, the run fails.
-"""
-SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and number of frames below which no reduction is suggested."""
 DEVICE = threading.Lock()
 """Lock that a job holds while it uses the device."""
 BEAT = 0.2
@@ -67,14 +59,6 @@ class Limits:
     def spent(self) -> float:
         """Fraction of the time limit that has been used."""
         return (time.monotonic() - self.start) / max(self.order.seconds, 1e-9)
-
-
-def easier(scene: Scene) -> str:
-    """Suggest changes that make a scene faster to compute."""
-    ways = [] if scene.accuracy == "draft" else ["draft accuracy"]
-    ways += ["a softer material"] if getattr(scene.material, "E", 0) > SOFT else []
-    ways += ["fewer frames"] if scene.time.frames > FEW else []
-    return f"Choose {' or '.join(ways or ['a gentler motion'])}."
 
 
 @contextmanager

@@ -10,9 +10,10 @@ from phy124.io.files import replacing
 from phy124.runtime.context import RunContext
 from phy124.studies.validation.accuracy.study import Study
 
+from ..course import SIMULATING, easier
 from ..progress import Measured, Reused, Step
 from ..studies import Measurement, on_grid
-from .limits import SIMULATING, Limits, easier
+from .limits import Limits
 from .motion import gaussians_of
 from .order import Order, made_gaussians, study_file
 from .others import with_crops

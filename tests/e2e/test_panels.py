@@ -13,6 +13,7 @@ ENDS = {
     "long": {"state": "done", "elapsed": 20},
     "short": {"state": "done", "elapsed": 1},
     "stopped": {"state": "stopped", "elapsed": 20, "message": "Stopped."},
+    "ended": {"state": "running", "elapsed": 20, "warning": "The limit will end this run."},
 }
 START = """() => {
     globalThis.notes = [];
@@ -80,3 +81,8 @@ def test_visitor_can_retry_after_a_full_queue(page):
     page.get_by_text("The queue is full.").wait_for()
     page.get_by_role("button", name="Try again now").click()
     assert page.evaluate("asked") == "again"
+
+
+def test_a_run_that_its_limit_will_end_says_so(page):
+    page.evaluate("void run('ended')")
+    page.locator(".progress .ends").get_by_text("The limit will end this run.").wait_for()
