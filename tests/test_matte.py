@@ -119,4 +119,7 @@ def test_tinted_grains_are_lit_and_the_picture_of_others_stays(law):
     for change in ({"material.tint": "none"}, {"grains": False}, {"view.shine": False}):
         other = quick.replaced(change)
         clip = Simulation(prepare(ball(300), other)).run()
-        assert make_shine(clip, other.view) is None
+        plain = make_shine(clip, other.view)
+        if plain is not None:  # untinted snow breaks into fragments
+            kept = plain.shape(clip.frame(1)).gaussians.sh
+            np.testing.assert_array_equal(kept, clip.frame(1).gaussians.sh)

@@ -57,6 +57,11 @@ class Material(Section):
     (phy124/rendering/dents.py).
     """
 
+    crumbles: ClassVar[bool] = False
+    """Whether the material is drawn as fragments where it is broken
+    (phy124/rendering/fragments.py).
+    """
+
     scatters: ClassVar[bool] = False
     """Whether the particles start at random positions in their cells. This hides the rows of a
     regular lattice in material that spreads in thin layers.

@@ -84,9 +84,10 @@ class Snow(Elastic):
     """Snow, which hardens under compression and fractures under tension (Stomakhin et al. 2013)."""
 
     law: Literal["snow"] = "snow"
-    max_stretch: ClassVar[float | None] = 1.5
+    max_stretch: ClassVar[float | None] = 1.1
     rounds: ClassVar[bool] = True
     grains: ClassVar[bool] = True
+    crumbles: ClassVar[bool] = True
     shade: ClassVar[float] = 0.04
     particles_per_axis: ClassVar[float] = FEW
     device_law: ClassVar[Law] = Law(

@@ -144,7 +144,7 @@ def merge_clip_to(clip: Clip, count: int) -> Clip:
         joined = merge_groups(frame.gaussians, group, opacities)
         frames.append(replace(frame, gaussians=joined, velocities=None, contacts=None))
     report = {**clip.report, "gaussians": len(opacities), "grains": 0}
-    report |= {"shine": {}, "liquids": [], "matte": [], "dents": []}
+    report |= {"shine": {}, "liquids": [], "matte": [], "dents": [], "fragments": []}
     return replace(Clip.from_frames(frames), scene=clip.scene, report=report)
 
 

@@ -325,6 +325,9 @@ class Report(TypedDict):
     dents: list[list[list[int]]]
     """Per solid that keeps dents and has no gloss: index ranges of its Gaussians, whose light
     follows the shape."""
+    fragments: list[list[list[int]]]
+    """Per material that crumbles: index ranges of its Gaussians, which are drawn as fragments where
+    the material is broken."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None

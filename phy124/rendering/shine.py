@@ -24,6 +24,7 @@ from phy124.camera import Camera
 from phy124.gaussians import SH_C0, Frame, Gaussians
 from phy124.io.clip import Clip
 from phy124.rendering.dents import Dents
+from phy124.rendering.fragments import Fragments
 from phy124.rendering.liquid import NOWHERE, Liquid, Planes, Surface, smoothstep
 from phy124.rendering.matte import find_matte, illuminate
 from phy124.rendering.stage.build import boundaries_of
@@ -89,6 +90,11 @@ class Shine:
             for runs in clip.report.get("dents") or []
             if self._cell > 0 and len(which := _indices(runs))
         ]
+        self._fragments = [
+            Fragments(which, _finite(clip.means[0][which]))
+            for runs in clip.report.get("fragments") or []
+            if len(which := _indices(runs))
+        ]
         self.seconds = 0.0
         """Time that all threads together have spent on the gloss since the start [s]."""
 
@@ -104,7 +110,8 @@ class Shine:
     @property
     def any(self) -> bool:
         """Whether any Gaussians are glossy."""
-        return (bool(self._parts) and self._cell > 0) or bool(self._matte or self._dents)
+        matt = self._matte or self._dents or self._fragments
+        return (bool(self._parts) and self._cell > 0) or bool(matt)
 
     def illuminate(self, frame: Frame, camera: Camera) -> Frame:
         """Return the frame; its colours include the reflections that a camera sees."""
@@ -144,7 +151,7 @@ class Shine:
             for law, which in self._parts.items()
         ]
         gloss: dict[str, Any] = {"lamp": LAMP.tolist(), "refraction": REFRACTION, "laws": laws}
-        if not self._liquids and not self._matte and not self._dents:
+        if not (self._liquids or self._matte or self._dents or self._fragments):
             return clip, gloss
         means, quats, scales = np.array(clip.means), np.array(clip.quats), np.array(clip.scales)
         hues = np.empty((len(clip), len(clip.opacities), 4), np.uint8)
@@ -182,6 +189,22 @@ class Shine:
             fields = drawn._asdict()
             del fields["rgb"], fields["normals"]
             gaussians = replace(gaussians, sh=sh, **fields)
+        gaussians = self._light(self._break_up(gaussians))
+        self._keep(frame.index, (gaussians, normals))
+        return gaussians, normals
+
+    def _break_up(self, gaussians: Gaussians) -> Gaussians:
+        """Return the Gaussians, of which broken material is divided into fragments."""
+        if self._fragments:
+            means = gaussians.means.copy()
+            for part in self._fragments:
+                which = _as_slice(part.which)
+                means[which] = part.shape(_finite(means[which]))
+            gaussians = replace(gaussians, means=means)
+        return gaussians
+
+    def _light(self, gaussians: Gaussians) -> Gaussians:
+        """Return the Gaussians with light on grains and dents."""
         if self._matte or self._dents:
             sh = gaussians.sh.copy()
             for part in self._matte:
@@ -194,8 +217,7 @@ class Shine:
                 lit = solid.illuminate(rgb, _finite(gaussians.means[which]))
                 sh[which, 0] += (lit - rgb) / SH_C0
             gaussians = replace(gaussians, sh=sh)
-        self._keep(frame.index, (gaussians, normals))
-        return gaussians, normals
+        return gaussians
 
     def _keep(self, index: int, surface: tuple[Gaussians, dict[str, NDArray]]) -> None:
         """Keep a surface for further views, and drop the oldest surfaces beyond `KEPT`."""

@@ -87,7 +87,18 @@ class Appearance(NamedTuple):
     def dents(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
         """Return the spans of the Gaussians of each solid that keeps dents and has no gloss."""
         solids = [k for k, section in enumerate(materials) if section.dents and not section.shines]
-        spans = [self._spans(self.kinds == k) for k in solids]
+        return self._spans_of(solids)
+
+    def fragments(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
+        """Return the spans of the Gaussians of each material that crumbles and has grains."""
+        filled = set(self.kinds[~self.rounds].tolist())
+        return self._spans_of(
+            [k for k, section in enumerate(materials) if section.crumbles and k in filled]
+        )
+
+    def _spans_of(self, kinds: Sequence[int]) -> list[list[list[int]]]:
+        """Return the spans of the Gaussians of each material that has any."""
+        spans = [self._spans(self.kinds == k) for k in kinds]
         return [span for span in spans if span]
 
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:

@@ -76,6 +76,7 @@ def report_clip(setup: Setup, clip: Clip) -> dict[str, Any]:
         "liquids": look.liquids(setup.materials),
         "matte": look.matte(setup.materials),
         "dents": look.dents(setup.materials),
+        "fragments": look.fragments(setup.materials),
     }
 
 
