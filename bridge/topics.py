@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 NAMESPACE = "phy124"
 STEERED = "live"
 """Name of the node of a steered run."""
-Hear = Callable[[Any], None]
+Hear = Callable[[Any], object]
 """Function that receives a message, whose members are attributes."""
 PLAYER = "player"
 """Name of the node that plays clips."""

@@ -12,6 +12,7 @@ import os
 import struct
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 from phy124.errors import InputError
@@ -70,7 +71,7 @@ class DdsSink:
         self._node = self._controls.node
         self._reports = Reports(self._encoder, self.send, self._audience, self._controls)
         self._delivery = Delivery(
-            self._wait_acknowledged,
+            partial(self._acknowledged_on, self._encoder.main.name),
             self._encoder.main.depth,
             self._reports.send_due,
             patient=self._controls.patient,
@@ -157,9 +158,6 @@ class DdsSink:
         """Return the number of subscribers that currently read the points."""
         return len(self._writers[self._encoder.main.name].get_matched_subscriptions())
 
-    def _wait_acknowledged(self, seconds: float) -> bool:
-        return self._acknowledged_on(self._encoder.main.name, seconds)
-
     def _acknowledged_on(self, topic: str, seconds: float) -> bool:
         try:
             return self._writers[topic].wait_for_acks(int(seconds * 1e9))
@@ -179,7 +177,8 @@ class DdsSink:
         self._participant = DomainParticipant(domain, Qos(Policy.Userdata(b"enclave=/;")))
         topics = [*self._encoder.topics, *self._reports.topics, *self._controls.published]
         self._writers = {topic.name: self._writer(topic) for topic in dict.fromkeys(topics)}
-        heard: dict[Topic, Hear] = {COMMAND: self._command, **self._controls.heard}
+        heard: dict[Topic, Hear] = {COMMAND: lambda message: self._obey(message.data)}
+        heard |= self._controls.heard
         self._heard = [(self._reader(topic), hear) for topic, hear in heard.items()]
         # All nodes write to this topic. The topic has no key that distinguishes the nodes.
         self._nodes = self._reader(replace(DISCOVERY, depth=MANY))
@@ -212,9 +211,6 @@ class DdsSink:
     def _mangle(self, topic: Topic) -> str:
         name = full_name(topic.name, self._node)
         return name if name == DISCOVERY.name else f"rt{name}"
-
-    def _command(self, message: Any) -> None:
-        self._obey(message.data)
 
     def _introduce(self) -> None:
         """Announce the node's name to ROS 2, which otherwise shows _CREATED_BY_BARE_DDS_APP_."""

@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -67,10 +68,10 @@ class RclpySink:
         self._external, self._args = node, args
         self._parameters, self._running = running, None
         self._playback: Playback | None = None
-        self._obey: Obey = self._remember
+        self._wishes: list[str] = []  # commands that arrived before the start of playback
+        self._obey: Obey = self._wishes.append
         self._values: dict[str, Any] = {}  # state of playback, by name of the parameter
         self._received = 0  # number of messages on all subscribed topics
-        self._wishes: list[str] = []  # commands that arrived before the start of playback
 
     def __enter__(self) -> RclpySink:
         """Start the node, and offer topics and services."""
@@ -88,7 +89,7 @@ class RclpySink:
                 topic.name: self._publisher(topic) for topic in dict.fromkeys(topics)
             }
             self._delivery = Delivery(
-                self._wait_acknowledged,
+                partial(self._acknowledged_on, self._encoder.main.name),
                 self._depth(),
                 self._reports.send_due,
                 patient=controls.patient,
@@ -97,7 +98,8 @@ class RclpySink:
                 self.send(message)
             offer_playback(self._node, self._ask, lambda: self._playback)
             offer_standard(self._node, controls, self._ask)
-            for topic, hear in {COMMAND: self._heard, **controls.heard}.items():
+            heard: dict[Topic, Hear] = {COMMAND: lambda message: self._obey(message.data)}
+            for topic, hear in {**heard, **controls.heard}.items():
                 self._node.create_subscription(
                     message_class(topic.type), relative(topic), self._count(hear), quality(topic)
                 )
@@ -180,9 +182,6 @@ class RclpySink:
             word = ("off", "on")[value] if name == "loop" else repr(value)
             self._obey(f"{name} {word}")
 
-    def _remember(self, text: str) -> None:
-        self._wishes.append(text)
-
     def _ask(self, text: str) -> str | None:
         return self._obey(text)
 
@@ -193,16 +192,10 @@ class RclpySink:
 
         return count_and_hear
 
-    def _heard(self, message: Any) -> None:
-        self._obey(message.data)
-
     def send(self, message: Message) -> None:
         """Publish a message."""
         with self._until_shutdown():
             self._publishers[message.topic.name].publish(message.data)
-
-    def _wait_acknowledged(self, seconds: float) -> bool:
-        return self._acknowledged_on(self._encoder.main.name, seconds)
 
     def _acknowledged_on(self, topic: str, seconds: float) -> bool:
         from rclpy.duration import Duration
