@@ -61,7 +61,7 @@ def test_gaps_open_gradually(snow):
 def test_fragments_of_few_or_coplanar_gaussians_stay_finite():
     rng = np.random.default_rng(0)
     for x in (np.zeros((1, 3)), np.zeros((5, 3)), rng.uniform(size=(50, 3)) * [1, 1, 0]):
-        x = np.float32(x)
+        x = x.astype(np.float32)
         drawn = Fragments(np.arange(len(x)), x).shape(3 * x)
         assert drawn.shape == x.shape and np.isfinite(drawn).all()
 
@@ -74,6 +74,7 @@ def test_clips_of_snow_are_drawn_as_fragments_and_others_are_not():
     assert runs[0][0] == 0 and runs[-1][1] == len(clip.opacities)
     clip.means[2][:, 2] *= 2
     shine = make_shine(clip, scene.view)
+    assert shine is not None
     drawn = shine.shape(clip.frame(2)).gaussians.means
     assert np.abs(drawn - clip.means[2]).max() > 0.01
     packed, _ = add_gloss(clip, scene.view)
