@@ -162,38 +162,39 @@ class Walls:
             move: True: add the moving walls to the fixed walls; False: write the fixed walls.
 
         Returns:
-            Two lists of launches; workers wait for each other between them.
+            Three lists of launches; workers wait for each other between them.
         """
         chosen = [group for group in self._groups if group.moves == move]
-        records = [
-            record
-            for group in chosen
-            for record in self._describe_group(cells, group, worker, workers)
-        ]
+        each = [self._describe_group(cells, group, worker, workers) for group in chosen]
         regions = [self._region(cells, group) for group in chosen] if move else [cells.whole]
         shares = [self.share(cells, region, worker, workers) for region in regions]
-        return [records, shares]
+        return [
+            [distance for distance, _ in each],
+            [part for _, parts in each for part in parts],
+            shares,
+        ]
 
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
-    ) -> Iterator[Recorded]:
-        """Yield the launches with which a worker adds a group of walls to the geometry in the
-        cells.
+    ) -> tuple[Recorded, list[Recorded]]:
+        """Return the launches with which a worker adds a group of walls to the geometry in the
+        cells: for the distances, and then for the open parts of faces and cells.
         """
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
         shape += [self._places, group.frame, region.box]
+
+        def record(make: Any, points: int, inputs: list, outputs: list) -> Recorded:
+            first, count = span(points, worker, workers)
+            kernel = make(group.shape, model.real)
+            return STAGE, model.launch(kernel, count, [first, *shape, *inputs], outputs)
+
         size = region.size
-        first, count = span(int(np.prod(2 * size + 1)), worker, workers)
-        kernel = kernels.make_wall_distance(group.shape, model.real)
-        outputs = [cells.distances, cells.owners]
-        yield STAGE, model.launch(kernel, count, [first, *shape], outputs)
-        first, count = span(int(np.prod(size)), worker, workers)
-        kernel = kernels.make_openings(group.shape, model.real)
-        yield STAGE, model.launch(kernel, count, [first, *shape], [cells.open])
-        first, count = span(8 * int(np.prod(size)), worker, workers)
-        kernel = kernels.make_eighths(group.shape, model.real)
-        yield STAGE, model.launch(kernel, count, [first, *shape], [cells.eighths])
+        points, count = int(np.prod(2 * size + 1)), int(np.prod(size))
+        near = [cells.distances]
+        distance = record(kernels.make_wall_distance, points, [], [*near, cells.owners])
+        openings = record(kernels.make_openings, count, near, [cells.open])
+        return distance, [openings, record(kernels.make_eighths, 8 * count, near, [cells.eighths])]
 
     def _region(self, cells: Cells, group: Group) -> Region:
         return cells.region(group.reach, group.first)

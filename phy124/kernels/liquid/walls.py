@@ -15,12 +15,15 @@ from phy124.kernels.collide import FLAT
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import PLACE, at3, axes
+from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
 
 SHUT = wp.constant(1.0e-3)
 """Open fraction of a face below which the face counts as closed."""
 GAP = wp.constant(0.02)
 """Particles inside a wall are moved to this distance in front of the wall [cells]."""
+DISTANT = wp.constant(2.0)
+"""A wall that is farther away [cells] closes no part of a cell or of a face."""
 NEAR = wp.constant(1.5)
 """A particle may be behind a wall after a step only if its distance was less than this [cells]."""
 
@@ -260,6 +263,7 @@ def make_openings(shape: str, real: Any):
         values,
         frame: Doubles,
         region: Box,
+        distances: t.reals,
         open_out: t.vec4s,
     ):
         cell = cell_of(first + wp.tid(), region[1]) + region[0]
@@ -267,6 +271,8 @@ def make_openings(shape: str, real: Any):
             return
         n = number(cell, window[1])
         dx = lattice[3]
+        if item(distances, point(cell, 1, 1, 1, window[1])) > real(DISTANT) * dx:
+            return
         share = open_out[n]
         centre = centre_of(cell, lattice, window[0])
         for k in range(walls.shape[0]):
@@ -350,12 +356,19 @@ def make_eighths(shape: str, real: Any):
         values,
         frame: Doubles,
         region: Box,
+        distances: t.reals,
         vacant_out: t.reals,
     ):
         at = cell_of(first + wp.tid(), 2 * region[1]) + 2 * region[0]
         if not inner(at, 2 * window[1], 0):
             return
         n = number(at, 2 * window[1])
+        d = item(distances, number(at, halves(window[1])))
+        if d > real(DISTANT) * lattice[3]:
+            return
+        if d < -real(DISTANT) * lattice[3]:
+            vacant_out[n] = real(0.0)
+            return
         low = window[0]
         half = real(0.5) * lattice[3]
         middle = real(0.5)
@@ -368,8 +381,8 @@ def make_eighths(shape: str, real: Any):
         for k in range(walls.shape[0]):
             place, active = to_frame(x, slots[walls[k]], values, frame)
             if active > real(0.0):
-                d = distance(place, geometries[k])[3]
-                share *= wp.clamp(middle + d / half, real(0.0), real(1.0))
+                depth = distance(place, geometries[k])[3]
+                share *= wp.clamp(middle + depth / half, real(0.0), real(1.0))
         vacant_out[n] = share
 
     return eighths
