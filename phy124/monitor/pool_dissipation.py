@@ -59,8 +59,13 @@ class PoolDissipation(LiquidDissipation):
         return dict(zip(self._names(), works, strict=True))
 
     def false_gain(self) -> float:
-        """Return the energy [J] that the exchange between liquid and bodies has created."""
-        return max(0.0, -self._projection())
+        """Return the energy [J] that the exchange between liquid and bodies has created.
+
+        Where a light body rises, the displacements that restore the density fill its wake. The
+        potential energy that they take from the liquid then pays for the work on the body.
+        """
+        projection = self._projection()
+        return max(0.0, min(-projection, -projection - self._energies.read().density))
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
         """Return the energy [J] lost to the materials, to contact, and to numerical errors.

@@ -47,8 +47,9 @@ Of 6,500 random scenes, 1 % reached 0.7 %. The worst scene, with two particles w
 in every substep, reached 13 %. An unstable run exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
-"""Tolerated energy that the exchange between a liquid and bodies creates, relative to the largest
-supplied energy; checked if `checks.energy` is on.
+"""If the exchange between a liquid and bodies creates more energy, relative to the largest supplied
+energy, a note says so; computed if `checks.energy` is on. In 14 scenes, the largest value is 15 %;
+in 3 scenes with foam or very light bodies, it is 77 to 148 % (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to all transferred momentum."""
@@ -273,6 +274,13 @@ class Watchdog(Observer):
                 f"The space between the walls is smaller than the liquid, whose density rose by "
                 f"{solver.crowding:.0%}. Move the walls apart, or use less liquid."
             )
+        gain = self._dissipation.false_gain() if self._dissipation is not None else 0.0
+        if gain > EXCHANGE_GAIN * self.balance.turnover:
+            notes.append(
+                "The exchange between the liquid and the bodies created "
+                f"{gain / self.balance.turnover:.0%} of the supplied energy, which other losses "
+                "may hide. A heavier or stiffer body or a finer grid may avoid this."
+            )
         trembles = self.balance.trembles
         if trembles:
             notes.append(
@@ -357,7 +365,6 @@ class Watchdog(Observer):
         # In the half step of a liquid's `lag`, the floor may already resist gravity.
         sure = gained - max(now.lag, 0.0) if self._solver.projects else gained
         problem = self._check_energy(sure, turnover) or self._check_momentum(momentum_gain)
-        problem = problem or self._check_exchange(turnover)
         if problem is None:
             trembles = self.balance.trembles
             self.balance = Balance(turnover, moved, gained / turnover, momentum_gain, trembles)
@@ -378,19 +385,6 @@ class Watchdog(Observer):
         rounded = energy <= self._strain_energy(faded)
         what = f"{energy / turnover:.0%} of the energy has no physical source, {who}"
         return Violation(what, ROUNDED if rounded else self._unstable())
-
-    def _check_exchange(self, turnover: float) -> Violation | None:
-        """Return an error if the exchange between liquid and bodies created energy, otherwise
-        None.
-        """
-        created = self._dissipation.false_gain() if self._dissipation is not None else 0.0
-        if created <= EXCHANGE_GAIN * turnover:
-            return None
-        what = (
-            f"the exchange between the liquid and the bodies created {created / turnover:.0%} of "
-            "the energy"
-        )
-        return Violation(what, ("solver", "substep"))
 
     def _check_momentum(self, fraction: float) -> Violation | None:
         """Return an error if there is spurious momentum, otherwise None."""
