@@ -64,14 +64,28 @@ def test_rods_of_slivers_stay_whole_and_bend_like_beams(thick, along, place):
 
 
 @pytest.mark.parametrize(
-    ("thick", "degrees", "height"),
-    [(0.5, 0, 0.0), (0.7, 45, 0.25), (1.0, 30, 0.25), (1.5, 45, 0.5)],
+    ("thick", "degrees", "roll", "height"),
+    [
+        (0.3, 0, 0, 0.0),
+        (0.3, 20, 25, 0.2),
+        (0.3, 45, 0, 0.0),
+        (0.5, 0, 0, 0.0),
+        (0.5, 20, 25, 0.0),
+        (0.7, 45, 0, 0.25),
+        (1.0, 30, 0, 0.25),
+        (1.5, 45, 0, 0.5),
+    ],
 )
-def test_plates_bend_like_beams(thick, degrees, height):
-    """Narrow plates on voxels of half a cell, the rims of which fill parts of voxels."""
+def test_plates_bend_like_beams(thick, degrees, roll, height):
+    """Narrow plates on voxels of half a cell, the rims of which fill parts of voxels.
+
+    In the first case the outermost nodes are so light that they are tied.
+    """
     angle, start = math.radians(degrees), np.array([0.13, 0.27, height])
     along = np.array([math.cos(angle), 0, math.sin(angle)])
     turn = np.stack([along, (0, 1, 0), np.cross(along, (0, 1, 0))], axis=1)
+    a, b = math.cos(math.radians(roll)), math.sin(math.radians(roll))
+    turn = turn @ np.array([[1, 0, 0], [0, a, -b], [0, b, a]])
     half, middle = np.array([7, 1, thick / 2]), start + 5 * along
     reach = np.abs(turn) @ half
 

@@ -1,7 +1,5 @@
 """The filled parts of voxels: the kernel and its definition."""
 
-import math
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -26,14 +24,12 @@ def fill(
         height = np.linalg.norm(out, axis=2)
         out /= height[:, :, None]
         width = np.full((len(fraction), 1), 1 / samples)
-    sheet = surfaces.sheet[:, None]
-    reach = np.where(sheet, np.abs(height), height)
-    low = reach.min(axis=1, keepdims=True) - width
-    high = reach.max(axis=1, keepdims=True) + width
+    low = height.min(axis=1, keepdims=True) - width
+    high = height.max(axis=1, keepdims=True) + width
     share = moved = height
     for _ in range(HALVINGS):
         level = (low + high) / 2
-        bottom = np.maximum(height - width / 2, np.where(sheet, -level, -math.inf))
+        bottom = height - width / 2
         top = np.minimum(height + width / 2, level)
         share = np.maximum(top - bottom, 0) / width
         moved = ((bottom + top) / 2 - height) / (width * samples)
@@ -49,7 +45,7 @@ def fill(
     return centre, spread + np.eye(3) / (12 * samples**2)
 
 
-@pytest.mark.parametrize("kind", ["planes", "sheets", "rods"])
+@pytest.mark.parametrize("kind", ["planes", "rods"])
 def test_kernel_fills_voxels_as_defined(kind):
     """The last thread fills only three voxels. Fractions are random, because a bisection that
     passes exactly through the surface ends at either side of it.
@@ -59,8 +55,7 @@ def test_kernel_fills_voxels_as_defined(kind):
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     fraction = rng.uniform(0.01, 0.99, COUNT)
     middles = 0.2 * rng.normal(size=(COUNT, 3))
-    sheet = np.full(COUNT, kind == "sheets") & (np.arange(COUNT) % 2 == 0)
-    surfaces = _Surfaces(middles, axes, sheet, rods=kind == "rods")
+    surfaces = _Surfaces(middles, axes, rods=kind == "rods")
     for result, expected in zip(
         _part_moments(fraction, surfaces, SAMPLES), fill(fraction, surfaces, SAMPLES), strict=True
     ):

@@ -1,6 +1,6 @@
 """Fills partly filled voxels up to a surface, and finds the moments of the filled parts.
 
-A voxel is filled below a plane, between two parallel planes, or within a cylinder. The voxel is
+A voxel is filled below a plane or within a cylinder. The voxel is
 divided into equal samples; a sample at the surface counts as a fraction. A bisection finds the
 position of the surface from the filled fraction of the voxel. The unit of length is a voxel.
 """
@@ -29,7 +29,6 @@ def fill_voxels(
     fractions: wp.array(dtype=wp.float64),
     middles: wp.array(dtype=wp.vec3d),  # a point of each plane or axis, as for the samples
     axes: wp.array(dtype=wp.vec3d),  # normals of the planes, or directions of the cylinders
-    double_sided: wp.array(dtype=bool),  # whether two planes have equal distances from the point
     widths: wp.array(dtype=wp.float64),  # extents of the voxels across the surfaces
     # out: centres of the filled parts, and second moments about these centres, per volume
     centres_out: wp.array(dtype=wp.vec3d),

@@ -1,8 +1,8 @@
 """Ties nodes with almost no mass to heavier nodes, and gives other light nodes more mass.
 
-The motion of a tied node is extrapolated linearly from heavier nodes. The transpose of this
-extrapolation distributes the tied node's force and mass over these nodes, so that momentum and
-angular momentum are conserved.
+The motion of a tied node is extrapolated from heavier nodes. The transpose of this extrapolation
+distributes the tied node's force and mass over these nodes, so that momentum and angular momentum
+are conserved. The extrapolation is exact for linear functions.
 """
 
 from __future__ import annotations
@@ -24,6 +24,11 @@ LIGHT, GIVING = 0.02, 0.2
 """Nodes that are not tied get at least the mass `LIGHT`; the added mass is taken from nodes with at
 least the mass `GIVING`. Both values are relative to the mass of a node inside the body. Lighter
 nodes would vibrate too fast in squeezed parts of the body.
+"""
+BENT = 3.0
+"""Importance of the products of two coordinates, which the weights of donors reproduce as well as
+possible. Without them, the outer nodes of a bent plate would not follow its curvature: a plate with
+a thickness of 0.3 cells on the border of two layers of cells would be 20 % too stiff.
 """
 DONORS, NEAR, FAR = 27, 3.0, 6.0
 """The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells],
@@ -218,10 +223,17 @@ def _extrapolate(
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)
     importance = np.exp(-(distance**2) / 1.5)
-    moments = np.einsum("tn,tna,tnb->tab", importance, basis, basis)
+    # The pairs of the products are xx, xy, xz, yy, yz and zz.
+    i, j = np.triu_indices(3)
+    products = BENT * arm[:, :, i] * arm[:, :, j]
+    heavy = importance[:, :, None] * products
+    stiff = np.eye(len(i)) + np.einsum("tna,tnb->tab", products, heavy)
+    rows = importance[:, :, None] * basis
+    rows -= heavy @ np.linalg.solve(stiff, np.einsum("tna,tnb->tab", heavy, basis))
+    moments = np.einsum("tna,tnb->tab", basis, rows)
     size, axes = np.linalg.eigh(moments)
     determined = size > 1e-8 * size[:, -1:]
     part = np.where(determined, axes[:, 0], 0) / np.where(determined, size, 1)
     constant = np.einsum("tk,tjk->tj", part, axes)
     complete = np.asarray(determined.all(axis=1))
-    return importance * np.einsum("tna,ta->tn", basis, constant), complete
+    return np.einsum("tna,ta->tn", rows, constant), complete

@@ -1,9 +1,9 @@
 """Computes for each voxel of a body its normal, and the centre and second moments of the filled
 part.
 
-A partly filled voxel is cut by a plane with the voxel's normal. In a sheet that is thinner than a
-voxel, the voxel is cut by two parallel planes, and at the rim of the sheet by a third plane across
-them. In a rod without full voxels, the voxel is cut by a cylinder.
+A partly filled voxel is cut by a plane with the voxel's normal. In a thin sheet, the voxel is cut
+by two parallel planes (phy124/particles/sheets.py). In a rod without full voxels, the voxel is cut
+by a cylinder.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.kernels.voxels import AT_ONCE, fill_voxels
+from phy124.particles.cuts import fill_between
+from phy124.particles.sheets import Planes, fill_sheets
 from phy124.runtime.compiling import compile_missing
 
 SHEET = 0.25
@@ -27,18 +29,14 @@ THIN = 1.2
 """A thinner part [voxels] counts as a sheet, which has two surfaces in a voxel."""
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
+NOISE, VEIL = 1e-4, 0.15
+"""Voxels of sheets with a smaller filled fraction than `NOISE`, and of sheets thinner than `VEIL`
+[voxels], are filled only once. Resampling leaves many such voxels around a body.
+"""
 ROUND, WIDE, LONG = 3.5, 0.45, 2.5
 """`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment, perpendicular
 to the rod, of the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio
 of the second moment along the rod to the second moment perpendicular to it.
-"""
-SHORTEST = 0.1
-"""A voxel at the rim of a sheet is filled over at least this fraction of its length across the rim.
-"""
-ROUNDS, FASTER, NEARLY = 3, 1.5, 0.02
-"""Sheets are filled up to `ROUNDS` times, each time about a better middle. Corrections of the
-middle are multiplied by `FASTER`, because they converge slowly. A voxel is not filled again if its
-correction changes by less than `NEARLY` [voxels].
 """
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
@@ -89,13 +87,20 @@ def find_voxels(filled: NDArray) -> Voxels:
     part = fraction[outer] < 1
     cut, around = outer[part], around[part]
     parts = _Parts(padded, index[cut], around, np.logical_not(normal[cut].any(axis=1)))
-    number, sheets = _find_sheets(parts)
+    number, across, middle = _find_sheets(parts)
     single = np.delete(cut, number)
-    planes = _Surfaces(np.zeros((len(single), 3)), normal[single], np.zeros(len(single), bool))
+    planes = _Surfaces(np.zeros((len(single), 3)), normal[single])
     shift[single], spread[single] = _part_moments(fraction[single], planes, SAMPLES)
-    _fill_sheets(padded, index, cut[number], sheets, shift, spread)
+    thick = np.zeros(len(index) + 1)
+    thick[cut[parts.number]] = np.where(np.isfinite(parts.thick), parts.thick, 0)
+    sheets, planes = cut[number], Planes.through(across, middle)
+    some = (fraction[sheets] > NOISE) & (thick[sheets] > VEIL)
+    veil = fill_between(fraction[sheets[~some]], planes.normal[~some], planes.height[~some])
+    shift[sheets[~some]], spread[sheets[~some]] = veil
+    planes = Planes(*(values[some] for values in planes))
+    fill_sheets(padded, index, sheets[some], planes, thick, shift, spread)
     number, axis, middle = _find_rods(parts)
-    rods, surfaces = cut[number], _Surfaces(middle, axis, np.zeros(len(number), bool), rods=True)
+    rods, surfaces = cut[number], _Surfaces(middle, axis, rods=True)
     shift[rods], spread[rods] = _part_moments(fraction[rods], surfaces, FINER)
     return Voxels(index, fraction, normal, shift, spread)
 
@@ -136,87 +141,34 @@ class _Parts:
         # With only two layers of voxels, a sheet's normal could not be distinguished from a
         # direction across the sheet's rim.
         weight = _within(padded, index[self.number], 2)
-        weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)
+        wide = weight.sum(axis=1, keepdims=True)
+        weight /= np.maximum(wide, 1e-9)
         self.middle = weight @ FAR
         """Centres of the filled parts of the surrounding 125 voxels [K,3]."""
         second = (weight @ (FAR[:, :, None] * FAR[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
         second -= self.middle[:, :, None] * self.middle[:, None, :]
         self.moment, self.axes = np.linalg.eigh(second)
         """Second moments of these parts, in ascending order [K,3], and their axes [K,3,3]."""
+        most = np.abs(self.axes[:, :, 0]).max(axis=1)
+        self.thick, self.thickest = self.layers * most, wide[:, 0] / 25 * most
+        """Thicknesses of sheets that consist of the material of 27 and of 125 voxels [K]."""
 
 
-class _Sheets(NamedTuple):
-    """Parts of sheets in K voxels; positions are relative to the middles of the voxels."""
+def _find_sheets(
+    parts: _Parts,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Find the voxels that belong to thin sheets.
 
-    normals: NDArray[np.float64]
-    """Directions in which the filled parts of the surrounding 125 voxels are thinnest [K,3]."""
-    middles: NDArray[np.float64]
-    """Centres of the surrounding 27 voxels, weighted with the filled fractions [K,3]."""
-    inward: NDArray[np.float64]
-    """Directions along the sheets, from the rims to the centres [K,3]."""
-    length: NDArray[np.float64]
-    """Fraction of the length of each voxel along `inward` that the sheet reaches into it [K]."""
-
-
-def _find_sheets(parts: _Parts) -> tuple[NDArray[np.int64], _Sheets]:
-    """Find the voxels that belong to thin sheets; return their numbers [K], and their sheets."""
-    normal = parts.axes[:, :, 0]
-    thin = (parts.layers * np.abs(normal).max(axis=1) < THIN) | parts.no_normal
-    normal, around = normal[thin], parts.around[thin]
-    centre = around @ NEAR / np.maximum(parts.total[thin], 1e-9)[:, None]
-    along = centre - (centre * normal).sum(axis=1, keepdims=True) * normal
-    away = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
-    # Across a rim, three columns of voxels are filled over the lengths 0, l and 1. The distance
-    # of their centre is 1 / (1 + l).
-    length = np.clip(1 / away - 1, SHORTEST, 1)
-    return parts.number[thin], _Sheets(normal, centre, along / away[:, None], length)
-
-
-def _fill_sheets(
-    padded: NDArray,
-    index: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    sheets: _Sheets,
-    shift: NDArray[np.float64],
-    spread: NDArray[np.float64],
-) -> None:
-    """Set the centres [V,3] and second moments [V,3,3] of the voxels that belong to sheets.
-
-    A sheet that passes through two layers of voxels fills them unequally. The middle of such a
-    sheet is the centre of the filled parts, not of the whole voxels.
-
-    Args:
-        padded: Filled fractions, padded by 2 voxels.
-        index: Indices of all voxels [V,3].
-        chosen: Numbers of the K voxels that belong to sheets [K].
-        sheets: The sheets in these voxels.
-        shift: Centres of the filled parts [V,3]; those of other voxels are known.
-        spread: Second moments of the filled parts [V,3,3].
+    Returns:
+        Numbers of the K voxels [K]; the directions in which the filled parts of the surrounding 125
+        voxels are thinnest [K,3]; and the centres of the surrounding 27 voxels, weighted with the
+        filled fractions, relative to the voxels' middles [K,3].
     """
-    at = tuple((index + 2).T)
-    normal = sheets.normals
-    # Neighbours at a rim are filled over a part of their length, but are as thick as the sheet.
-    fraction = np.minimum(padded[at][chosen] / sheets.length, 1)
-    some, depth, moved = np.arange(len(chosen)), np.full(len(chosen), np.inf), padded.copy()
-    for _ in range(ROUNDS):
-        place, across = index[chosen[some]], normal[some]
-        total = _within(padded, place, 1).sum(axis=1)
-        centre = np.zeros(place.shape)
-        for axis in range(3):
-            moved[at] = padded[at] * shift[:, axis]
-            centre[:, axis] = _within(moved, place, 1).sum(axis=1)
-        better = FASTER * (centre * across).sum(axis=1) / np.maximum(total, 1e-9)
-        changed = np.abs(better - depth[some]) > NEARLY
-        some, better, across = some[changed], better[changed, None], across[changed]
-        depth[some] = better[:, 0]
-        planes = _Surfaces(sheets.middles[some] + better * across, across, np.ones(len(some), bool))
-        filled = _part_moments(fraction[some], planes, SAMPLES)
-        shift[chosen[some]], spread[chosen[some]] = filled
-    inward, missing = sheets.inward, (1 - sheets.length)[:, None]
-    squares = np.einsum("ki,kij,kj->k", inward, spread[chosen], inward)
-    shift[chosen] += missing * np.sqrt(3 * np.maximum(squares, 0))[:, None] * inward
-    squeeze = np.eye(3) - missing[:, :, None] * inward[:, :, None] * inward[:, None, :]
-    spread[chosen] = squeeze @ spread[chosen] @ squeeze
+    normal = parts.axes[:, :, 0]
+    # Next to a thick body, voxels with a trace of material have thin surroundings.
+    thin = (np.maximum(parts.thick, parts.thickest) < THIN) | parts.no_normal
+    centre = parts.around[thin] @ NEAR / np.maximum(parts.total[thin], 1e-9)[:, None]
+    return parts.number[thin], normal[thin], centre
 
 
 def _find_rods(
@@ -243,8 +195,6 @@ class _Surfaces(NamedTuple):
     """A point of each plane, or of each rod's axis [V,3]."""
     axes: NDArray[np.float64]
     """Normals of the planes, or directions of the rods [V,3]."""
-    sheet: NDArray[np.bool_]
-    """Whether two parallel planes have the same distance from the point [V]."""
     rods: bool = False
     """Whether the surfaces are cylinders around the axes instead of planes."""
 
@@ -268,7 +218,7 @@ def _part_moments(
     wp.launch(
         fill_voxels,
         -(-len(fraction) // AT_ONCE),
-        [1 / samples, surfaces.rods, *map(_wrap, (*vectors, surfaces.sheet, width))],
+        [1 / samples, surfaces.rods, *map(_wrap, (*vectors, width))],
         [_wrap(centre), _wrap(spread)],
         device="cpu",
     )
@@ -277,6 +227,5 @@ def _part_moments(
 
 def _wrap(values: NDArray) -> wp.array:
     """Return a Warp array of numbers, vectors or matrices that uses the memory of a NumPy array."""
-    kinds = {1: wp.float64, 2: wp.vec3d, 3: wp.mat33d}
-    kind = wp.bool if values.dtype == bool else kinds[values.ndim]
+    kind = {1: wp.float64, 2: wp.vec3d, 3: wp.mat33d}[values.ndim]
     return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)

@@ -5,32 +5,24 @@
 enum { N = 8 };
 const int begin = N * thread, last = fractions.shape[0] - 1, count = samples.shape[0];
 double x[N], y[N], z[N], u[N], v[N], w[N], scale[N], wanted[N];
-bool sheet[N];
 for (int i = 0; i < N; ++i) {
     const int n = begin + i < last ? begin + i : last;
     const auto& middle = middles.data[n];
     const auto& axis = axes.data[n];
     x[i] = middle[0], y[i] = middle[1], z[i] = middle[2];
     u[i] = axis[0], v[i] = axis[1], w[i] = axis[2];
-    sheet[i] = double_sided.data[n];
     scale[i] = 1.0 / (side * widths.data[n]);
     wanted[i] = fractions.data[n] * count;
 }
-double heights[MOST][N], low[N], high[N], level[N], below[N], total[N];
-// Lower and upper end of the filled part of a sample. Heights are measured across the surface, in
-// extents of a sample.
-const auto bottom = [&](double height, int i) {
-    return height - 0.5 > below[i] ? height - 0.5 : below[i];
-};
+double heights[MOST][N], low[N], high[N], level[N], total[N];
+// Upper end of the filled part of a sample. Heights are measured across the surface, in extents of a
+// sample.
 const auto top = [&](double height, int i) {
     return height + 0.5 < level[i] ? height + 0.5 : level[i];
 };
 const auto share = [&](int n, int i) {
-    const double part = top(heights[n][i], i) - bottom(heights[n][i], i);
+    const double part = top(heights[n][i], i) - (heights[n][i] - 0.5);
     return part > 0.0 ? part : 0.0;
-};
-const auto fill_to = [&](int i, double height) {
-    level[i] = height, below[i] = sheet[i] ? -height : -1e9;
 };
 
 for (int i = 0; i < N; ++i) low[i] = 1e9, high[i] = -1e9;
@@ -43,15 +35,14 @@ for (int n = 0; n < count; ++n) {
         const double square = a * a + b * b + c * c - along * along;
         const double far = __builtin_elementwise_sqrt(square > 0.0 ? square : 0.0);
         const double h = (rods ? far : along) * scale[i];
-        const double reach = sheet[i] && h < 0.0 ? -h : h;
-        low[i] = reach < low[i] ? reach : low[i];
-        high[i] = reach > high[i] ? reach : high[i];
+        low[i] = h < low[i] ? h : low[i];
+        high[i] = h > high[i] ? h : high[i];
         heights[n][i] = h;
     }
 }
 for (int i = 0; i < N; ++i) low[i] -= 1.0, high[i] += 1.0;
 for (int halving = 0; halving < HALVINGS; ++halving) {
-    for (int i = 0; i < N; ++i) fill_to(i, 0.5 * (low[i] + high[i])), total[i] = 0.0;
+    for (int i = 0; i < N; ++i) level[i] = 0.5 * (low[i] + high[i]), total[i] = 0.0;
     for (int n = 0; n < count; ++n) {
 #pragma clang loop vectorize(enable) interleave(disable)
         for (int i = 0; i < N; ++i) total[i] += share(n, i);
@@ -75,7 +66,7 @@ for (int n = 0; n < count; ++n) {
             g[2] = r * (c - along * w[i]);
         }
         // A sample at the surface counts at the centre of its filled part, and is as thin as it.
-        const double moved = (0.5 * (bottom(h, i) + top(h, i)) - h) * side;
+        const double moved = (0.5 * (h - 0.5 + top(h, i)) - h) * side;
         const double thinner = part * (part * part - 1.0) * side * side / 12.0;
         const double p[3] = {sample[0] + moved * g[0], sample[1] + moved * g[1],
                              sample[2] + moved * g[2]};

@@ -1,0 +1,100 @@
+"""Exact volumes and moments of the part of a cube between two parallel planes.
+
+The part of a cube below a plane is a sum, with alternating signs, over tetrahedra at the corners of
+the cube, so its moments are known in closed form. Lengths are relative to a voxel, and positions
+are relative to the middle of the cube.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FLAT = 3e-3
+"""Smallest component of a normal. The sum loses its digits if a component is almost zero."""
+CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
+"""Corners of a cube of side 1, relative to its middle [8,3]."""
+SIGNS = np.prod(-2 * CORNERS, axis=1)
+"""Signs of the tetrahedra at these corners [8]."""
+HALVINGS = 16
+"""Number of bisection steps for the distance of two planes."""
+LEAST = 1e-9
+"""Smallest distance of a filled fraction from 0 and 1, and smallest volume in a division."""
+
+
+def below(normal: NDArray, height: NDArray, side: float = 1, order: int = 0) -> NDArray[np.float64]:
+    """Return the volume of a cube below a plane [K], or its first or second derivative by the
+    height: the area of the cut and the rate at which this area grows.
+
+    Args:
+        normal: Unit normals of the planes [K,3].
+        height: Distances of the planes from the middles of the cubes, along the normals [K].
+        side: Side of the cubes.
+        order: Order of the derivative, 0 to 2.
+    """
+    size = np.maximum(np.abs(normal), FLAT)
+    depth = np.maximum(height[:, None] - side * (size @ CORNERS.T), 0)
+    power = (depth * depth * depth / 6, depth * depth / 2, depth)[order]
+    result: NDArray[np.float64] = power @ SIGNS / size.prod(axis=1)
+    return result
+
+
+def between(
+    normal: NDArray, height: NDArray, thick: NDArray, side: float = 1
+) -> NDArray[np.float64]:
+    """Return the volume [K] of a cube between two parallel planes.
+
+    Args:
+        normal: Unit normals of the planes [K,3].
+        height: Distances of the middle between both planes from the middle of the cube [K].
+        thick: Distances between the planes [K].
+        side: Side of the cubes.
+    """
+    upper, lower = (below(normal, height + part * thick, side) for part in (0.5, -0.5))
+    return upper - lower
+
+
+def fill_between(
+    fraction: NDArray, normal: NDArray, height: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centres [K,3] and second moments per volume [K,3,3] of the parts of voxels between
+    two parallel planes.
+
+    The distance of the planes follows from the filled fraction of the voxel.
+
+    Args:
+        fraction: Filled fractions [K].
+        normal: Unit normals of the planes [K,3].
+        height: Distances of the middle between both planes from the middle of the voxel [K].
+    """
+    fraction = np.clip(fraction, LEAST, 1 - LEAST)
+    low = np.zeros(len(fraction))
+    high = 2 * np.abs(height) + np.abs(normal).sum(axis=1) + 8 * FLAT
+    for _ in range(HALVINGS):
+        thick = (low + high) / 2
+        thin = between(normal, height, thick) < fraction
+        low, high = np.where(thin, thick, low), np.where(thin, high, thick)
+    half = (low + high) / 4
+    upper, lower = (_moments_below(normal, height + part) for part in (half, -half))
+    volume, first, second = (a - b for a, b in zip(upper, lower, strict=True))
+    volume = np.maximum(volume, LEAST)
+    centre = first / volume[:, None]
+    return centre, second / volume[:, None, None] - centre[:, :, None] * centre[:, None, :]
+
+
+def _moments_below(
+    normal: NDArray, height: NDArray
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the volume [K], first moments [K,3] and second moments [K,3,3] of the part of a voxel
+    below a plane, about the middle of the voxel.
+    """
+    size, flip = np.maximum(np.abs(normal), FLAT), np.where(normal < 0, -1.0, 1.0)
+    depth = np.maximum(height[:, None] - size @ CORNERS.T, 0)
+    weight = SIGNS * depth**3 / (6 * size.prod(axis=1))[:, None]
+    # Edges of the tetrahedra at the corners [K,8,3].
+    edge = depth[:, :, None] / size[:, None, :]
+    mean = CORNERS + edge / 4
+    first = np.einsum("kc,kci->ki", weight, mean) * flip
+    inner = edge[:, :, :, None] * edge[:, :, None, :] * (np.eye(3) / 20 - 1 / 80)
+    second = np.einsum("kc,kcij->kij", weight, inner + mean[:, :, :, None] * mean[:, :, None, :])
+    return weight.sum(axis=1), first, second * flip[:, :, None] * flip[:, None, :]
