@@ -179,3 +179,16 @@ def test_undo_in_the_form_shows_what_it_brings_back(visit):
     law.press("Control+z")
     visit.wait_for_scene(f"(scene) => scene.material.law === '{before}'")
     assert law.input_value() == before and law.evaluate("(e) => e === document.activeElement")
+
+
+def test_a_run_that_is_refused_says_why_only_in_one_place(visit):
+    visit.upload()
+    visit.adjust()
+    for label in ("Length", "Softness"):
+        slider = visit.page.get_by_label(label, exact=True)
+        slider.fill(slider.get_attribute("max"))
+    visit.page.locator(".segments input[value=fine]").evaluate("(e) => e.click()")
+    visit.page.locator("#forecast .refused").wait_for()
+    visit.generate()
+    visit.page.locator("#progress .refused").wait_for()
+    assert not visit.page.locator("#forecast .refused").is_visible()
