@@ -25,10 +25,12 @@ LIGHT, GIVING = 0.02, 0.2
 least the mass `GIVING`. Both values are relative to the mass of a node inside the body. Lighter
 nodes would vibrate too fast in squeezed parts of the body.
 """
-BENT = 3.0
-"""Importance of the products of two coordinates, which the weights of donors reproduce as well as
-possible. Without them, the outer nodes of a bent plate would not follow its curvature: a plate with
-a thickness of 0.3 cells on the border of two layers of cells would be 20 % too stiff.
+BENT, THIN = 3.0, 0.6
+"""`BENT`: importance of the products of two coordinates, which the weights of donors reproduce as
+well as possible in thin parts. In these parts, each donor has less than `THIN` of the mass of a
+node inside the body. Without the products, the outer nodes of a bent plate would not follow its
+curvature: a plate with a thickness of 0.3 cells on the border of two layers of cells would be 20 %
+too stiff.
 """
 DONORS, NEAR, FAR = 27, 3.0, 6.0
 """The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells],
@@ -52,11 +54,11 @@ def tie_light(
         least: A node is tied if its mass is smaller [kg].
         corner: Whether each node is tied regardless of its mass [N].
     """
-    candidates, light = mass, corner
+    candidates, light, whole = mass, corner, least / LIGHTEST
     # Weights can be negative, so nodes that would lose their mass are tied as well.
     while True:
         candidates = np.where(light, 0, candidates)
-        tied, ties = _tie(index, cells, candidates, least, least, far=True)
+        tied, ties = _tie(index, cells, candidates, least, least, whole, far=True)
         result: NDArray[np.float64] = mass + ties.T @ mass[tied]
         result[tied] = 0
         light = (result < least / 2) & (candidates > 0)
@@ -85,7 +87,7 @@ def share_mass(
         least: Nodes that are not tied get at least this mass [kg].
         giving: Mass is taken from nodes with at least this mass [kg].
     """
-    light, weights = _tie(index, cells, mass, least, giving)
+    light, weights = _tie(index, cells, mass, least, giving, giving / GIVING)
     light, weights = light[mass[light] > 0], weights[mass[light] > 0]
     wanted = least - mass[light]
     taken = abs(weights).T @ wanted
@@ -113,6 +115,7 @@ def _tie(
     mass: NDArray,
     least: float,
     giving: float,
+    whole: float,
     *,
     far: bool = False,
 ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix]:
@@ -123,32 +126,32 @@ def _tie(
     may belong to another part of the body, such as a leaf near a stem. The light node would then be
     glued to this part. If the heavy nodes nearby do not determine the motion of a light node, the
     node is not tied. If `far` is true, heavy nodes of neighbouring cells up to a distance of `FAR`
-    are then used instead.
+    are then used instead. `whole` is the mass of a node inside the body [kg].
     """
-    count = len(index)
+    count, thin = len(index), mass < THIN * whole
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
     if not len(light) or not len(heavy):
         return np.zeros(0, np.int64), scipy.sparse.csr_matrix((0, count))
     donors, distance = _nearest_in_cells(index, cells, light, heavy)
-    weight, complete = _extrapolate(index, light, donors, distance)
+    weight, complete = _extrapolate(index, light, donors, distance, thin)
     alone = np.flatnonzero(~complete)
     if len(alone) and _have_copies(index):
         # The nearest node may belong to another piece.
         donors[alone], away = _nearest_in_cells(index, cells, light[alone], heavy, chained=True)
-        weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
+        weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away, thin)
     elif len(alone):
         tree = scipy.spatial.KDTree(index[heavy])
         ranks = np.arange(DONORS) + 1
         away, near = tree.query(index[light[alone]], k=ranks, distance_upper_bound=NEAR)
         donors[alone] = heavy[np.where(np.isfinite(away), near, 0)]
-        weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away)
+        weight[alone], _ = _extrapolate(index, light[alone], donors[alone], away, thin)
     tied = _are_determined(weight)
     lost = np.flatnonzero(~tied)
     if far and len(lost):
         donors[lost], away = _nearest_in_cells(
             index, cells, light[lost], heavy, chained=True, near=FAR
         )
-        weight[lost], _ = _extrapolate(index, light[lost], donors[lost], away)
+        weight[lost], _ = _extrapolate(index, light[lost], donors[lost], away, thin)
         tied = _are_determined(weight)
     row, column = np.nonzero(weight[tied])
     entries = (weight[tied][row, column], (row, donors[tied][row, column]))
@@ -208,7 +211,11 @@ def _nearest_in_cells(
 
 
 def _extrapolate(
-    index: NDArray[np.int64], light: NDArray, donors: NDArray, distance: NDArray
+    index: NDArray[np.int64],
+    light: NDArray,
+    donors: NDArray,
+    distance: NDArray,
+    thin: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the weights of the donors [T,K], and a mask [T].
 
@@ -219,13 +226,15 @@ def _extrapolate(
         light: The nodes that are extrapolated [T].
         donors: The nodes from which each light node is extrapolated [T,K].
         distance: Distances of the donors [T,K], cells; infinite if there is no donor.
+        thin: Whether the mass of each node is that of a node in a thin part [N].
     """
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)
     importance = np.exp(-(distance**2) / 1.5)
     # The pairs of the products are xx, xy, xz, yy, yz and zz.
     i, j = np.triu_indices(3)
-    products = BENT * arm[:, :, i] * arm[:, :, j]
+    bent = np.where((thin[donors] | np.isinf(distance)).all(axis=1), BENT, 0)
+    products = bent[:, None, None] * arm[:, :, i] * arm[:, :, j]
     heavy = importance[:, :, None] * products
     stiff = np.eye(len(i)) + np.einsum("tna,tnb->tab", products, heavy)
     rows = importance[:, :, None] * basis
