@@ -72,14 +72,6 @@ class Page:
 
     def __init__(self, folder: Path) -> None:
         self.studio = Studio(Settings(device="cpu"), Visitors(folder))
-        self.estimate: Estimate | None = None
-        said = self.studio._said
-
-        def noted(estimate: Estimate, *arguments: Any) -> str:
-            self.estimate = estimate
-            return said(estimate, *arguments)
-
-        self.studio._said = noted
         self.studio.warm_up()
         self.studio.visitors.get("a")
 
@@ -93,11 +85,11 @@ class Page:
     def run(self, cutout: Cutout, scene: Scene, *, probe: bool = False) -> dict[str, Any]:
         """One run and its forecast."""
         data = scene.data()
-        self.studio.forecaster._looked = -1e9
-        self.studio.forecast(Choice("a", cutout, data))
+        self.studio.forecaster.meter.measure()
+        answer: Estimate | None = self.studio.forecast(Choice("a", cutout, data))
         if probe:
-            self.studio.refine(Choice("a", cutout, data))
-        answer, load = self.estimate, os.getloadavg()[0]
+            answer = self.studio.refine(Choice("a", cutout, data))
+        load = os.getloadavg()[0]
         assert answer is not None
         start = time.perf_counter()
         job = self.studio.run(Choice("a", cutout, data))
