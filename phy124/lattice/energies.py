@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from phy124.kernels.lattice import work as at
 from phy124.kernels.lattice.contact import DRIVEN
 from phy124.kernels.work import WORK
+from phy124.lattice.crew import Crew
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.shock import LatticeClock, in_shock_only
 from phy124.lattice.solids import Solids
 from phy124.lattice.walls import Nodes, Walls
 from phy124.lattice.work import ContactWork
-from phy124.lattice.workers import Crew
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from phy124.lattice.crew import Crew
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.shock import COLLAPSED, FORGET, STALLED, LatticeClock
 from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.walls import Walls
-from phy124.lattice.workers import MEASURE, Crew
+from phy124.lattice.workers import MEASURE
 from phy124.mpm.grid import Unstable
 from phy124.mpm.model import Model
 from phy124.mpm.rejection import StepRejection

@@ -17,6 +17,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.lattice.crew import Crew
 from phy124.lattice.division import Division
 from phy124.lattice.energies import Energies
 from phy124.lattice.limits import Limits
@@ -32,7 +33,7 @@ from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Walls
-from phy124.lattice.workers import PLACE, Crew
+from phy124.lattice.workers import PLACE
 from phy124.mpm.free import FreeBody
 from phy124.mpm.grid import Grid
 from phy124.mpm.model import Model, State

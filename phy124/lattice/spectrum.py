@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from phy124.kernels.lattice.nodes import RECENT
 from phy124.kernels.launches import reader
+from phy124.lattice.crew import Crew
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.trials import ACCELERATE, COMPARE, TRIAL, TRY, Trials
 from phy124.lattice.walls import Nodes
-from phy124.lattice.workers import Crew
 from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, SMALL = 60, 8, 1e-3

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.nodes import make_compare, make_try
-from phy124.lattice.workers import Crew, Worker
+from phy124.lattice.crew import Crew
+from phy124.lattice.workers import Worker
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 

@@ -1,0 +1,476 @@
+"""The crew: all workers of a run, and the launches of a substep on their cells and nodes.
+
+Cells and nodes are sorted by x, so consecutive cells use consecutive nodes. Each worker adds the
+forces of its cells to private memory. For each node, the sums of all workers are then added in a
+fixed order, so that runs with equal numbers of threads are bitwise equal.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import warp as wp
+
+from phy124.kernels.arguments import sparse, types
+from phy124.kernels.lattice import nodes as node_kernels
+from phy124.kernels.lattice import points as point_kernels
+from phy124.kernels.lattice import simd
+from phy124.kernels.lattice.stress import MAXIMA, make_lattice_measure, make_shock, make_stress
+from phy124.kernels.lattice.work import PUSHED, STRESS, make_node_work, make_push_work
+from phy124.kernels.launches import reader
+from phy124.kernels.reduction import shared_out
+from phy124.lattice.rest import RestLattice
+from phy124.lattice.walls import Nodes
+from phy124.lattice.workers import MEASURE, PLACE, Worker
+from phy124.mpm.model import Group, Model, State
+from phy124.mpm.stage import Named, Recorded, launches
+from phy124.mpm.tracks import Tracks
+from phy124.particles.lattice import PER_CELL
+
+LINE = 16
+"""Number of values per cache line; no two workers write to one cache line."""
+
+
+class Crew:
+    """All workers of a run, and the launches on their points and nodes."""
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        lattice: RestLattice,
+        nodes: Nodes,
+        count: int,
+        *,
+        vectors: bool = True,
+    ) -> None:
+        """Divide cells and nodes evenly among the workers.
+
+        Args:
+            model: The integration points.
+            state: State of the points, which is computed from the nodes.
+            lattice: The lattice at rest.
+            nodes: Arrays of the nodes.
+            count: Number of workers.
+            vectors: Whether to use vectorised CPU kernels if they exist.
+        """
+        self._model, self._state, self._lattice = model, state, lattice
+        self.nodes = nodes
+        """Arrays of the nodes."""
+        self._vectors = vectors and simd.usable(model.real, model.device)
+        self._blocks: dict[tuple[int, int], tuple[int, wp.array, wp.array]] = {}
+        t, device = types(model.real), model.device
+        self._rows = wp.array(lattice.rows.ravel(), dtype=int, device=device)
+        self._offset = model.array(lattice.offset, t.vec3)
+        self._rest = model.array(model.rest, t.vec3)
+        self._kept = wp.zeros(len(model), dtype=t.vec3, device=device)
+        cells = np.linspace(0, len(lattice.rows), count + 1).astype(int)
+        edges = np.linspace(0, len(lattice), count + 1).astype(int)
+        spans = [_span_of_cells(lattice, int(a), int(b)) for a, b in itertools.pairwise(cells)]
+        room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
+        begin = np.cumsum([0, *room])
+        self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
+        """Each worker's part of a pool; a pool contains the forces of all workers."""
+        self._pool, self._pushes = (
+            wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
+        )
+        numbers = [(span.start, span.stop, at) for span, at in zip(spans, begin, strict=False)]
+        self._spans = wp.array(np.array(numbers, np.int32), dtype=wp.vec3i, device=device)
+        self.lasting: wp.array | None = None
+        """Forces on the nodes that act in all substeps until they are replaced, N, for each worker;
+        None: there are none.
+        """
+        self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
+        self._read_maxima = reader(self._maxima)
+        self.workers = [
+            Worker(
+                slice(PER_CELL * int(cells[w]), PER_CELL * int(cells[w + 1])),
+                slice(int(edges[w]), int(edges[w + 1])),
+                spans[w],
+                self.part_of(self._pool, w),
+                self.part_of(self._pushes, w),
+                cast("wp.array", self._maxima[w]),
+            )
+            for w in range(count)
+        ]
+        self.tied = self._sparse(lattice, lattice.ties.tocsr())
+        """The donors of each tied node (phy124/kernels/lattice/nodes.py)."""
+        self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
+        self._push_donors = self._sparse(lattice, lattice.pushes)
+        self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
+        self._read_stray = reader(self.stray)
+        self.no_pull = wp.zeros(1, dtype=t.vec4, device=device)
+        """A uniform acceleration of zero."""
+        self._middle = wp.zeros_like(nodes.u)
+        """Unused output [N,3]: velocities after pushes and before all other forces."""
+        self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
+        self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
+        """Whether the stress kernels measure the largest speed and strain rate in every substep."""
+        for worker in self.workers:
+            worker.tasks = {MEASURE: self._measure(worker), PLACE: self._follow(worker)}
+
+    def _sparse(self, lattice: RestLattice, ties: Any) -> Any:
+        """Return a sparse matrix of tied nodes or donors on the device; each node is a row."""
+        model, count = self._model, len(lattice)
+        starts, columns = ties.indptr, ties.indices
+        if ties.shape[0] != count:  # The rows of nodes that are not tied are empty.
+            lengths = np.zeros(count, np.int64)
+            lengths[lattice.tied] = np.diff(starts)
+            starts = np.concatenate([[0], np.cumsum(lengths)])
+        elif ties.shape[1] != count:  # Each tied node is a column.
+            columns = lattice.tied[columns]
+        matrix = sparse(model.real)()
+        matrix.starts, matrix.nodes = (
+            wp.array(np.asarray(values, np.int32), dtype=int, device=model.device)
+            for values in (starts, columns)
+        )
+        matrix.weights = model.array(ties.data, model.real)
+        return matrix
+
+    def locate(self, worker: Worker) -> list[Named]:
+        """Return the launch that computes x and v of a worker's points, before forces act."""
+        nodes, state, span, model = self.nodes, self._state, worker.points, self._model
+        outputs = [state.x, state.v, self._kept]
+        if self._vectors and span.stop > span.start:
+            motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_locate_simd()
+            launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
+            return launches([("locate", launch)])
+        inputs = [span.start, self._rows, self._offset, self._rest, nodes.u, nodes.v]
+        kernel = point_kernels.make_locate(model.real)
+        return launches([("locate", model.launch(kernel, span.stop - span.start, inputs, outputs))])
+
+    def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
+        """Return the launches that sum the forces of a worker's points on the nodes.
+
+        Args:
+            worker: The worker.
+            pushes: The tracks of forces on points; None: no force acts on points.
+        """
+        outputs = [worker.forces, worker.maxima, self.stray]
+        stress = self._stress(worker, self.nodes.u, outputs)
+        if pushes is None:
+            return stress
+        clear: Callable[[], Any] = worker.pushes.zero_
+        return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
+
+    def press(self, pushes: wp.array, turns: wp.array) -> None:
+        """Replace the lasting forces on the nodes by the forces that accelerate the points.
+
+        Args:
+            pushes: Acceleration of each point [P,3], m/s^2.
+            turns: Moments of the acceleration around each point [P,3,3] (`make_press`).
+        """
+        assert self.lasting is not None
+        self.lasting.zero_()
+        model, state, kernel = self._model, self._state, point_kernels.make_press(self._model.real)
+        for index, worker in enumerate(self.workers):
+            span = worker.points
+            inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows]
+            inputs += [self._offset, state.F, pushes, turns]
+            count, part = span.stop - span.start, self.part_of(self.lasting, index)
+            wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
+
+    def lasting_forces(self) -> list[Any]:
+        """Return the arguments of `force_on` (phy124/kernels/lattice/nodes.py) for the lasting
+        forces.
+        """
+        return [self.lasting, self._spans, self._push_donors]
+
+    def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
+        """Return the launches that sum the forces due to trial displacements.
+
+        Args:
+            worker: The worker.
+            u: Displacements of the nodes [N,3], m.
+            out: The worker's part of a pool.
+        """
+        return self._stress(worker, u, [out, self._unread, self.stray])
+
+    def shock(self, worker: Worker, clock: wp.array, out: wp.array | None = None) -> list[Named]:
+        """Return the launch that adds the forces of the artificial viscosity to the nodes.
+
+        Args:
+            worker: The worker.
+            clock: Kick, drift and time of the substep [3], s.
+            out: The worker's part of a pool that receives the forces after the kick; None: the
+                forces are added to the worker's forces before the kick.
+        """
+        nodes, span, model = self.nodes, worker.points, self._model
+        outputs = [worker.forces if out is None else out]
+        motion = [clock, nodes.u, nodes.v if out is None else nodes.before]
+        if self._vectors and span.stop > span.start:
+            constants = [worker.touched.start, model.dx, model.mass]
+            kernel = simd.make_shock_simd()
+            launch = self._over_blocks(kernel, span, constants, motion, outputs)
+            return launches([("shock", launch)])
+        inputs = [span.start, worker.touched.start, model.mass, model.dx, self._rows, self._offset]
+        launch = model.launch(
+            make_shock(model.real), span.stop - span.start, [*inputs, *motion], outputs
+        )
+        return launches([("shock", launch)])
+
+    @property
+    def viscous(self) -> list[Group]:
+        """The groups whose stress depends on the rate of strain."""
+        return [group for group in self._model.groups if is_viscous(group, self._model)]
+
+    def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
+        """Return the launches that compute the viscous forces on the nodes after the kick.
+
+        The viscous forces are computed as the forces of a material without stiffness.
+
+        Args:
+            worker: The worker.
+            out: The worker's part of a pool.
+        """
+        records = []
+        for group in self.viscous:
+            theta = np.array(group.theta.numpy())
+            theta[:, : max(section.scaled for section in _sections(group, self._model))] = 0
+            soft = replace(group, theta=wp.array(theta, dtype=group.theta.dtype, device=out.device))
+            outputs = [out, self._unread, self._uncounted]
+            records.append(self._stress_of(worker, soft, self.nodes.u, outputs))
+        return launches(records)
+
+    def new_pool(self) -> wp.array:
+        """Return an array for the forces of all workers, filled with zeros."""
+        return wp.zeros_like(self._pool)
+
+    def part_of(self, pool: wp.array, index: int) -> wp.array:
+        """Return the part of a pool that belongs to a worker."""
+        return cast("wp.array", pool[self._parts[index]])
+
+    def work(
+        self, worker: Worker, at: int, tracks: Tracks, out: wp.array, pool: wp.array | None = None
+    ) -> list[Named]:
+        """Return the launch that adds the work of forces on a worker's nodes, after all contact.
+
+        Args:
+            worker: The worker.
+            at: Index of the sum (phy124/kernels/lattice/work.py).
+            tracks: The tracks of the run, with the clock and the uniform acceleration.
+            out: The sums.
+            pool: The forces; None: the forces of the stress, or the forces of pushes if `at` is
+                `PUSHED`.
+        """
+        pushed = at == PUSHED
+        if pool is None:
+            pool = self._pushes if pushed else self._pool
+        nodes, span, model = self.nodes, worker.nodes, self._model
+        donors = self._push_donors if pushed else self._donors
+        uniform = tracks.values if at == STRESS else self.no_pull
+        inputs = [span.start, at, nodes.inverse, pool, self._spans, donors, tracks.clock]
+        inputs += [uniform, nodes.before, nodes.v]
+        kernel = make_node_work(model.real)
+        return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
+
+    def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
+        """Return the launch that sums impulse and work of forces on points over a worker's nodes.
+
+        Args:
+            worker: The worker.
+            tracks: The tracks of the run, with the clock.
+            out: Sums in the order of phy124/kernels/work.py.
+        """
+        nodes, span, model = self.nodes, worker.nodes, self._model
+        count = span.stop - span.start
+        threads, *fraction = shared_out(count, model.device)
+        inputs = [*fraction, count, span.start, nodes.inverse, self._pushes, self._spans]
+        inputs += [self._push_donors, tracks.clock, nodes.before, nodes.v]
+        return launches(
+            [("work", model.launch(make_push_work(model.real), threads, inputs, [out]))]
+        )
+
+    def _push(self, worker: Worker, tracks: Tracks) -> Recorded:
+        span, state = worker.points, self._state
+        inputs = [span.start, worker.touched.start, self._model.mass, tracks.clock, self._rows]
+        inputs += [self._offset, state.v, self._kept]
+        kernel = point_kernels.make_push(self._model.real)
+        launch = self._model.launch(kernel, span.stop - span.start, inputs, [worker.pushes])
+        return "push", launch
+
+    def _over_blocks(
+        self, kernel: Any, span: slice, constants: list[Any], motion: Sequence[Any], outputs: list
+    ) -> wp.Launch | None:
+        """Record the launch of a kernel over the blocks of cells in a span of points."""
+        if (span.start, span.stop) not in self._blocks:
+            device = self._model.device
+            volume = np.asarray(self._model.volume.numpy(), np.float64)[span]
+            blocks = simd.pack(self._lattice.offset[span], volume, span.start // PER_CELL)
+            order = wp.array(blocks.order.ravel(), dtype=int, device=device)
+            packed = wp.array(blocks.packed.ravel(), dtype=wp.float32, device=device)
+            self._blocks[span.start, span.stop] = blocks.full, order, packed
+        full, order, packed = self._blocks[span.start, span.stop]
+        inputs = [full, *constants, order, packed, self._rows, *motion]
+        return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
+
+    def _stress(self, worker: Worker, u: wp.array, outputs: list[wp.array]) -> list[Named]:
+        """Return the launches that sum the forces of the stress, as in `_stress_of`."""
+        records = [self._stress_of(worker, group, u, outputs) for group in self._model.groups]
+        return [("clear", outputs[0].zero_), *launches(records)]
+
+    def _stress_of(
+        self, worker: Worker, group: Group, u: wp.array, outputs: list[wp.array]
+    ) -> Recorded:
+        """Record the launch that adds the forces of a group's stress to the nodes.
+
+        Args:
+            worker: The worker.
+            group: The group; some of its points belong to other workers.
+            u: Displacements of the nodes [N,3], m.
+            outputs: Forces on nodes, and, for vectorised kernels, maxima of the motion and number
+                of non-finite points.
+        """
+        model, span = self._model, _common(worker.points, group.particles)
+        name, motion = f"stress {group.law.name}", (u, self.nodes.lagging)
+        if self.vectors(group) and span.stop > span.start:
+            constants = [group.start, worker.touched.start, model.dx, group.theta]
+            kernel = simd.make_stress_simd(group.law, is_viscous(group, model))
+            return name, self._over_blocks(kernel, span, constants, motion, outputs)
+        inputs = [span.start, group.start, worker.touched.start, group.theta, model.volume]
+        inputs += [model.dx, self._rows, self._offset, *motion]
+        kernel = make_stress(group.law, model.real, is_viscous(group, model))
+        return name, model.launch(kernel, span.stop - span.start, inputs, outputs[:1])
+
+    def vectors(self, group: Group) -> bool:
+        """Return whether the stress of a group is computed by vectorised CPU kernels."""
+        return self._vectors and simd.has_stress(group.law)
+
+    def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
+        """Record the vectorised launches that sum energy and power over the points of a group."""
+        constants = [group.start, self._model.dx, group.theta]
+        motion, kernel = [self.nodes.u, self.nodes.v], simd.make_totals_simd(group.law)
+        spans = [_common(worker.points, group.particles) for worker in self.workers]
+        return [
+            self._over_blocks(kernel, span, constants, motion, outputs)
+            for span in spans
+            if span.stop > span.start
+        ]
+
+    def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
+        """Return the launches that change the velocities of a worker's nodes by the forces.
+
+        Args:
+            worker: The worker.
+            tracks: The tracks of the run, with the clock and the uniform acceleration.
+            pushed: Whether forces act on points.
+        """
+        span, v, before, clock = worker.nodes, self.nodes.v, self.nodes.before, tracks.clock
+        stress = [span, self._pool, self._donors, clock, tracks.values, v]
+        kicks: list[Named] = []
+        for pool in (self.lasting, self._pushes if pushed else None):
+            if pool is not None:
+                push = [span, pool, self._push_donors, clock, self.no_pull, v]
+                kicks += self._kick(*push, self._middle if kicks else before)
+        return kicks + self._kick(*stress, self._middle if kicks else before)
+
+    def _kick(self, span: slice, pool: wp.array, donors: Any, *rest: Any) -> list[Named]:
+        """Return the launch of `make_kick` on a span of nodes."""
+        inputs = [self.nodes.inverse, pool, self._spans, donors, *rest]
+        plain = node_kernels.make_kick(self._model.real)
+        return self._over_nodes(span, plain, simd.make_kick_simd, inputs)
+
+    def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
+        """Return the launch that moves a worker's nodes."""
+        nodes = self.nodes
+        inputs = [self.tied, tracks.clock, nodes.before]
+        inputs += [nodes.v, nodes.u, nodes.residue, nodes.lagging]
+        plain = node_kernels.make_drift(self._model.real)
+        return self._over_nodes(worker.nodes, plain, simd.make_drift_simd, inputs)
+
+    def _over_nodes(
+        self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
+    ) -> list[Named]:
+        """Return the launch of a scalar or vectorised kernel over a span of nodes."""
+        count, kernel = span.stop - span.start, plain
+        if self._vectors:
+            count, kernel = -(-count // simd.NODES), make_simd()
+        launch = self._model.launch(kernel, count, [span.start, span.stop, *inputs], [])
+        return launches([("nodes", launch)])
+
+    def _follow(self, worker: Worker) -> list[Named]:
+        """Return the launch that computes x, v, C and F of a worker's points."""
+        span, state, nodes, model = worker.points, self._state, self.nodes, self._model
+        outputs = [state.x, state.v, state.C, state.F]
+        if self._vectors and span.stop > span.start:
+            motion, kernel = [self._rest, nodes.u, nodes.v], simd.make_follow_simd()
+            launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
+            return launches([("follow", launch)])
+        inputs = [span.start, model.dx, self._rows, self._offset, self._rest, nodes.u, nodes.v]
+        kernel = point_kernels.make_follow(model.real)
+        return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
+
+    def lost(self) -> int:
+        """Return the number of points that were not finite."""
+        return int(self._read_stray()[0])
+
+    def maxima(self) -> list[float]:
+        """Return the largest speed, strain rate and closing rate since these maxima were reset."""
+        largest: list[float] = self._read_maxima().max(axis=0)[:MAXIMA].tolist()
+        return largest
+
+    def take_maxima(self) -> list[float]:
+        """Return the maxima and reset them."""
+        largest = self.maxima()
+        self._maxima.zero_()
+        return largest
+
+    def accelerate(self, worker: Worker, pool: wp.array | None, out: wp.array) -> list[Named]:
+        """Return the launches that compute the accelerations of a worker's nodes without gravity.
+
+        Args:
+            worker: The worker.
+            pool: The forces of all workers; None: the forces of the stress in the last substep.
+            out: The accelerations [N,3], m/s^2.
+        """
+        span, pool = worker.nodes, self._pool if pool is None else pool
+        clock = self._model.array([1.0, 1.0, 0.0], self._model.real)  # resting nodes, for a second
+        kick = self._kick(span, pool, self._donors, clock, self.no_pull, out, self._middle)
+        return [("clear", cast("wp.array", out[span]).zero_), *kick]
+
+    def _measure(self, worker: Worker) -> list[Named]:
+        """Return the launches that follow a worker's points and measure their motion."""
+        model, state, nodes, records = self._model, self._state, self.nodes, []
+        outputs = [worker.maxima, self.stray]
+        for group in model.groups:
+            span = _common(worker.points, group.particles)
+            if self.vectors(group) and span.stop > span.start:
+                motion, kernel = [nodes.u, nodes.v], simd.make_measure_simd()
+                launch = self._over_blocks(kernel, span, [model.dx], motion, outputs)
+            else:
+                inputs = [span.start, state.v, state.C, state.F]
+                kernel = make_lattice_measure(model.real)
+                launch = model.launch(kernel, span.stop - span.start, inputs, outputs)
+            records.append(("measure", launch))
+        plain = not all(self.vectors(group) for group in model.groups)
+        follows = self._follow(worker) if plain else []
+        # The maxima that kernels of viscous stress have measured are kept.
+        reset = [] if self.measuring else [("measure", worker.maxima.zero_)]
+        return [*follows, *reset, *launches(records)]
+
+
+def is_viscous(group: Group, model: Model) -> bool:
+    """Return whether a group's stress depends on the rate of strain."""
+    sections = _sections(group, model)
+    return any(np.isfinite(section.viscous_limit(model.dx)) for section in sections)
+
+
+def _sections(group: Group, model: Model) -> list[Any]:
+    """Return the materials that have a group's constitutive law."""
+    return [section for section in model.materials if section.device_law.name == group.law.name]
+
+
+def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
+    """Return the range of nodes used by the cells c with first <= c < last."""
+    rows = lattice.rows[first:last]
+    return slice(int(rows.min()), int(rows.max()) + 3) if len(rows) else slice(0, 0)
+
+
+def _common(a: slice, b: slice) -> slice:
+    """Return the intersection of two spans."""
+    start = max(a.start, b.start)
+    return slice(start, max(start, min(a.stop, b.stop)))
