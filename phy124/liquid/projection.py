@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from phy124.kernels.liquid import conjugate
+from phy124.kernels.liquid import conjugate, rigid
 from phy124.kernels.liquid.conjugate import RESIDUAL, RIGHT, ROWS
+from phy124.kernels.liquid.listed import count_liquid, list_liquid
 from phy124.liquid.cells import Cells
 from phy124.mpm import Model
 from phy124.mpm.stage import Recorded
@@ -63,8 +64,8 @@ class Projection:
         """Return the launches with which a worker counts and then lists the cells of liquid."""
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, cells.liquid]
-        count = launch(conjugate.count_liquid, parts, inputs, [self.counts])
-        listed = launch(conjugate.list_liquid, parts, [*inputs, self.counts], [cells.listed])
+        count = launch(count_liquid, parts, inputs, [self.counts])
+        listed = launch(list_liquid, parts, [*inputs, self.counts], [cells.listed])
         return [(STAGE, count)], [(STAGE, listed)]
 
     def phases(
@@ -125,7 +126,7 @@ class Projection:
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]
-        return [(STAGE, self._model.launch(conjugate.project, parts, inputs, [self.sums]))]
+        return [(STAGE, self._model.launch(rigid.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
         """Run recorded iterations until the residual is small, and return the number of iterations.
@@ -163,5 +164,5 @@ def form_on(device: str) -> str:
 
 def kernels(device: str) -> Iterator[Any]:
     """Yield the kernels that solve an equation."""
-    yield from (conjugate.count_liquid, conjugate.list_liquid, conjugate.project)
+    yield from (count_liquid, list_liquid, rigid.project)
     yield from (make(form_on(device)) for make in MAKERS)

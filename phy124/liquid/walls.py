@@ -13,6 +13,7 @@ import warp as wp
 from phy124.boundaries import Boundary
 from phy124.kernels.arguments import types
 from phy124.kernels.liquid import walls as kernels
+from phy124.kernels.liquid.push_out import make_push_out
 from phy124.kernels.liquid.solids import make_motions
 from phy124.liquid.cells import Cells, Region
 from phy124.mpm import FreeBodies, Model, State
@@ -245,7 +246,7 @@ class Walls:
         model, tracks = self._model, self._tracks
         launches = []
         for group in self._groups:
-            kernel = kernels.make_push_out(group.shape, model.real)
+            kernel = make_push_out(group.shape, model.real)
             inputs = [int(stops), group.numbers, group.geometries, self.slots, self.frictions]
             inputs += [model.mass[run], cells.lattice, cells.window, self._places]
             inputs += [tracks.clock, tracks.values, state.C[run]]
@@ -289,4 +290,4 @@ def wall_kernels(boundaries: Iterable[Boundary], solids: Iterable[str], real: An
     for shape in sorted(outlines | set(solids)):
         yield kernels.make_wall_distance(shape, real)
         yield from (make(shape, real) for make in (kernels.make_openings, kernels.make_eighths))
-        yield kernels.make_push_out(shape, real)
+        yield make_push_out(shape, real)

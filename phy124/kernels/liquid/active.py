@@ -13,8 +13,8 @@ import warp as wp
 from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
-from phy124.kernels.liquid.conjugate import share
 from phy124.kernels.liquid.faces import cell_at, entry, inner, local
+from phy124.kernels.liquid.listed import share
 
 REACH = wp.constant(4)
 """Number of active cells on each side of a particle's cell: a step moves a particle by up to two

@@ -13,9 +13,9 @@ import warp as wp
 from phy124.kernels.arguments import Box, Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
-from phy124.kernels.liquid.conjugate import Vectors
 from phy124.kernels.liquid.faces import cell_at, cell_of, entry, inner, local, number, stride
 from phy124.kernels.liquid.impulses import Sums, take_row
+from phy124.kernels.liquid.listed import Vectors
 from phy124.kernels.liquid.shapes import spline
 from phy124.kernels.liquid.solids import put_motion
 from phy124.kernels.liquid.walls import centre_of

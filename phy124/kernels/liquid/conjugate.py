@@ -1,10 +1,8 @@
 """Solves the pressure equation by conjugate gradients, preconditioned with MIC(0).
 
-The cells of liquid are listed in memory order. The list is divided into parts of equal length: one
-part per CPU thread, or many parts on a GPU. The modified incomplete Cholesky factor (Bridson 2015,
-"Fluid simulation for computer graphics", ch. 5) ignores matrix entries that couple cells of
-different parts. The parts can therefore be processed in parallel. Sums are added part by part, so a
-result depends only on the number of parts. native/conjugate.h is used on CPUs.
+The modified incomplete Cholesky factor (Bridson 2015, "Fluid simulation for computer graphics",
+ch. 5) ignores matrix entries that couple cells of different parts (listed.py). The parts can
+therefore be processed in parallel. native/conjugate.h is used on CPUs.
 """
 
 from typing import Any
@@ -13,6 +11,8 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints
 from phy124.kernels.build import build_once, kernel
+from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
+from phy124.kernels.liquid.rigid import add_rigid, clear_rigid, respond, rigid_flux
 from phy124.kernels.native import code, constants, native_func
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
@@ -24,67 +24,8 @@ RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 
 Rows 0 and 1 alternately contain r M r of the present and the previous iteration.
 """
-RIGID = wp.constant(5)
-"""First of the six rows of each solid: the force and the moment J^T s on the solid due to a vector
-s (see `solids`).
-"""
 ROWS = 5
 """Number of rows in the table of sums of a liquid without solids."""
-Vectors = wp.array(dtype=wp.vec3d)
-Table = wp.array2d(dtype=wp.float64)
-
-
-@wp.func
-def share(count: int, part: int, parts: int):
-    """Return the index of a part's first item, and the index after its last item."""
-    return wp.vec2i(
-        int(wp.int64(count) * wp.int64(part) / wp.int64(parts)),
-        int(wp.int64(count) * wp.int64(part + 1) / wp.int64(parts)),
-    )
-
-
-@wp.func
-def total(sums: Table, row: int):
-    """Return a sum over all parts."""
-    result = wp.float64(0.0)
-    for k in range(sums.shape[1]):
-        result += sums[row, k]
-    return result
-
-
-@wp.func
-def count_of(counts: Ints):
-    """Return the number of listed cells."""
-    result = int(0)
-    for k in range(counts.shape[0]):
-        result += counts[k]
-    return result
-
-
-@kernel("phy124_liquid_count", seconds=0.2)
-def count_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts_out: Ints):
-    """Count the cells of liquid in a part of the active cells."""
-    p = part + wp.tid()
-    span = share(ends[ends.shape[0] - 1], p, counts_out.shape[0])
-    wet = int(0)
-    for k in range(span[0], span[1]):
-        wet += liquid[active[k]]
-    counts_out[p] = wet
-
-
-@kernel("phy124_liquid_list", seconds=0.2)
-def list_liquid(part: int, active: Ints, ends: Ints, liquid: Ints, counts: Ints, listed_out: Ints):
-    """List the cells of liquid in a part of the active cells."""
-    p = part + wp.tid()
-    at = int(0)
-    for k in range(p):
-        at += counts[k]
-    span = share(ends[ends.shape[0] - 1], p, counts.shape[0])
-    for k in range(span[0], span[1]):
-        n = active[k]
-        if liquid[n] == 1:
-            listed_out[at] = n
-            at += 1
 
 
 @wp.func
@@ -257,95 +198,6 @@ FORMS = {
     ),
 }
 """Implementations of the loops over the listed cells, by name."""
-
-
-@wp.func
-def rigid_sums(sums: Table, solid: int):
-    """Return the force and the moment on a solid due to a vector of pressures."""
-    row = RIGID + 6 * solid
-    return (
-        wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),
-        wp.vec3d(total(sums, row + 3), total(sums, row + 4), total(sums, row + 5)),
-    )
-
-
-@wp.func
-def clear_rigid(sums: Table, solids: int, p: int):
-    """Set the forces and moments of a part of the cells on all solids to zero."""
-    for k in range(6 * solids):
-        sums[RIGID + k, p] = wp.float64(0.0)
-
-
-@wp.func
-def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
-    """Add a force and a moment to the sums of a part of the cells for a solid."""
-    row = RIGID + 6 * solid
-    for axis in range(3):
-        sums[row + axis, p] += force[axis]
-        sums[row + 3 + axis, p] += turn[axis]
-
-
-@wp.func
-def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
-    """Return the change of a solid's angular velocity due to a moment."""
-    w = wp.vec3d()
-    for a in range(3):
-        for b in range(3):
-            w[a] += mobility[solid, 1 + 3 * a + b] * turn[b]
-    return w
-
-
-@wp.func
-def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
-    """Write the velocity and angular velocity of each solid due to a vector of pressures.
-
-    Returns the sum, over all solids, of velocity times force and angular velocity times moment.
-    """
-    product = wp.float64(0.0)
-    for solid in range(mobility.shape[0]):
-        force, turn = rigid_sums(sums, solid)
-        V = mobility[solid, 0] * force
-        w = rotation_of(mobility, solid, turn)
-        responses[p, 2 * solid] = V
-        responses[p, 2 * solid + 1] = w
-        product += wp.dot(force, V) + wp.dot(turn, w)
-    return product
-
-
-@wp.func
-def rigid_flux(
-    n: int,
-    p: int,
-    solid: int,
-    jumps: Vectors,
-    turns: Vectors,
-    responses: wp.array2d(dtype=wp.vec3d),
-):
-    """Return the flux out of a cell due to the response of a solid."""
-    V = wp.dot(jumps[n], responses[p, 2 * solid])
-    return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
-
-
-@kernel("phy124_liquid_project", seconds=0.2)
-def project(
-    part: int,
-    solids: int,
-    counts: Ints,
-    listed: Ints,
-    which: Ints,
-    jumps: Vectors,
-    turns: Vectors,
-    x: Doubles,
-    sums_out: Table,
-):
-    """Sum J^T x over a part of the listed cells; `jumps` and `turns` contain the rows of J."""
-    p = part + wp.tid()
-    span = share(count_of(counts), p, counts.shape[0])
-    clear_rigid(sums_out, solids, p)
-    for k in range(span[0], span[1]):
-        n = listed[k]
-        if which[n] >= 0:
-            add_rigid(sums_out, which[n], p, x[n] * jumps[n], x[n] * turns[n])
 
 
 @build_once

@@ -13,9 +13,9 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.diagnostics import wide
 from phy124.kernels.liquid.active import EMPTY
 from phy124.kernels.liquid.bodies import Motions
-from phy124.kernels.liquid.conjugate import Vectors
 from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 from phy124.kernels.liquid.impulses import way_to_wall
+from phy124.kernels.liquid.listed import Vectors
 from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.walls import centre_of, solid_face
 

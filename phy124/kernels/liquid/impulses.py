@@ -12,8 +12,8 @@ import warp as wp
 
 from phy124.kernels.arguments import Doubles, Ints, types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.liquid.conjugate import count_of, share
 from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
+from phy124.kernels.liquid.listed import count_of, share
 from phy124.kernels.liquid.mixture import CENTRE
 from phy124.kernels.liquid.pressure import NEAREST
 from phy124.kernels.liquid.transfer import within

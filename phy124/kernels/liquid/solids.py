@@ -33,18 +33,10 @@ from phy124.kernels.free.numbers import (
     put3,
     spin_of,
 )
-from phy124.kernels.liquid.conjugate import (
-    Table,
-    Vectors,
-    add_rigid,
-    clear_rigid,
-    count_of,
-    rigid_sums,
-    rotation_of,
-    share,
-)
 from phy124.kernels.liquid.faces import cell_of, entry, stride
 from phy124.kernels.liquid.impulses import Sums, head_along, take_row, way_to_wall
+from phy124.kernels.liquid.listed import Table, Vectors, count_of, share
+from phy124.kernels.liquid.rigid import add_rigid, clear_rigid, rigid_sums, rotation_of
 from phy124.kernels.liquid.walls import centre_of, wall_across
 
 

@@ -1,4 +1,4 @@
-"""Computes distances from walls and the open fractions of faces, and moves particles out of walls.
+"""Computes distances from walls and the open fractions of faces.
 
 Distances are stored at the corners and at the centres of edges, faces and cells. The open fraction
 of each face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell are computed
@@ -16,7 +16,7 @@ from phy124.kernels.diagnostics import wide
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.free.numbers import PLACE, at3, axes
 from phy124.kernels.items import item
-from phy124.kernels.liquid.faces import cell_at, cell_of, inner, local, number, stride
+from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 
 SHUT = wp.constant(1.0e-3)
 """Open fraction of a face below which the face counts as closed."""
@@ -24,8 +24,6 @@ GAP = wp.constant(0.02)
 """Particles inside a wall are moved to this distance in front of the wall [cells]."""
 DISTANT = wp.constant(2.0)
 """A wall that is farther away [cells] closes no part of a cell or of a face."""
-NEAR = wp.constant(1.5)
-"""A particle may be behind a wall after a step only if its distance was less than this [cells]."""
 
 
 @wp.func
@@ -436,88 +434,3 @@ def make_solid_shares(real: Any):
         shares_out[n] = result
 
     return solid_shares
-
-
-@build_once
-def make_push_out(shape: str, real: Any):
-    """Kernel: moves particles out of all walls of a shape and stops them there.
-
-    `walls` contains the indices of the shape's walls in `slots` and `frictions`, which are tables
-    of all walls; `geometries` contains their dimensions. A wall stops the normal velocity, and
-    reduces the tangential velocity by up to the coefficient of friction times the normal velocity.
-    The impulse on the particles and its work are added to `sums_out`. The work on a single drop is
-    computed with the drop's mean velocity in the step, so a floor does no work on drops that lie on
-    the floor. Pressure does not act on drops; their velocity gradient `C` is zero.
-    """
-    t = types(real)
-    distance = SHAPES[shape]
-
-    @wp.func
-    def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return a particle's velocity after frictional contact with a wall of velocity u."""
-        along = wp.dot(v - u, normal)
-        if along >= real(0.0):
-            return v
-        slide = v - u - along * normal
-        speed = wp.length(slide)
-        kept = real(0.0)
-        if speed > real(0.0):
-            kept = wp.max(real(0.0), real(1.0) + friction * along / speed)
-        return u + kept * slide
-
-    @kernel(f"phy124_liquid_push_out_{shape}_{real.__name__}", real, seconds=0.4)
-    def push_out(
-        stops: int,
-        walls: Ints,
-        geometries: t.mat33s,
-        slots: Ints,
-        frictions: t.vec2s,
-        mass,
-        lattice,
-        window,
-        values,
-        clock,
-        tracks: wp.array(dtype=t.vec4),
-        C,
-        motions: wp.array2d(dtype=t.vec3),
-        frame: Doubles,
-        distances: t.reals,
-        x_out,
-        v_out,
-        sums_out: wp.array2d(dtype=wp.float64),
-    ):
-        p = wp.tid()
-        dx = lattice[3]
-        x = x_out[p]
-        size = window[1]
-        cell = cell_at(local(x, lattice, window))
-        d = real(-1.0)
-        if inner(cell, size, 0):
-            d = distances[point(cell, 1, 1, 1, size)]
-        if d < real(NEAR) * dx:
-            for k in range(walls.shape[0]):
-                wall = walls[k]
-                place, active = to_frame(x, slots[wall], values, frame)
-                s = distance(place, geometries[k])
-                if active > real(0.0) and s[3] < real(GAP) * dx:
-                    normal = to_world(wp.vector(s[0], s[1], s[2]), frame)
-                    x += (real(GAP) * dx - s[3]) * normal
-                    x_out[p] = x
-                    if stops > 0:
-                        u = speed_of(motions, wall, x)
-                        before = v_out[p]
-                        after = stop(before, u, normal, frictions[wall][0])
-                        v_out[p] = after
-                        start = before
-                        if C[p] == t.mat33():
-                            a = tracks[0]
-                            start -= clock[0] * wp.vector(a[0], a[1], a[2])
-                        change = mass[p] * (after - before)
-                        work = real(0.5) * wp.dot(change, after + start)
-                        turn = wp.cross(x, change)
-                        for axis in range(3):
-                            wp.atomic_add(sums_out, wall, axis, wp.float64(change[axis]))
-                            wp.atomic_add(sums_out, wall, 3 + axis, wp.float64(turn[axis]))
-                        wp.atomic_add(sums_out, wall, 6, wp.float64(work))
-
-    return push_out

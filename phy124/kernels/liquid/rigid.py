@@ -1,0 +1,101 @@
+"""Sums the forces and moments of pressures on solids, and the response of the solids."""
+
+import warp as wp
+
+from phy124.kernels.arguments import Doubles, Ints
+from phy124.kernels.build import kernel
+from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
+
+RIGID = wp.constant(5)
+"""First of the six rows of each solid: the force and the moment J^T s on the solid due to a vector
+s (see `solids`).
+"""
+
+
+@wp.func
+def rigid_sums(sums: Table, solid: int):
+    """Return the force and the moment on a solid due to a vector of pressures."""
+    row = RIGID + 6 * solid
+    return (
+        wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),
+        wp.vec3d(total(sums, row + 3), total(sums, row + 4), total(sums, row + 5)),
+    )
+
+
+@wp.func
+def clear_rigid(sums: Table, solids: int, p: int):
+    """Set the forces and moments of a part of the cells on all solids to zero."""
+    for k in range(6 * solids):
+        sums[RIGID + k, p] = wp.float64(0.0)
+
+
+@wp.func
+def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
+    """Add a force and a moment to the sums of a part of the cells for a solid."""
+    row = RIGID + 6 * solid
+    for axis in range(3):
+        sums[row + axis, p] += force[axis]
+        sums[row + 3 + axis, p] += turn[axis]
+
+
+@wp.func
+def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
+    """Return the change of a solid's angular velocity due to a moment."""
+    w = wp.vec3d()
+    for a in range(3):
+        for b in range(3):
+            w[a] += mobility[solid, 1 + 3 * a + b] * turn[b]
+    return w
+
+
+@wp.func
+def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
+    """Write the velocity and angular velocity of each solid due to a vector of pressures.
+
+    Returns the sum, over all solids, of velocity times force and angular velocity times moment.
+    """
+    product = wp.float64(0.0)
+    for solid in range(mobility.shape[0]):
+        force, turn = rigid_sums(sums, solid)
+        V = mobility[solid, 0] * force
+        w = rotation_of(mobility, solid, turn)
+        responses[p, 2 * solid] = V
+        responses[p, 2 * solid + 1] = w
+        product += wp.dot(force, V) + wp.dot(turn, w)
+    return product
+
+
+@wp.func
+def rigid_flux(
+    n: int,
+    p: int,
+    solid: int,
+    jumps: Vectors,
+    turns: Vectors,
+    responses: wp.array2d(dtype=wp.vec3d),
+):
+    """Return the flux out of a cell due to the response of a solid."""
+    V = wp.dot(jumps[n], responses[p, 2 * solid])
+    return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
+
+
+@kernel("phy124_liquid_project", seconds=0.2)
+def project(
+    part: int,
+    solids: int,
+    counts: Ints,
+    listed: Ints,
+    which: Ints,
+    jumps: Vectors,
+    turns: Vectors,
+    x: Doubles,
+    sums_out: Table,
+):
+    """Sum J^T x over a part of the listed cells; `jumps` and `turns` contain the rows of J."""
+    p = part + wp.tid()
+    span = share(count_of(counts), p, counts.shape[0])
+    clear_rigid(sums_out, solids, p)
+    for k in range(span[0], span[1]):
+        n = listed[k]
+        if which[n] >= 0:
+            add_rigid(sums_out, which[n], p, x[n] * jumps[n], x[n] * turns[n])
