@@ -89,7 +89,7 @@ def objects() -> dict[int, object]:
     return {
         id(each): each
         for each in gc.get_objects()
-        if type(each) is wp.array or type(each).__module__.startswith("phy124.")
+        if type(each) is wp.array or str(type(each).__module__).startswith("phy124.")
     }
 
 
