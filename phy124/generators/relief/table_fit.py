@@ -106,7 +106,7 @@ def find_table(
         fits.append(max(coarse, key=goal.overlap))
     if max(map(goal.overlap, fits)) < OVERLAP - MORE:
         return None
-    fits = [goal.fit(table, FINE, fixed) for table in fits]
+    fits = [goal.fit(_without_lip(table), FINE, fixed) for table in fits]
     overlaps = [goal.overlap(table, 1) for table in fits]
     simple = [SIMPLER * _complexity(table) for table in fits]
     best = np.argmax(np.subtract(overlaps, simple))
@@ -194,6 +194,12 @@ class Goal:
             if before - error @ error <= DONE * before:
                 break
         return make(values)
+
+
+def _without_lip(table: Table) -> Table:
+    """Return a square table instead of a chair whose backrest is as low as the limits allow."""
+    lip = table.kind.backed and table.sizes.back <= LEAST.back
+    return replace(table, kind=SQUARE_TABLE) if lip else table
 
 
 def _complexity(table: Table) -> int:
