@@ -9,7 +9,6 @@ import json
 import os
 import re
 import sys
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from support.processes import run_program
 
 GROUPS = (*("laws", "walls", "forces", "monitors", "pictures", "presets"), *("lattices", "liquids"))
 KERNELS = ROOT / "phy124/kernels"
-MOTIONS = ("moving", "still")
 EXTREMES = ("maxima_out", "fastest_out", "range_out", "low_out", "high_out")
 HARMLESS = {f"read-atomic {array}" for array in EXTREMES}
 """Allowed races: a value is compared with a maximum before the maximum is raised atomically."""
@@ -32,8 +30,8 @@ MASSES = {
     *(f"phy124_pair_float32/pair: read-write {nodes}" for nodes in ("first_out", "second_out")),
     "phy124_liquid_spread_float32/spread: read-write velocity_out",
     *(
-        f"phy124_contact_half_space_{wall}_float32/contact: read-write grid_out"
-        for wall in map("_".join, product(("held", "separate", "slip", "sticky"), MOTIONS))
+        f"phy124_contact_half_space_{response}_float32/contact: read-write grid_out"
+        for response in ("held", "separate", "slip", "sticky")
     ),
 }
 """So may this: of the nodes around it a thread reads the masses alone, and those that write the
