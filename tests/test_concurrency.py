@@ -28,15 +28,13 @@ HARMLESS = {f"read-atomic {array}" for array in EXTREMES}
 """Allowed races: a value is compared with a maximum before the maximum is raised atomically."""
 MASSES = {
     *(f"phy124_pair_float32/pair: read-write {nodes}" for nodes in ("first_out", "second_out")),
-    "phy124_liquid_spread_float32/spread: read-write velocity_out",
     *(
         f"phy124_contact_half_space_{response}_float32/contact: read-write grid_out"
         for response in ("held", "separate", "slip", "sticky")
     ),
 }
 """So may this: of the nodes around it a thread reads the masses alone, and those that write the
-velocities of these nodes leave their masses as they are, to the last bit. In the same way, `spread`
-reads the known components of a velocity, whose unknown ones another thread writes."""
+velocities of these nodes leave their masses as they are, to the last bit."""
 ALONE = {
     "phy124_deform_simd/deform_shapes_simd": "rows for the vector units of a CPU",
     "phy124_project_simd/project_simd": "likewise",

@@ -29,12 +29,14 @@ def choose() -> None:
     from phy124.kernels.deform import deform_shapes
     from phy124.kernels.lattice import simd
     from phy124.kernels.splat.shadow import cover
+    from phy124.liquid import projection
     from phy124.motion import deform
     from phy124.mpm import model, solver
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
 
     simd.usable = lambda real, device: False
+    projection.form_on = lambda device: "plain"
     model.form_of = lambda precision, device, gradient="affine": (
         "spline" if gradient == "spline" else "plain"
     )
