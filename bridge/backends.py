@@ -36,7 +36,7 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
 AUTOMATIC = ("rclpy", "dds")
 """Backends that `auto` tries in this order.
 
-Only one is used, because frames would otherwise arrive twice.
+Only one backend is used, because frames would otherwise arrive twice.
 """
 
 

@@ -43,7 +43,7 @@ LARGEST_STEP = 32767
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 OBJECT = "object_id"
 FIRST = 4
-"""Offset of the first splat [bytes]. The number of splats is stored before it."""
+"""Offset of the first splat [bytes], which follows the number of splats."""
 
 
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:

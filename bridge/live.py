@@ -23,8 +23,8 @@ Look = Callable[[Frame], Frame]
 REPORT_EVERY = 5.0
 """Time between two warnings about dropped frames [s]."""
 SLOW = (
-    "%d frames dropped so far: sending is slower than playback. Fewer points (max_points), the "
-    "profile small or a lower rate help."
+    "%d frames dropped so far: sending is slower than playback. Send fewer points "
+    "(max_points), use the profile small, or lower the rate."
 )
 WORDS = ("play", "pause", "toggle", "next", "restart")
 """Commands without a value, each of which is a method of `Player`."""

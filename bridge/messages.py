@@ -180,7 +180,9 @@ TYPE_IDS = {base: number for number, base in enumerate((*INTEGERS, "float32", "f
 TYPE_IDS |= {"bool": 15, "byte": 16, "string": 17}
 """Numbers of the primitives in descriptions of types (REP-2011)."""
 NESTED, BOUNDED_STRING, ARRAY, SEQUENCE = 1, 21, 48, 144
-"""Numbers of other types. Those of arrays and sequences are added to the number of their values."""
+"""Numbers of other types. The number of an array or a sequence is added to the number of its
+values' type.
+"""
 
 
 @dataclass(frozen=True)

@@ -148,8 +148,8 @@ def refuse_unopened(source: Path) -> None:
 class FileWatch:
     """Notices if another program writes into a clip that is being played.
 
-    The arrays of a clip stay in the file. If the file became shorter, reading them would end the
-    process. A file that is deleted or replaced by another file stays readable.
+    The arrays of a clip stay in the file. If the file became shorter, reading the arrays would end
+    the process. A file that is deleted or replaced by another file stays readable.
     """
 
     def __init__(self, path: str | Path) -> None:

@@ -91,7 +91,7 @@ class Studio:
 
     @property
     def forks(self) -> bool:
-        """Whether jobs run in a forked process. If they do, Warp must not start in this process."""
+        """Whether jobs run in a forked process. If so, Warp must not start in this process."""
         return self.work is not steps
 
     @property

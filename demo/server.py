@@ -264,8 +264,8 @@ def without_cors() -> Iterator[None]:
 
     Gradio's middleware would let other sites read the answers of the page.
 
-    If it were removed after the start, all middleware would be built again and lose its counts of
-    streams and requests.
+    If this middleware were removed after the start, all middleware would be built again and lose
+    its counts of streams and requests.
     """
     from gradio import routes
 

@@ -272,7 +272,7 @@ class Visitors:
         their files again.
 
         `late` is the time since the last call in which the server could not process requests, for
-        example because it was suspended [s]. It does not count as silence of the visitors.
+        example because it was suspended [s]. This time does not count as silence of the visitors.
         """
         with self._lock:
             for visitor in self._known.values():

@@ -262,8 +262,9 @@ class Particles:
     there are no bodies on lattices.
     """
     copies: NDArray[np.int8] | None = None
-    """For each cell of a lattice: which copy of each of its 27 nodes it uses [C,27]. Cells are
-    sorted in the same way as their points. None if no node has copies (phy124/particles/pieces.py).
+    """For each cell of a lattice: indices of the copies of its 27 nodes that the cell uses [C,27].
+    Cells are sorted in the same way as their points. None if no node has copies
+    (phy124/particles/pieces.py).
     """
 
     def __len__(self) -> int:

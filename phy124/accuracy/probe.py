@@ -59,7 +59,7 @@ The fastest repetition is used. The two lengths separate the fixed cost of a vid
 frame.
 """
 SHORT_STEP, LONG_STEP = 1e-3, 0.1
-"""Length of a substep if nothing limits it, and length above which nothing limits it [s].
+"""`SHORT_STEP` is assumed if the stable substep at rest is longer than `LONG_STEP` [s].
 
 A viscous liquid at rest may have a stable substep of minutes, until forces act.
 """
@@ -302,8 +302,7 @@ class Pilot:
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """Number of substeps in each frame [T] whose length is determined by each limit, not rounded.
-    """
+    """For each limit: number of substeps per frame whose length it determines [T], not rounded."""
     rest: float
     """Number of substeps per frame that the initial state needs."""
     growth: float

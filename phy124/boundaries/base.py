@@ -25,7 +25,7 @@ from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Signed distance from a wall [cells] below which each node responds alone instead of in a column.
+"""Largest signed distance from a wall [cells] at which a node responds alone, not in a column.
 
 A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If this plane
 lies about 0.65 cells inside the wall, the body therefore rests on the wall's surface. Plastic and

@@ -14,8 +14,8 @@ from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
 DAMPING = 0.04
-"""Damping with which a compressed body does not become inverted when it is suddenly released. The
-unit is density times speed of sound times size.
+"""Damping at which a compressed body that is suddenly released does not become inverted. The unit
+is density times speed of sound times size.
 """
 ALMOST_NONE = 0.1
 """Fraction of this damping below which a body counts as undamped."""

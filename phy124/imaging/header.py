@@ -30,7 +30,7 @@ for FF+ could take quadratic time.
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """Markers of the JPEG segments that contain the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
-"""Pattern of the width and height of an image in HEIC and AVIF files."""
+"""Pattern of the bytes in HEIC and AVIF files that state the image's width and height."""
 Size = tuple[int, int]
 """Width and height of an image [pixels]."""
 

@@ -292,8 +292,8 @@ def assign_objects(
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
     """Return the object index of each Gaussian (None if there are no objects), and notes.
 
-    A Gaussian without an object (`ids` [N] is NaN or negative) is assigned to the object of the
-    Gaussian nearest to it, by the centres [N,3], that has one.
+    If `ids` [N] is NaN or negative, the Gaussian gets the object of the nearest Gaussian that has
+    one, measured between the centres [N,3].
     """
     if ids is None:
         return {}, []

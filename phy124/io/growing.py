@@ -1,10 +1,10 @@
 """Writes the file of a clip during the run: each frame is written as soon as it is computed.
 
 If a run is killed, the file contains the finished frames. At the end of a run, `finish` writes the
-header, which makes the file a valid clip without a copy. The returned frames are memory-mapped
-views of the file, so they take no further memory. The finished clip is a hard link to the file. The
-link is created before the original name is removed, so the frames of a paused run are always on
-disk.
+header, which makes the file a valid clip without a copy. The frames that `put` returns are
+memory-mapped views of the file, so they take no further memory. The finished clip is a hard link to
+the file. The link is created before the original name is removed, so the frames of a paused run are
+always on disk.
 """
 
 from __future__ import annotations

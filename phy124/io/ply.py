@@ -64,7 +64,7 @@ SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
 """Columns that are known, so that there is no note about them.
 
-They are read, not needed (normals), or repeat other columns (red, green, blue).
+These columns are read, are not needed (normals), or repeat other columns (red, green, blue).
 """
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01

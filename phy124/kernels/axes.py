@@ -9,9 +9,7 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""If the trace of a rotation matrix is larger, the angle is below 45 degrees and the axes keep
-their order.
-"""
+"""Trace of a rotation by 45 degrees; if the trace is larger, the axes keep their order."""
 
 
 @wp.func

@@ -85,8 +85,8 @@ def make_settle(real: Any):
     the node's columns request.
 
     `changes_out` contains the sums of the weighted changes and of the weights; the kernel resets
-    these sums to zero. The weight of a column is the size of its change. The mean therefore varies
-    continuously when a column begins to push.
+    these sums to zero. A column's weight is the size of the velocity change that it requests. The
+    mean therefore varies continuously when a column begins to push.
     """
     t = types(real)
 

@@ -82,7 +82,7 @@ NARROWING = wp.constant(1.55)
 to 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""A node further behind a wall than this [cells; negative] gets no mass from a body in front of the
+"""A node behind a wall below this signed distance [cells] gets no mass from a body in front of the
 wall. The body's nearest particles are a quarter of a cell in front of the wall.
 """
 

@@ -32,13 +32,13 @@ LIGHTEST = wp.constant(1e-6)
 """Contact is possible at a node only if both bodies have at least this volume fraction there."""
 NARROWEST = wp.constant(0.05)
 """Smallest volume fraction that counts as a body's interior. The fraction is 1/2 at an edge and 1/4
-at a corner. It is smaller outside the body or around a single particle.
+at a corner. The fraction is smaller outside the body or around a single particle.
 """
 ROUNDING = wp.constant(0.375)
-"""Contact tolerance for curved gaps. Sum the differences between the gaps at the four neighbouring
-nodes and the gap at a node. The node's gap counts as closed if it is at most this fraction of the
-sum. The curvature of a gap between two splines would give 1/4; the larger value is fitted to
-measurements with balls (docs/lab/contact-force.md).
+"""Contact tolerance for curved gaps. A node's gap counts as closed if it is at most this fraction
+of a sum: the gaps at the four neighbouring nodes, each minus the node's gap. The curvature of a gap
+between two splines would give 1/4; the larger value is fitted to measurements with balls
+(docs/lab/contact-force.md).
 """
 STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
 """`STEEPER`: the larger this value, the faster the normal changes from the mean of two slopes to

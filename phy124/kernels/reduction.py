@@ -51,7 +51,7 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 def run_of(node: int) -> int:
     """Return the group of neighbouring GPU threads that add to the same nodes; 0 on the CPU.
 
-    Afterwards, either all threads of a warp must call `add` equally often, or none of them.
+    After this call, either all threads of a warp must call `add` equally often, or none of them.
     """
     ...
 

@@ -74,7 +74,7 @@ class Crew:
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
         self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
-        """Each worker's part of a pool; a pool contains the forces of all workers."""
+        """The slice of each worker in an array (pool) with the forces of all workers."""
         self._pool, self._pushes = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
         )

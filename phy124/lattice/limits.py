@@ -34,7 +34,9 @@ its distance from walls.
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35
-"""If strain rate times substep length is larger, the limits are measured before every substep."""
+"""Product of strain rate and substep length above which the limits are measured before every
+substep.
+"""
 
 
 class Limits:

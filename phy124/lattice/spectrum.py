@@ -31,10 +31,10 @@ materials differ, additional iterations start from an arbitrary shape. `SMALL`: 
 displacements [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
-"""A measurement takes one iteration. It takes `FOLLOWED` iterations if the squared frequency
-exceeds its value at rest by the factor `SQUEEZED`, and the damping ratio of the fastest vibration
-is below `UNDAMPED`. The fastest vibration then moves through the body too fast for single
-iterations, and would grow without viscosity.
+"""A measurement takes one iteration. A measurement in motion takes `FOLLOWED` iterations if the
+squared frequency exceeds its value at rest by the factor `SQUEEZED`, and the damping ratio of the
+fastest vibration is below `UNDAMPED`. The fastest vibration then moves through the body too fast
+for single iterations, and would grow without viscosity.
 """
 MIXED = 0.1
 """Size of the accelerations that are added to the shape before an iteration, relative to the shape.

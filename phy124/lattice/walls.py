@@ -55,9 +55,10 @@ TOUCHING = 0.5
 STEP = 0.5
 """Increment of the distance up to which points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Gain of the speed at which points inside a wall are moved out. Its unit is (pi / 2 H)^2 / dt for
-a body of H cells and substeps dt at rest. A body that stands on the wall has the slowest angular
-frequency pi c / 2 H. Bodies that stick to a wall also rock and shear, at lower frequencies.
+"""Gain of the speed at which points inside a wall are moved out. The unit of the gain is (pi / 2
+H)^2 / dt for a body of H cells and substeps dt at rest. A body that stands on the wall has the
+slowest angular frequency pi c / 2 H. Bodies that stick to a wall also rock and shear, at lower
+frequencies.
 """
 
 

@@ -20,11 +20,11 @@ from phy124.mpm.stage import Repeatable
 MARGIN = 10
 """Margin around the particles in a new window [cells]."""
 LEAST = 5
-"""If the margin around the particles is smaller [cells], the window is renewed. A step moves
-particles by up to two cells, and the B-splines around each particle reach two cells further.
+"""Margin around the particles [cells] below which the window is renewed. A step moves particles by
+up to two cells, and the B-splines around each particle reach two cells further.
 """
 LARGEST = 32
-"""If the margin around the particles is larger [cells], the window is renewed."""
+"""Margin around the particles [cells] above which the window is renewed."""
 FAR = 1e3
 """Distance to the nearest wall [cells] that is stored if no wall is near."""
 

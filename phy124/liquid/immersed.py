@@ -37,7 +37,7 @@ MARGIN = 4
 
 
 class ImmersedClock(MixedClock, LatticeClock):
-    """The clock of the bodies' substeps. It includes the delay of the liquid's velocities."""
+    """The clock of the bodies' substeps, including the delay of the liquid's velocities."""
 
 
 class ImmersedLattices(LatticeSolver):

@@ -140,8 +140,8 @@ class LiquidSolver:
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
         """Largest mean excess of the liquid's density that lasted for two frames, and excess at the
-        end of the last frame, relative to the rest density. Two frames, because an impact
-        compresses the liquid for a moment even if the liquid can expand.
+        end of the last frame, relative to the rest density. A shorter excess does not count,
+        because an impact compresses the liquid for a moment even if the liquid can expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""

@@ -1,9 +1,10 @@
 """PoolDissipation: reports how much energy a liquid and the bodies in it lose to each cause.
 
-The liquid sums the work of each cause on the liquid (phy124/liquid/energies.py). The work of its
-pressure on each body is summed at the body (phy124/liquid/exchange.py). The pressure should take
-from the liquid and from walls what the bodies receive. The difference is the loss by the pressure
-equation; a negative loss is energy that the coupling created.
+The liquid sums the work of each cause on the liquid (phy124/liquid/energies.py). The work of the
+liquid's pressure on each body is summed at the body (phy124/liquid/exchange.py). The energy that
+the pressure takes from the liquid and from walls should equal the energy that the bodies receive.
+The difference is the loss by the pressure equation; a negative loss is energy that the coupling
+created.
 """
 
 from __future__ import annotations

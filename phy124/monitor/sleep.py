@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error due to sleep, relative to the object's size. It is 0.1 pixels for an object of 300
-pixels.
+"""Largest error due to sleep, relative to the object's size. This error is 0.1 pixels if the object
+is 300 pixels large.
 """
 CALM = 1 / 6
 """Particles count as at rest if they have moved less than this fraction of `STILL`."""

@@ -51,7 +51,7 @@ ALONE, STURDY = 1.0, 1e9
 that no particle reaches.
 """
 FAR = 4096
-"""If there are more cubes along an axis, empty space is removed before pieces are labelled."""
+"""Number of cubes along an axis above which empty space is removed before pieces are labelled."""
 MOST = 50_000_000
 """Largest number of cubes; if particles are scattered over more, pieces are not determined."""
 REMEDY = (

@@ -47,9 +47,10 @@ Of 6,500 random scenes, 1 % reached 0.7 %. The worst scene, with two particles w
 in every substep, reached 13 %. An unstable run exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
-"""If the exchange between a liquid and bodies creates more energy, relative to the largest supplied
-energy, a note says so; computed if `checks.energy` is on. In 14 scenes, the largest value is 15 %;
-in 3 scenes with foam or very light bodies, it is 77 to 148 % (docs/design/liquids.md).
+"""Energy created by the exchange between a liquid and bodies, relative to the largest supplied
+energy, above which a note says so; computed if `checks.energy` is on. In 14 scenes, the largest
+value is 15 %; in 3 scenes with foam or very light bodies, it is 77 to 148 %
+(docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to all transferred momentum."""
@@ -63,7 +64,7 @@ LEVEL = 0.05
 least energy to which spurious energy is compared.
 """
 CROWDED = 0.1
-"""If the mean excess of a projected liquid's density is larger, the space between the walls is too
+"""Mean excess of a projected liquid's density above which the space between the walls counts as too
 small.
 """
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
@@ -79,10 +80,10 @@ UNSEEN = 3e-4
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Largest strain per substep due to rounding errors of F.
 
-F grows by dt C F. In a stiff body that rotates slowly, this is less than the last digit of F, so
-rounding strains the body. The measured strain per substep in float32 is 3e-10, at any distance from
-the origin, or 7e-10 with half the `accuracy.cfl`. The energy is quadratic in the strain, and a
-quarter of the energy is tolerated.
+F grows by dt C F. In a stiff body that rotates slowly, F changes in a substep by less than its last
+digit, so rounding strains the body. The measured strain per substep in float32 is 3e-10, at any
+distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy is quadratic in the
+strain, and a quarter of the energy is tolerated.
 """
 FAST = ("solver", "cells", "push", "damping")
 ROUNDED = ("precision",)
@@ -91,9 +92,9 @@ rounding. Remedies that helped most often come first: in five stopped random sce
 another solver helped in 4 of 4, fewer cells and a gentler push in 3 of 4, damping in 0 of 3.
 """
 SWOLLEN = 2.0
-"""A real solid would have fractured at a larger volume ratio."""
+"""Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
-"""At smaller volume ratios, the constitutive law or a push may have caused an instability."""
+"""Volume ratio below which the constitutive law or a push may have caused an instability."""
 
 
 @dataclass

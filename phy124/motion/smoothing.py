@@ -26,8 +26,9 @@ REACH = 1.25
 NEIGHBOURS = 64
 """Largest number of particles with weight."""
 LARGEST = 0.25
-"""Largest distance by which a particle is displaced [cells]. It is more than the height of the
-waves, and too little to close the gap where material has come apart."""
+"""Largest distance by which a particle is displaced [cells]. This distance is larger than the
+height of the waves, but too small to close the gap where material has come apart.
+"""
 
 
 class Smoothing:

@@ -44,7 +44,8 @@ class Team:
         self._barrier: Barrier | None = None
         self._tasks: list[Task | None] = [None, None]
         """The last two tasks, since other members may read a task after the next one has been
-        started. They are not kept when the threads end: a task refers to arrays.
+        started. These tasks are not kept after the threads have ended, because a task refers to
+        arrays.
         """
         self._started = 0
         """Number of tasks that were started since the threads began."""

@@ -164,8 +164,8 @@ class Track:
     period: float = 0.0
     """Time after which the keys repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """True: the track is averaged over each kick and is zero while inactive. False: see the slot's
-    flags.
+    """True: the device uses the mean of the track over each velocity update, and zero while the
+    track is inactive. False: see the slot's flags.
     """
 
     @classmethod

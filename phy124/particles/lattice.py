@@ -31,9 +31,9 @@ SMALLEST, FULLEST = 1e-3, 0.1
 lower: `FULLEST` times the filled fraction of the fullest cell.
 """
 HAZE = 0.005
-"""A cell with a smaller filled fraction contains only stray Gaussians and has no surface points."""
+"""Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1
-"""A voxel with a smaller filled fraction has no surface points if the fraction of a neighbour is at
+"""Filled fraction below which a voxel has no surface points if the fraction of a neighbour is at
 least twice as large.
 """
 SLIVER, THIN_SLIVER = 0.15, 0.05

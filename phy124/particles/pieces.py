@@ -7,7 +7,8 @@ of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova 
 10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-without any connection, such as specks around a body, keep common nodes and move with the body.
+that are not connected with the body at all, such as specks around it, share its nodes and move with
+it.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Steps to a cell or node itself and to its 26 neighbours."""
 LEAST = 0.08
-"""A separate sliver stays a separate piece if its filled fraction is smaller. If it were merged
-with a neighbouring cell, the sliver would spread the points of this cell. With a value of 0.03, a
-thin disc that was pushed turned inside out.
+"""Filled fraction below which a separate sliver stays a separate piece. If the sliver were merged
+with a neighbouring cell, it would spread the points of this cell. With a value of 0.03, a thin disc
+that was pushed turned inside out.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
 """Whether two of these 27 steps lead to neighbours or to one place [27,27]."""
@@ -116,7 +117,7 @@ def find_copies(
         pieces: The E pieces.
         cell: Indices of the cells whose nodes the pieces use [E,3].
         place: Indices of the cells in which the voxels lie [V,3]. For slivers that were merged with
-            another cell, they differ from the cells of the pieces.
+            another cell, these cells differ from the cells of the pieces.
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node
             uses the node's first copy.
     """

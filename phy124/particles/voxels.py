@@ -22,11 +22,11 @@ from phy124.particles.sheets import Planes, fill_sheets
 from phy124.runtime.compiling import compile_missing
 
 SHEET = 0.25
-"""If the gradient of the filled fraction is shorter [1/voxel], a voxel belongs to a sheet and has
-no single outward normal.
+"""Gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet and has no
+single outward normal.
 """
 THIN = 1.2
-"""A thinner part [voxels] counts as a sheet, which has two surfaces in a voxel."""
+"""Thickness [voxels] below which a part counts as a sheet, which has two surfaces in a voxel."""
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
 NOISE, VEIL = 1e-4, 0.15
@@ -192,7 +192,7 @@ class _Surfaces(NamedTuple):
     """Surfaces in V voxels, with positions relative to the middles of the voxels."""
 
     middles: NDArray[np.float64]
-    """A point of each plane, or of each rod's axis [V,3]."""
+    """For each voxel: a point on its plane, or on the axis of its rod [V,3]."""
     axes: NDArray[np.float64]
     """Normals of the planes, or directions of the rods [V,3]."""
     rods: bool = False

@@ -222,8 +222,8 @@ def go_on(
     Args:
         out: The folder of the interrupted run.
         scene: The expected scene of the run; None if any scene is accepted.
-        context: Device, threads, progress and stopwatch. If it sets no number of threads, the
-            previous number is used; with another number, the result differs by rounding errors.
+        context: Device, threads, progress and stopwatch. If the context sets no number of threads,
+            the previous number is used; with another number, the result differs by rounding errors.
         any_accuracy: Whether the accuracies of the run and of `scene` may differ, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
         error: Whether the run's own error is estimated, if that is cheap.

@@ -69,7 +69,7 @@ class Objects(NamedTuple):
     gaussians: Gaussians
     """Gaussians of these objects, with `object_id` if there are several."""
     scene: Scene
-    """The scene. Each of its objects stores the position of the object in its picture."""
+    """The scene. Each object of this scene stores its position in its picture."""
     about: dict[str, Any]
     """Entries for the report that describe how the objects were made."""
 

@@ -100,10 +100,10 @@ def load(
 
     Args:
         path: The file.
-        context: Device, threads, progress and stopwatch. If it sets no number of threads, the
-            previous number is used, and the result is equal bit for bit. With another number, the
-            result differs by rounding errors, and a note is added to the report. The time before
-            the pause is added to the stopwatch.
+        context: Device, threads, progress and stopwatch. If the context sets no number of threads,
+            the previous number is used, and the result is equal bit for bit. With another number,
+            the result differs by rounding errors, and a note is added to the report. The time
+            before the pause is added to the stopwatch.
         frames: The frame file of the run, if it is already open (`frames_of`).
         observers: Classes of observers, as for `prepare`.
 

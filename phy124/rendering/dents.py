@@ -31,8 +31,8 @@ NEAR = 12
 FLOOR = 0.5
 """Light of the sky on a surface that faces down, relative to a surface that faces up."""
 CONTRAST = 1.3
-"""Exponent of the ratio of the lights; the light in a picture is more directed than the lamp and
-the sky together.
+"""Exponent that increases the contrast of the light, since the light in pictures is more directed
+than the light of lamp and sky together.
 """
 RANGE = 0.7, 1.06
 """Smallest and largest factor of the colours."""

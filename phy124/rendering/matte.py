@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0
 
 SMOOTH, WIDE, SPARE = 1.4, 3.0, 6
-"""Standard deviations of the filters for the normals, and for the occlusion, which is applied to
-the result of the first; width of the empty margin around the grains. All in cells."""
+"""Standard deviations of two filters [cells]: for the normals, and for the occlusion (applied after
+the first filter);  and width of the empty margin around the grains.
+"""
 TAILS = 2.5
 """Distance at which the filters are cut off [standard deviations]."""
 MOST = 2_000_000
@@ -32,8 +33,9 @@ SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Light from the sky and, on surfaces that face it, from the lamp: red, green and blue."""
 CERTAIN = 0.03
-"""Gradient of phi per cell above which the normal is certain. In sparse spray it is less certain,
-and the light is closer to `EVEN`."""
+"""Gradient of phi per cell above which the normal is certain. In sparse spray the normal is less
+certain, and the light is closer to `EVEN`.
+"""
 EVEN = 0.8
 """Light of the lamp on material without a normal, relative to a surface that faces the lamp."""
 HOLLOW, DEEP = 0.48, 0.72

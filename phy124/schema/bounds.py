@@ -32,7 +32,7 @@ Push = tuple[_Push, _Push, _Push]
 Direction = tuple[_Direction, _Direction, _Direction]
 """A vector of which only the direction matters."""
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""Value of a time profile, which is a factor."""
+"""A value of a time profile, by which the strength of a force or motion is multiplied."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]

@@ -60,7 +60,8 @@ class Board:
         return (points @ planes[:, :3].T + planes[:, 3]).max(axis=1)
 
     def intersect(self, eye: Field, rays: Field) -> tuple[Field, Field]:
-        """Return where rays [N,3] from the eye enter and leave the board [N], as multiples of them.
+        """Return where rays [N,3] from the eye enter and leave the board [N], in units of the rays'
+        lengths.
 
         For a ray that misses the board, the first value is larger than the second.
         """
@@ -71,9 +72,11 @@ class Board:
         return enter, np.where(speed > 0, cross, np.inf).min(axis=1)
 
     def fold(self, points: Field) -> Field:
-        """Return positions [N,3] relative to the axis, the same on the left and on the right.
+        """Return positions [N,3] relative to the board's axis; mirror images have the same
+        position.
 
-        The same holds for front and back. In flat boards, it also holds for above and below.
+        Left and right are mirror images, and so are front and back. In flat boards, above and below
+        are mirror images, too.
         """
         local, corners = points @ self.axes.T, self.corners @ self.axes.T
         low, high = np.sort(corners[:, 2].round(3))[[0, -1]]

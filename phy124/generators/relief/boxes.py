@@ -42,7 +42,7 @@ YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 MISFIT = 7.0
 """Largest root mean square distance between the corners of box and hexagon [pixels].
 
-It is 2.8 % of the object's longest side, which has 248 pixels.
+This distance is 2.8 % of the object's longest side, which has 248 pixels.
 """
 FARTHER = (2.0, 4.0, 8.0)
 """Distances of cameras with a weaker perspective, relative to that of the front camera."""

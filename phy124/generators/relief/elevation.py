@@ -33,7 +33,9 @@ class Raised:
         return np.array([[1, 0, 0], [0, cosine, sine], [0, -sine, cosine]])
 
     def pixels(self, points: Field) -> Field:
-        """Return the places [N,2] in the image, relative to its centre, of upright points [N,3]."""
+        """Project upright points [N,3] into the image; return positions [N,2] relative to its
+        centre.
+        """
         seen = points @ self.turn.T
         return seen[:, :2] / (1 - seen[:, 2:] / self.distance)
 

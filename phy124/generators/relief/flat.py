@@ -24,7 +24,7 @@ Field = NDArray[np.float64]
 PLAIN = 0.004
 """Smallest variation of the logarithm of the brightness in a photograph.
 
-Drawings in plain colours have less. They show no shading, whatever the object's shape is.
+Drawings in plain colours vary less, and show no shading even if the object is round.
 """
 SHADED = (0.015, 0.018)
 """Contrast of the shading below which the front is flat, and above which it is round."""
@@ -39,9 +39,9 @@ DISC = 0.4
 GROUND, TOUCH, FOOT = 0.1, 0.03, 0.35
 """Height of the lowest part of an object, in which feet and wheels are separate.
 
-The second number is the largest height of a foot's lowest point above the ground. Both are relative
-to the object's height. The third number is the largest width of a foot, relative to that of the
-object.
+The second number is the largest height of a foot's lowest point above the ground. Both numbers are
+relative to the object's height. The third number is the largest width of a foot, relative to that
+of the object.
 """
 SHARPNESS = 4
 """Exponent of the smooth minimum of round shape and limit."""

@@ -23,14 +23,16 @@ from phy124.generators.relief.upright import Profile
 
 Field = NDArray[np.float64]
 ELEVATIONS = np.radians([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
-"""Elevations that are tried first [radians]. An outline that is filled at the last one, such as
-that of a ball, shows no elevation."""
+"""Elevations that are tried first [radians]. If the circles fill the outline even at the last
+elevation, as for a ball, the outline shows no elevation.
+"""
 HALVINGS = 3
 """Number of times the step between these elevations is halved."""
 LEFT, MORE = 0.015, 0.004
 """Largest fraction of the silhouette that the circles leave empty.
 
-The second number is the largest fraction by which this fraction exceeds its minimum.
+The second number is the largest amount by which this fraction exceeds its minimum over all
+elevations.
 """
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
@@ -54,7 +56,7 @@ class Lathe:
     """A solid of revolution, from its base to its lid."""
 
     heights: Field
-    """Heights of its circles above the object's centre [M], pixels."""
+    """Heights of the circles above the object's centre [M], pixels."""
     radii: Field
     """Radii of these circles [M], pixels."""
     camera: Raised

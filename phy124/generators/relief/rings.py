@@ -2,8 +2,9 @@
 
 A ring is an ellipse or a rectangle with rounded corners, turned about a vertical axis. Five values
 describe the ring: the radius and the height of the section's centre, the width and the height of
-the section, and the elevation of the camera. They follow from the edges of the outline and of the
-hole. A silhouette shows a ring if the image of the ring with these values covers the silhouette.
+the section, and the elevation of the camera. The five values follow from the edges of the outline
+and of the hole. A silhouette shows a ring if the image of the ring with these values covers the
+silhouette.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from phy124.generators.relief.shell import DRAWN_IN, Shell
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 LOWEST, HIGHEST = np.radians([3.0, 60.0]).tolist()
-"""Limits of the camera's elevation [radians]. Outside them, a ring may also be standing."""
+"""Limits of the camera's elevation [radians]. At other elevations, the ring may also stand upright.
+"""
 OVERLAP = 0.93
 """Smallest overlap (IoU) of the silhouette with the image of the ring."""
 FACING = 0.2

@@ -3,8 +3,8 @@
 In an image, this edge is interrupted by leaves, candles or a handle. A solid that is rounded at the
 edge, as at the rest of the rim, has a sharp ridge there. To avoid the ridge, the silhouette is cut
 at the edge. Below the cut, the body is extended upwards by its mirror image. Above the cut, the
-other parts are extended downwards. Both are inflated separately, and the body is closed by a
-horizontal plane.
+other parts are extended downwards. Body and parts are inflated separately, and the body is closed
+by a horizontal plane.
 """
 
 from __future__ import annotations
@@ -63,9 +63,11 @@ class Shoulder:
         return self.join(round_thickness(parts, WORK), alpha)
 
     def separate(self, alpha: Field, padding: int) -> Field:
-        """Return the silhouettes [H+N,W] of the parts above the cut, and below it of the body.
+        """Return one image [H+N,W] with two silhouettes: the parts above the cut, and the body
+        below it.
 
-        Both are extended beyond the cut. There are `padding` empty rows between them.
+        Both are extended beyond the cut. There are `padding` empty rows between the two
+        silhouettes.
         """
         above, below = np.where(self._rises(alpha), alpha, 0.0)[: self.row], alpha[self.row :]
         length = min(round(LENGTH * len(alpha)), len(below) - 1)

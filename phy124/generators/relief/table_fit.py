@@ -32,7 +32,8 @@ OVERLAP = 0.85
 """Smallest overlap (IoU) of the silhouette with the image of the table."""
 FIRST, MORE = 0.55, 0.05
 """Smallest overlap of a coarse drawing, and largest amount by which the overlap is assumed to
-increase in the last fit. Before fits, drawings of tables overlap by 0.65 or more, of dogs by 0.5.
+increase in the last fit. Before the fit, a table's silhouette overlaps the best drawing by at least
+0.65, and a dog's by 0.5.
 """
 SIMPLER = 0.01
 """Increase of the overlap that corners, a backrest, or a view from behind must bring."""
@@ -62,7 +63,7 @@ SEEN = (
 USUAL = Sizes(0, 0, 0, 0, 1, 1, 0.12, 0.08, 1, 1, 1, 1, 0.9, 0.95)
 """Usual proportions. Lengths are relative to the half width of the top."""
 CERTAIN = Sizes(4, 0, 0, 0, 0, 1.5, 2, 3, 0, 0, 3, 3, 5, 5)
-"""Weights of these proportions. They matter where the silhouette does not show a value."""
+"""Weights of these proportions in the fit, for values that the silhouette does not show."""
 SQUARE_SEAT = 9.0
 """Weight of the usual depth of a chair, whose seat is about square."""
 STEPS = Sizes(0.02, 0.02, 1, 1, 1, 1, 1, 0.5, 1, 1, 1, 0.02, 0.02, 0.02)
@@ -75,10 +76,10 @@ HIGHEST = 0.69
 THIN, SLENDER, LOW, INWARD = 0.5, 0.2, 0.3, 0.9
 """Limits of a table's proportions, which cars and animals exceed.
 
-They are the largest thickness of the top, relative to the height of the legs; the largest half
-thickness of a leg and the smallest height of the legs, both relative to half the length of a side
-of the top; and the smallest distance of the feet from the centre, relative to that of the legs'
-upper ends.
+The limits are the largest thickness of the top, relative to the height of the legs; the largest
+half thickness of a leg and the smallest height of the legs, both relative to half the length of a
+side of the top; and the smallest distance of the feet from the centre, relative to that of the
+legs' upper ends.
 """
 
 

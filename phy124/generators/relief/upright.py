@@ -36,18 +36,19 @@ Arcs of a ball have larger ratios than the second number.
 WALL = 0.3
 """Smallest height of a drum between its arcs, relative to half the width."""
 MORE = 0.1
-"""Largest difference by which a drum's upper arc is higher than the lower, relative to half of the
-width. From above, the upper circle appears flatter than the lower."""
+"""Largest amount by which a drum's upper arc is higher than its lower arc, relative to half of the
+width. From above, the upper circle appears flatter than the lower.
+"""
 FULL = 0.97
 """The rim of an object is its first row, from the top, with this fraction of the largest width."""
 FLAT_RIM, LOW_RIM = 0.15, 0.5
 """Largest height of a vessel above its rim, relative to its whole height, for any outline.
 
-The second number applies if the outline above the rim is half of an ellipse, but not below it:
-otherwise it is the outline of an egg.
+The second number applies if the outline is half of an ellipse above the rim, but not below it. If
+both halves are ellipses, the outline is that of an egg.
 """
 EGG = 0.9
-"""Smallest height of two arcs, relative to the whole height, that together are an egg."""
+"""Smallest height of the two arcs of an egg together, relative to the whole height."""
 NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
 """Largest width of a vessel near its foot, relative to its largest width; a drum is wider.
 
@@ -57,9 +58,10 @@ number is the largest amount by which the vessel may become wider below its rim.
 UPPER, TIP_HEIGHT, TAPERED, HIGHER = 0.22, 0.1, 0.46, 0.6
 """Limits of outlines that end in a tip, such as those of shields and briefs.
 
-The rim is in this fraction of the height, from the top. Near the tip, at the second fraction of the
-height, the width is at most the third fraction of the largest width. The last number is the
-smallest ratio of height to width. Lower outlines may be those of bowls without a foot.
+The first number is the upper fraction of the height, in which the rim must lie. The second number
+is a height near the tip, relative to the object's height. At this height, the width is at most the
+third number times the largest width. The last number is the smallest ratio of height to width.
+Lower outlines may be those of bowls without a foot.
 """
 STEP, SPAN = 0.12, 0.03
 """Largest decrease of half the width of a vessel over a short height, relative to its maximum.
@@ -72,7 +74,7 @@ THIN, REACH = 0.4, 0.05
 The second number is the smallest length by which a handle protrudes, relative to the object's size.
 """
 TIP, POINTED = 0.2, 0.3
-"""Fraction of the length of a protruding part that is its tip.
+"""Length of the tip of a protruding part, as a fraction of the part's length.
 
 The second number is the largest mean height of the tip, relative to the height of the part, if the
 part is a sharp rim instead of a handle.

@@ -41,8 +41,8 @@ def vessel_shell(
         rng: Random number generator.
         elevation: Angle above the horizontal from which the picture was taken [degrees]; None: as
             the outline shows.
-        always: Whether the object is a solid of revolution, whatever its outline shows. Without
-            a known elevation, it is then assumed to be seen from the front.
+        always: Whether the object is a solid of revolution, whatever its outline shows. If the
+            elevation is unknown, such an object is assumed to be seen from the front.
     """
     object_mask = rgba[..., 3] > 0.5
     body = upright_body(object_mask)

@@ -76,7 +76,7 @@ READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
 """Attributes for which there is no note.
 
-COLOR_0 is not read, because it is meant for readers without the extension.
+COLOR_0 is not read, because it is meant for programs that do not support the extension.
 """
 
 

@@ -6,11 +6,11 @@ body's surface, as at a wall. Along the normal n, a node takes on this velocity 
 approaches the surface. Across n, the node takes on this velocity as far as Coulomb friction allows.
 The velocities of the body and the nodes are computed together. A light body that exchanged momentum
 with one node after the other would not come to rest. Let u = V + w x r be the surface velocity at a
-node of mass m. The impulse on the node is m W (u' - v), with the velocity u' after the exchange. W
-is 1 along n, and between 0 and 1 across n. With u = B (V, w), the body's motion (V', w') after the
-exchange follows from six equations: (M + sum B^T m W B) (V', w') = M (V, w) + sum B^T m W v.
-`assemble` computes the sums, and `solve` the solution. The solution of the previous iteration
-determines whether a node approaches the surface, and how much friction acts on the node
+node of mass m. After the exchange, this velocity is u', and the impulse on the node is m W (u' -
+v). The matrix W is 1 along n, and between 0 and 1 across n. With u = B (V, w), the body's motion
+(V', w') after the exchange follows from six equations: (M + sum B^T m W B) (V', w') = M (V, w) +
+sum B^T m W v. `assemble` computes the sums, and `solve` the solution. The solution of the previous
+iteration determines whether a node approaches the surface, and how much friction acts on the node
 (semi-smooth Newton method). For any W, the exchange conserves momentum and angular momentum and
 adds no energy. The impulses are rounded to the precision of the nodes before their sum is
 subtracted from the body's momentum. Momentum is therefore conserved up to the rounding of the sum.

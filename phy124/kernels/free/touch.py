@@ -27,8 +27,7 @@ ROUND = wp.constant(0.6)
 value is fitted to a ball on a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""If the slope of a box's volume fraction [1/cell] is smaller, the nearest face's normal is used.
-"""
+"""Slope of a box's volume fraction [1/cell] below which the normal of the nearest face is used."""
 
 
 @wp.func

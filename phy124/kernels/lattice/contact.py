@@ -132,8 +132,8 @@ def make_resist(response: str, real: Any, rows: Rows):
     """Single-thread kernel: one forward and one backward projected Gauss-Seidel sweep over the
     points near a wall.
 
-    The wall moves at the rate of the track `slot`. Slot 0 has no rate, so pairs of points, for
-    which `gap` is relative to the opposite position, use slot 0.
+    The wall moves at the rate of the track `slot`. Pairs of points use slot 0, which has no rate,
+    because their `gap` is relative to the opposite position.
 
     Args:
         response: separate (may leave, with friction), slip (stays without friction) or sticky.
@@ -205,11 +205,10 @@ def make_meet(real: Any, rows: Rows):
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the
     vector from the opposite position to the point. The opposite position follows the point along
-    the surface, so that the pair's impulses have no moment. If the opposite position moves along
-    the surface, the same displacement in the body at rest is `back` times the displacement along
-    the surface. The weights of the position change by `slopes` times the displacement at rest. A
-    pair is ignored if a position moves farther than `far`, or if the points are farther apart than
-    `reach`.
+    the surface, so that the pair's impulses have no moment. `back` converts a displacement of the
+    opposite position along the surface to the body at rest. The weights of the position change by
+    `slopes` times the displacement at rest. A pair is ignored if a position moves farther than
+    `far`, or if the points are farther apart than `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

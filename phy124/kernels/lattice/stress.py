@@ -32,8 +32,9 @@ QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""
 STEEPEST = wp.constant(6.0)
 """Upper bound, per cell squared, of the sum of |dw/dx|^2 / w over the nodes of a point, for w along
-one axis. It limits the rate at which the viscosity stops a compression. The mass of a node is at
-least the sum of w m over its points, so the limit does not depend on how much of a cell is filled.
+one axis. The bound limits the rate at which the viscosity stops a compression. The mass of a node
+is at least the sum of w m over its points, so the limit does not depend on how much of a cell is
+filled.
 """
 
 

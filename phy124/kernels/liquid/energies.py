@@ -23,9 +23,9 @@ VISCOUS, PRESSED, SHIFTED = 0, 1, 2
 uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
-"""Indices of the walls' work up to three phases of a step, computed with the velocities of the
-walls. The next index after each of these is the walls' work computed with the velocities of the
-liquid, as in `WallImpulses`.
+"""Indices of three sums: the work of walls from the start of a step up to each of three phases,
+computed with the velocities of the walls. The next index after each of these is the walls' work
+computed with the velocities of the liquid, as in `WallImpulses`.
 """
 COUNT = 9
 """Total number of work sums."""

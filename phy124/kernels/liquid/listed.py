@@ -1,7 +1,7 @@
 """Lists the cells of liquid, and divides the list into parts.
 
-The list is in memory order. It has parts of equal length: one part per CPU thread, or many parts on
-a GPU. Sums are added part by part, so a result depends only on the number of parts.
+The list is in memory order. The list has parts of equal length: one part per CPU thread, or many
+parts on a GPU. Sums are added part by part, so a result depends only on the number of parts.
 """
 
 import warp as wp

@@ -11,7 +11,7 @@ from phy124.kernels.liquid.faces import cell_at, inner, local
 from phy124.kernels.liquid.walls import GAP, point, speed_of, to_frame, to_world
 
 NEAR = wp.constant(1.5)
-"""A particle may be behind a wall after a step only if its distance was less than this [cells]."""
+"""Largest distance from a wall [cells] at which a particle may get behind the wall in a step."""
 
 
 @build_once

@@ -23,7 +23,7 @@ SHUT = wp.constant(1.0e-3)
 GAP = wp.constant(0.02)
 """Particles inside a wall are moved to this distance in front of the wall [cells]."""
 DISTANT = wp.constant(2.0)
-"""A wall that is farther away [cells] closes no part of a cell or of a face."""
+"""Distance [cells] beyond which a wall closes no part of a cell or of a face."""
 
 
 @wp.func

@@ -1,7 +1,7 @@
 """Blends splats front to back: one thread per pixel (CUDA), or per tile in Python or C++ (CPUs).
 
 Both versions with one thread per tile use the same algorithm; tests/test_render.py compares their
-results. `gather_pixels` is the adjoint. For each splat, it sums the pixels' values, weighted by the
+results. `gather_pixels` is the adjoint: for each splat, it sums the pixels' values, weighted by the
 splat's contribution to each pixel.
 """
 

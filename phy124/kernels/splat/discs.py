@@ -100,7 +100,7 @@ THIN = wp.constant(0.2)
 SPRAY = wp.constant(0.6)
 """Fraction of the pale colour in a drop."""
 FAR = wp.constant(1.0e9)
-"""Distance from the nearest wall if there are no walls."""
+"""Value of the distance from the nearest wall if there are no walls."""
 
 
 @wp.struct

@@ -31,7 +31,9 @@ random differences dominate. For example, with a step of 0.01, the derivatives o
 motion with respect to nu were up to nine times too large.
 """
 END = 0.005
-"""Values this near to an end of their range, as a fraction of the range, cause a warning."""
+"""Distance from an end of the range, as a fraction of the range, below which a value causes a
+warning.
+"""
 
 
 @dataclass(frozen=True)

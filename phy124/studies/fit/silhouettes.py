@@ -100,8 +100,9 @@ def _blocks(shape: tuple[int, ...]) -> Groups:
 ALIGN_BLUR = 2.0
 """Standard deviation of the filter that blurs silhouettes during alignment [pixels]."""
 STEP, LONGEST_STEP, SETTLED, ROUNDS = 0.5, 8.0, 0.01, 20
-"""Step of central differences, maximum step, step length below which the alignment ends [pixels],
-and maximum number of steps."""
+"""Parameters of the alignment: distance for central differences, longest step, step length below
+which the alignment ends [pixels], and maximum number of steps.
+"""
 LEAST = 0.6
 """Smallest allowed intersection over union of two aligned silhouettes.
 

@@ -22,7 +22,7 @@ from phy124.studies.sweep.work import Row, make_static
 TRIED = 8
 """Maximum number of clips from which the sweep is forecast."""
 NUMBERS = 10
-"""Numbers stored per Gaussian and frame of a clip, for its position, rotation and scale."""
+"""Number of values that a clip stores per Gaussian and frame: position, rotation and scale."""
 
 
 class Expected(NamedTuple):

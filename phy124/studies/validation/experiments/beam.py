@@ -59,7 +59,9 @@ REST = 1.6
 PIECES = 40
 """Mean number of velocity reductions per period of the beam's first mode."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Its multiples, modulo 1, never repeat; they vary the times between velocity reductions."""
+"""The multiples of this number, modulo 1, never repeat; they vary the times between velocity
+reductions.
+"""
 
 Bending = Callable[[float, Keyframes, Region], Force]
 """Function that creates a force from the beam's width [m], a profile and the tip's region."""

@@ -121,7 +121,7 @@ def heap(setting: Setting) -> list[Check]:
         result = slope(s)
         checks += [
             at_most(f"heap with {angle:g} degrees: error of its slope", abs(result - angle), 2.0),
-            at_most("displacement in 0.2 s / R that 99 % do not exceed", moved / HEAP, 0.003),
+            at_most("99th percentile of the displacement in 0.2 s / R", moved / HEAP, 0.003),
         ]
     s = cone(25.0, 45.0, cells, setting)
     s.advance(1.0)

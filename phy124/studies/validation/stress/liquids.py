@@ -93,10 +93,10 @@ def bodies(setting: Setting) -> list[Check]:
 
 
 def bodies_on_lattices(setting: Setting) -> list[Check]:
-    """Check the same bodies on lattices, and that a stone on the floor is as light as it should be.
+    """Check the same bodies on lattices, and the buoyancy of a stone on the floor.
 
-    The energy is compared in every frame. Without damping, the body of a hundredth of the density
-    would be simulated by MPM (`phy124.scene.lattices`).
+    The energy is compared in every frame. An undamped body with a hundredth of the density would be
+    simulated by MPM (`phy124.scene.lattices`).
     """
     checks = []
     for name, density, E in BODIES:
