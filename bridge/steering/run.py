@@ -52,7 +52,7 @@ def checked_duration(name: str, seconds: float) -> float:
 class SteeredRun:
     """A live run that other programs push, pause, step and reset.
 
-    Sinks show it like a playback.
+    Sinks show such a run like a playback.
     """
 
     rate: float | None = None

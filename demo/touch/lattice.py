@@ -1,7 +1,7 @@
 """Encode a live run for the browser: first the binding, then lattice and walls in each frame.
 
-A binding contains the constant data of each Gaussian. A frame contains the data of each node. Both
-are little-endian and planar (array after array):
+A binding contains the constant data of each Gaussian. A frame contains the data of each node.
+Binding and frame are little-endian and planar (array after array):
 
     binding  position at rest [N,3] float32, covariance at rest [N,6] float32 (xx xy xz yy yz zz),
              largest stretch [N] float32, nodes at rest [P,3] float32, nodes of each Gaussian [N,8]

@@ -289,9 +289,9 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS, ON_LATTICE = 0.8, 1.2
-"""Exponents for the additional substeps that a motion needs compared with the rest state. Their
-number is assumed to be proportional to cells^(1 + EXCESS), and on lattices to cells^(1 +
-ON_LATTICE).
+"""Exponents for the additional substeps that a motion needs compared with the rest state. The
+number of additional substeps is assumed to be proportional to cells^(1 + EXCESS), and on lattices
+to cells^(1 + ON_LATTICE).
 """
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 

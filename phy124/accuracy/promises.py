@@ -146,8 +146,8 @@ def promise(
         scene: The scene.
         proportions: Proportions of the object (`phy124.particles.thickness`). If None, they are
             read from the report, if possible.
-        report: The report of the scene's run. It may contain the estimated error, the error that
-            was measured for a goal, or a reason why no bound holds.
+        report: The report of the scene's run. The report may contain the estimated error, the error
+            that was measured for a goal, or a reason why no bound holds.
     """
     if report and (settled := _promise_of_run(report)):
         return settled

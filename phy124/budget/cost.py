@@ -59,7 +59,7 @@ BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""
 AT_REST = 450
-"""Memory per Gaussian while it is bound, deformed and drawn [bytes]. It was measured in
+"""Memory per Gaussian while it is bound, deformed and drawn [bytes], as measured in
 docs/lab/sizes.md.
 """
 HELD = 256e6

@@ -133,8 +133,8 @@ class PictureOptions:
     )
     reading: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)
     gaussians: int | None = None
-    """Number of Gaussians. It is approximate for relief (default 50,000), and a maximum for other
-    generators.
+    """Number of Gaussians. The number is approximate for relief (default 50,000), and a maximum for
+    other generators.
     """
     cutting: Annotated[CutoutOptions, tyro.conf.arg(name="")] = field(default_factory=CutoutOptions)
     depth: Annotated[DepthMap, tyro.conf.arg(name="")] = field(default_factory=DepthMap)

@@ -4,8 +4,8 @@ The HTML file contains a P4D file (phy124/io/formats/lattice4d.py). In fluids, f
 motion of a lattice does not describe the shapes of the Gaussians. In this case, the HTML file
 contains a pack instead. A pack is the gzip of: header length (uint32, little-endian), header
 (JSON), then the arrays below. Arrays are planar (component after component). Arrays that change
-over time are marked with T. They store the differences between frames, modulo the range of the
-type, because gzip compresses differences much better:
+over time are marked with T. Such arrays store the differences between frames, modulo the range of
+the type, because gzip compresses differences much better:
 
     colour    [N,4]     uint8    red, green, blue, opacity; harmonics of degree 0 only
     rest      [N,3]     float32  scales at rest, m

@@ -1,10 +1,10 @@
 """Arranges copies of nodes in memory so that each cell still uses rows of three nodes along z.
 
 A node has copies if separate pieces of a body lie in the support of the node
-(phy124/particles/pieces.py). A node may belong to several rows of three nodes, in which different
-copies follow the node. Each of these rows is stored separately and repeats the common node. A
-repeated node is tied, with weight 1, to the node that it repeats, so it is treated like other tied
-nodes.
+(phy124/particles/pieces.py). A node may belong to several rows of three nodes. The next node in
+each row may be a different copy. Each of these rows is stored separately and repeats the common
+node. A repeated node is tied, with weight 1, to the node that it repeats, so it is treated like
+other tied nodes.
 """
 
 from __future__ import annotations

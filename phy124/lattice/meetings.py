@@ -1,7 +1,7 @@
 """Meetings: computes all contact between bodies, and of each body with itself.
 
 A sample of the surface points shows whether two bodies, or two parts of a body, are near each
-other. If they are not, nothing else is computed.
+other. If no parts are near each other, nothing else is computed.
 """
 
 from __future__ import annotations

@@ -293,9 +293,9 @@ class LiquidSolver:
     def start(self) -> None:
         """Move particles out of walls, and restore the rest density, without changing velocities.
 
-        The observers must have been bound, because the first window records all of their sums.
-        At the start of a run, particles may be slightly inside a wall, or nearer to the wall than
-        in any later step. They may also be closer to each other than at rest. The energy balance
+        The observers must have been bound, because the first window records all of their sums. At
+        the start of a run, particles may be slightly inside a wall, or nearer to the wall than in
+        any later step. Particles may also be closer to each other than at rest. The energy balance
         should not include the lift out of a floor or out of a crowded tank.
         """
         self._fit()

@@ -52,9 +52,9 @@ class Material(Section):
     """Whether the interior must be drawn, because the material separates into grains or drops."""
 
     dents: ClassVar[bool] = False
-    """Whether the material is a solid that keeps dents. Its motion is smoothed before Gaussians
-    follow it (phy124/motion/smoothing.py). Without gloss, the light in videos follows its shape
-    (phy124/rendering/dents.py).
+    """Whether the material is a solid that keeps dents. The motion of such a solid is smoothed
+    before Gaussians follow it (phy124/motion/smoothing.py). Without gloss, the light in videos
+    follows its shape (phy124/rendering/dents.py).
     """
 
     crumbles: ClassVar[bool] = False

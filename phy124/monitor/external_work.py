@@ -37,8 +37,8 @@ STAGE = "external work"
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
 """Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Further causes: forces on points, and walls, on lattices and projected liquids. Their work is
-computed with the mean velocities of a step.
+"""Further causes: forces on points, and walls, on lattices and projected liquids. The work of these
+causes is computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16

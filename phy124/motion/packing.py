@@ -1,8 +1,8 @@
 """Packs a motion into bytes: static arrays without loss, moving arrays with rounding.
 
-Every array is stored as differences. Their bytes of equal significance are grouped and compressed
-by Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Differences are
-taken in time, and along a Hilbert curve through the particles at rest.
+Every array is stored as differences. Bytes of equal significance are grouped and compressed by
+Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Differences are taken
+in time, and along a Hilbert curve through the particles at rest.
 """
 
 from __future__ import annotations

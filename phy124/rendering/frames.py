@@ -58,8 +58,8 @@ def render_frames(
             used.
         background: Colour behind the Gaussians, 0..1. None means no background.
         device: Warp's name of the device. The default is CUDA if there is a CUDA device.
-        light: Function that returns a frame as a camera sees it, such as `Shine.illuminate`. The
-            threads call it, several at the same time.
+        light: Function that returns a frame as a camera sees it, such as `Shine.illuminate`.
+            Several threads may call this function at the same time.
         stage: Function that returns the stage of a frame. The stage replaces the background.
         filter: Anti-aliasing filter, one of `FILTERS`.
         threads: Number of frames that are rendered at the same time on a CPU, where each kernel

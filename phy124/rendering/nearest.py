@@ -229,8 +229,8 @@ def place_along(
         sample: The object in motion.
         cameras: A camera for each frame. The camera defines the orientation and the field of view.
             If the cameras turn during the clip, it also defines the target.
-        still: The nearest positions that show the whole motion. Their zoom is used and, if the
-            cameras turn, also their target.
+        still: The nearest positions that show the whole motion. The zoom of these positions is used
+            and, if the cameras turn, also the target.
         window: Number of frames before and after a frame that the frame's camera also shows.
 
     Returns:

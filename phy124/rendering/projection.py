@@ -19,8 +19,8 @@ FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 
 The first value is added to the screen covariance [px^2]. The second value states whether opacity is
 reduced to compensate for the larger covariance. 3D Gaussian Splatting does not reduce the opacity,
-which thickens thin objects seen from far away. Mip-Splatting reduces it (Yu et al. 2024, section
-4.2).
+which thickens thin objects seen from far away. Mip-Splatting reduces the opacity (Yu et al. 2024,
+section 4.2).
 """
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""

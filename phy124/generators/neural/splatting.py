@@ -2,8 +2,9 @@
 
 Sources: Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002
 (EWA). This reference implementation uses plain torch and processes the tiles one after the other.
-Use it for small images and for gradients on the CPU. On CUDA devices, gsplat (the extra `gpu`) is
-used instead if it is installed. Video frames are rendered by `phy124.rendering.render`.
+The implementation is suitable for small images and for gradients on the CPU. On CUDA devices,
+gsplat (the extra `gpu`) is used instead if it is installed. Video frames are rendered by
+`phy124.rendering.render`.
 """
 
 from __future__ import annotations

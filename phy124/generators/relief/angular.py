@@ -1,8 +1,8 @@
 """Recognises objects with straight vertical and horizontal edges: appliances, buildings, clothes.
 
-Their outlines are often symmetric, like those of solids of revolution. Between the two ends of a
-solid of revolution, however, few edges are horizontal, and light changes its brightness from one
-side to the other.
+The outlines of these objects are often symmetric, like those of solids of revolution. Between the
+two ends of a solid of revolution, however, few edges are horizontal, and light changes its
+brightness from one side to the other.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ Field = NDArray[np.float64]
 REACH = 0.2
 """Depth behind the rim over which colours change from the mirrored image to the back.
 
-It is relative to the image's size.
+The unit is the size of the image.
 """
 STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
 """Blur of the image per unit of stretch, and available levels of blur [pixels].

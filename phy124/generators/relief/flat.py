@@ -32,7 +32,7 @@ RADII = (0.1, 0.15, 0.22, 0.3, 0.4, 0.45)
 HALVES = (0.03, 0.04, 0.08, 0.24, 0.24, 0.08)
 """Radii of the largest inscribed disc, and half thicknesses of flat objects with these radii.
 
-Both are relative to the image's size.
+Radii and half thicknesses are relative to the image's size.
 """
 DISC = 0.4
 """Relative radius above which the outline is close to a disc."""

@@ -66,7 +66,7 @@ class Shoulder:
         """Return one image [H+N,W] with two silhouettes: the parts above the cut, and the body
         below it.
 
-        Both are extended beyond the cut. There are `padding` empty rows between the two
+        Both silhouettes are extended beyond the cut. There are `padding` empty rows between the two
         silhouettes.
         """
         above, below = np.where(self._rises(alpha), alpha, 0.0)[: self.row], alpha[self.row :]

@@ -53,7 +53,7 @@ CARD = 0.12
 BLOCK = 0.8
 """Largest depth behind a block's rim over which colours change from the mirrored image to the back.
 
-It is relative to half the block's depth.
+The unit is half the block's depth.
 """
 
 Field = NDArray[np.float64]

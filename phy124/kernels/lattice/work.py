@@ -101,8 +101,8 @@ def make_push_work(real: Any):
 
 @build_once
 def make_contact_work(real: Any):
-    """Single-thread kernel: adds three kinds of work of impulses on points to the sums from index
-    `at` on.
+    """Single-thread kernel: computes three kinds of work of the impulses on points; adds them to
+    the sums `at`, `at` + 1 and `at` + 2.
 
     The three kinds are the work of the wall's motion, of the normal component of the impulses, and
     of friction.

@@ -1,8 +1,8 @@
 """Makes clips in this process, or on Ray workers on this machine or on a cluster.
 
 Ray stores data that several tasks use, repeats tasks whose workers die, and recomputes data that is
-lost when a node fails. This process submits only a few tasks per worker at a time. Its memory
-therefore does not grow with the number of clips.
+lost when a node fails. This process submits only a few tasks per worker at a time. The memory of
+this process therefore does not grow with the number of clips.
 """
 
 from __future__ import annotations

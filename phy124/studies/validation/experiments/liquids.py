@@ -144,10 +144,10 @@ SLOSHING = Experiment(
     name="sloshing",
     title="Sloshing in a tank",
     source="Linear theory of waves (Lamb 1932, § 228): ω² = g k tanh(k h), k = π / L",
-    measured="The water in a smooth tank is half as deep as the tank is long. It oscillates in "
-    "its first mode with an initial amplitude of 5 % of the length. The experiment measures the "
-    "frequency over 5 periods [Hz], and the final height of the centre of mass divided by the "
-    "depth.",
+    measured="The water in a smooth tank is half as deep as the tank is long. The water "
+    "oscillates in its first mode with an initial amplitude of 5 % of the length. The "
+    "experiment measures the frequency over 5 periods [Hz], and the final height of "
+    "the centre of mass divided by the depth.",
     band="±1 %; a wave of this height is about 0.3 % slower than a small wave",
     published=lambda: (
         Quantity.within("frequency", frequency(), 0.01),
@@ -185,10 +185,11 @@ SPREADING = Experiment(
     name="spreading",
     title="Spreading of a viscous heap",
     source="Huppert 1982: r = 0.894 (g V³ / 3ν)^(1/8) t^(1/8), which his experiments confirm",
-    measured="A heap six times as wide as it is high spreads on a no-slip floor. It starts with "
-    "the shape of the similarity solution at the time t₀ when this solution has the heap's "
-    "height, and spreads until 4 t₀. The prefactor and the exponent of the heap's radius are "
-    "measured in the second half of this time (on a logarithmic scale).",
+    measured="A heap six times as wide as it is high spreads on a no-slip floor. The heap "
+    "starts with the shape of the similarity solution at the time t₀ when this "
+    "solution has the heap's height, and spreads until 4 t₀. The prefactor and the "
+    "exponent of the heap's radius are measured in the second half of this time (on a "
+    "logarithmic scale).",
     band="prefactor: ±2 %, exponent: ±5 %; the theory neglects inertia and the slope of the "
     "surface, which change the rate of spreading by about 3 %",
     published=lambda: (
