@@ -218,6 +218,41 @@ def test_torn_liquid_is_drawn_as_round_drops(solid):
     assert (calm.opacities > 0).mean() > 0.6, "an object that is thin at rest is none"
 
 
+def test_fast_liquid_in_the_air_is_foam_where_it_thins(solid):
+    floor = Planes(np.array([[0, 0, 1.0]]), np.array([-0.6]))
+    liquid = Liquid(solid, 2 * CELL, 0.1, floor)
+    fast, slow = np.full(len(solid), 3.0), np.full(len(solid), 0.3)
+
+    def whiteness(x, speeds):
+        """Mean brightness of the darkest channel of what is drawn."""
+        drawn = liquid.shape(still(x), floor, speeds)
+        return np.average(drawn.rgb.min(axis=1), weights=drawn.opacities)
+
+    sheet = solid * [1.5, 1.5, 0.1]
+    clear = whiteness(sheet, slow)
+    assert clear == whiteness(sheet, None) and whiteness(sheet, fast) > clear + 0.1
+    for calm in (solid, sheet - [0, 0, 0.58]):  # at rest, and as a film on the floor
+        assert whiteness(calm, fast) == pytest.approx(whiteness(calm, slow), abs=0.02)
+    drawn = liquid.shape(still(sheet), floor, fast)
+    flecks = (drawn.scales[:, 2] == drawn.scales[:, 0]) & (drawn.opacities > 0.8)
+    assert 0.05 < flecks.mean() < 0.3 and not drawn.normals[flecks].any()
+    assert np.median(drawn.rgb[flecks].min(axis=1)) > 0.8
+
+
+@pytest.mark.parametrize(("viscosity", "foams"), [(0.0, True), (10.0, False)])
+def test_a_viscous_liquid_has_no_foam(viscosity, foams):
+    scene = Scene.named("drop").replaced({**SMALL, "material.law": "fluid"})
+    scene = scene.replaced({"material.viscosity": viscosity})
+    clip = Simulation(prepare(ball(600), scene, RunContext(threads=1))).run()
+    shine = Shine(clip)
+    assert shine.needs_velocities == foams
+    moving = clip.frame(1, velocities=True)
+    shapes = [shine.shape(frame).gaussians.rgb for frame in (moving, clip.frame(1))]
+    np.testing.assert_array_equal(*shapes, "velocities are computed if a frame lacks them")
+    fast = replace(moving, velocities=moving.velocities + 5)
+    assert (Shine(clip).shape(fast).gaussians.rgb != shapes[0]).any() == foams
+
+
 def test_a_surface_shines_where_it_mirrors_the_lamp():
     towards, normals = np.array([[1.0, 0, 0]] * 2), np.array([[1.0, 0, 0]] * 2)
     half = LAMP + towards[0]

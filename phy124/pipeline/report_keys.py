@@ -316,8 +316,8 @@ class Report(TypedDict):
     shine: dict[str, Any]
     """Per constitutive law: index ranges of the Gaussians that are drawn with gloss."""
     liquids: list[dict[str, Any]]
-    """Per liquid: index ranges of the liquid's Gaussians (`runs`), and the liquid's `visibility`
-    [m].
+    """Per liquid: index ranges of the liquid's Gaussians (`runs`), the volume of a Gaussian in each
+    range (`volumes`) [m^3], and the liquid's `visibility` [m] and `viscosity` [Pa s].
     """
     matte: list[dict[str, Any]]
     """Per tinted material of grains: index ranges of the Gaussians that a lamp lights (`runs`), and

@@ -249,7 +249,9 @@ def _images(
 ) -> Generator[Picture, None, None]:
     """Render the pictures of all sides, frame by frame."""
     seen = list(zip(*(cameras(clip, view, side) for side in sides), strict=True))
-    frames = context.watch.each("deform", (clip.frame(k) for k in loop.order))
+    moving = shine is not None and shine.needs_velocities
+    read = (clip.frame(k, velocities=moving) for k in loop.order)
+    frames = context.watch.each("deform", read)
     shown = (frame for frame in frames for _ in sides)
     return render_frames(
         shown,

@@ -7,8 +7,9 @@ drawn. Gaussians in thin spray become balls. Near flat walls, phi is the filled 
 space in front of the walls. Gaussians that are closer to a wall than to the free surface move onto
 the wall. The opacity of a disc follows from the thickness of the liquid behind the disc
 (Beer-Lambert). Each face of a layer has half of the layer's optical depth, divided by the number of
-overlapping discs. A thin film on a wall has only one face. The steps for single Gaussians are
-kernels (`phy124.kernels.splat.discs`).
+overlapping discs. A thin film on a wall has only one face. Fast liquid in the air that is thinner
+than at rest becomes foam: its discs are white, and some of its Gaussians are small white balls. The
+steps for single Gaussians are kernels (`phy124.kernels.splat.discs`).
 """
 
 from __future__ import annotations
@@ -214,10 +215,16 @@ class Liquid:
         self._volumes = (volumes * np.clip(LEVEL / here, 1, THICKER)).astype(np.float32)
         self._spread = field.sample(field.spread(field.fill(self._volumes)))
 
-    def shape(self, part: Gaussians, planes: Planes = NOWHERE) -> Surface:
-        """Return the liquid's Gaussians, shaped for rendering next to flat walls."""
+    def shape(
+        self, part: Gaussians, planes: Planes = NOWHERE, speeds: NDArray | None = None
+    ) -> Surface:
+        """Return the liquid's Gaussians, shaped for rendering next to flat walls.
+
+        Without the speeds of the Gaussians [N], m/s, the liquid has no foam.
+        """
         field = Field(part.means, self._cell, planes)
         x, n = field.x, len(part)
+        speeds = np.zeros(n) if speeds is None else speeds
         phi = field.fill(self._volumes)
         filled = np.asarray(phi * field.open, np.float32)
         walls = np.column_stack([planes.normals, planes.offsets]).astype(np.float32)
@@ -226,7 +233,7 @@ class Liquid:
         shapes = wp.empty(n, dtype=kind, device="cpu")
         sums: Any = np.zeros((2, *field.size), np.float32)
         fields = [phi, filled, field.slopes(phi), field.spread(phi), field.lengths(filled)]
-        inputs = [walls, per_cell, x, self._volumes, self._spread, *fields]
+        inputs = [walls, per_cell, x, self._volumes, self._spread, speeds, *fields]
         field.launch(discs.find_surface, n, inputs, [shapes, *sums])
         rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)
         drawn = Surface(*(np.empty((n, k) if k > 1 else n, np.float32) for k in WIDTHS))

@@ -37,6 +37,8 @@ LOCKS = 64
 """Number of locks; a lock belongs to every 64th frame."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
+FOAMS = 0.1
+"""Largest viscosity of a liquid with foam [Pa s]."""
 REFRACTION = 1.33
 """Refractive index of liquids."""
 
@@ -72,6 +74,7 @@ class Shine:
 
     def __init__(self, clip: Clip) -> None:
         """Determine from the clip's report which Gaussians are glossy."""
+        self._velocity = clip.velocity
         laws = clip.report.get("shine") or {}
         self._parts = {law: _indices(laws[law]) for law in laws if law in GLOSSES and laws[law]}
         self._cell = float(clip.report.get("grid", {}).get("dx", 0.0))
@@ -80,7 +83,7 @@ class Shine:
         self._planes = _planes(clip) if "fluid" in self._parts else []
         whole = {"runs": laws.get("fluid"), "visibility": None}
         self._liquids = [
-            (_as_slice(which), self._liquid(clip, which, liquid))
+            (_as_slice(which), self._liquid(clip, which, liquid), _foams(liquid))
             for liquid in clip.report.get("liquids") or [whole]
             if "fluid" in self._parts and self._cell > 0 and len(which := _indices(liquid["runs"]))
         ]
@@ -106,6 +109,11 @@ class Shine:
         before = self._planes[0] if self._planes else NOWHERE
         x = _finite(clip.means[0][which])
         return Liquid(x, self._cell, liquid["visibility"], before, volumes)
+
+    @property
+    def needs_velocities(self) -> bool:
+        """Whether frames that contain their velocities are drawn faster, because of foam."""
+        return any(foams for *_, foams in self._liquids)
 
     @property
     def any(self) -> bool:
@@ -178,10 +186,11 @@ class Shine:
                 *(gaussians.opacities.copy(), gaussians.rgb, np.zeros_like(gaussians.means)),
             )
             sh = gaussians.sh.copy()
-            for which, liquid in self._liquids:
+            for which, liquid, foams in self._liquids:
                 part = gaussians.select(which)
                 part = replace(part, means=_finite(part.means))
-                shaped = liquid.shape(part, self._planes[frame.index])
+                speeds = self._speeds(frame, which) if foams else None
+                shaped = liquid.shape(part, self._planes[frame.index], speeds)
                 for whole, values in zip(drawn, shaped, strict=True):
                     whole[which] = values
                 sh[which, 1:], sh[which, 0] = 0, (shaped.rgb - 0.5) / SH_C0
@@ -192,6 +201,11 @@ class Shine:
         gaussians = self._light(self._break_up(gaussians))
         self._keep(frame.index, (gaussians, normals))
         return gaussians, normals
+
+    def _speeds(self, frame: Frame, which: NDArray | slice) -> NDArray | None:
+        """Return the speeds of some Gaussians [n], m/s; None if the clip has a single frame."""
+        v = self._velocity(frame.index) if frame.velocities is None else frame.velocities
+        return None if v is None else np.nan_to_num(_length(v[which])[:, 0])
 
     def _break_up(self, gaussians: Gaussians) -> Gaussians:
         """Return the Gaussians, of which broken material is divided into fragments."""
@@ -310,6 +324,11 @@ def _planes(clip: Clip) -> list[Planes]:
     offsets = [at @ normal for at, normal in zip(points, normals, strict=True)]
     rows = np.array(offsets).reshape(-1, len(clip.times)).T
     return [Planes(normals, row) for row in rows]
+
+
+def _foams(liquid: dict[str, Any]) -> bool:
+    """Return whether a liquid of a report has foam; reports of earlier versions do not tell."""
+    return liquid.get("viscosity", np.inf) <= FOAMS
 
 
 def _indices(runs: Any) -> NDArray[np.int64]:

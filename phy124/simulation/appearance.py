@@ -18,6 +18,8 @@ from phy124.particles import Particles
 from phy124.particles.grains import add_grains, roughen, tint, vary_brightness
 from phy124.scene import Scene
 
+SEEN = {"visibility", "viscosity"}
+"""Properties of a liquid that its appearance depends on."""
 BLOCK = 1 << 15
 """Number of Gaussians that are measured at a time, so that their data stay in the cache."""
 
@@ -58,8 +60,8 @@ class Appearance(NamedTuple):
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return for each liquid its visibility [m] or None, the spans of its Gaussians, and the
-        volume of a Gaussian in each span [m^3].
+        """Return for each liquid its visibility [m] or None, its viscosity [Pa s], the spans of its
+        Gaussians, and the volume of a Gaussian in each span [m^3].
 
         Materials that differ only in their colours are one liquid: they mix, and no surface
         separates them.
@@ -68,7 +70,7 @@ class Appearance(NamedTuple):
         for k, section in enumerate(materials):
             if isinstance(section, Fluid):
                 runs, volumes = self._volumes(k)
-                empty = {"runs": [], "volumes": [], "visibility": section.visibility}
+                empty = {"runs": [], "volumes": [], **section.model_dump(include=SEEN)}
                 liquid = liquids.setdefault(section.model_dump_json(exclude={"tint"}), empty)
                 liquid["runs"] += runs
                 liquid["volumes"] += volumes

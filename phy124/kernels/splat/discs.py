@@ -1,4 +1,4 @@
-"""Shapes the Gaussians of a liquid into discs on its surface, and into balls of spray.
+"""Shapes the Gaussians of a liquid into discs on its surface, and into balls of spray and foam.
 
 `phy124.rendering.liquid` describes the method. A field has one value per cell of a grid, and is
 stored as a flat array. Positions and lengths are in cells of this grid, unless stated otherwise.
@@ -18,6 +18,8 @@ BALL = wp.constant(2)
 """Kind of a Gaussian in dense spray."""
 DROP = wp.constant(3)
 """Kind of a Gaussian that is drawn as a drop."""
+FLECK = wp.constant(4)
+"""Kind of a Gaussian that is drawn as a fleck of foam."""
 BLUR = wp.constant(0.85)
 """Standard deviation of the filter that smooths fields."""
 LEVEL = wp.constant(0.45)
@@ -99,6 +101,31 @@ THIN = wp.constant(0.2)
 """Largest fraction of the pale colour in a thin layer."""
 SPRAY = wp.constant(0.6)
 """Fraction of the pale colour in a drop."""
+FAST = wp.constant(wp.vec2(0.6, 1.5))
+"""Two speeds [m/s], between which foam appears.
+
+The order of magnitude is that of the speed above which water entrains air (Chanson 1996).
+"""
+THINNED = wp.constant(wp.vec2(0.72, 0.92))
+"""Two ratios of the spread to the spread at rest, between which foam disappears."""
+ALOFT = wp.constant(wp.vec2(0.75, 1.5))
+"""Two distances from a wall, between which foam appears."""
+FOAM = wp.constant(wp.vec3(0.96, 0.98, 1.0))
+"""Colour of foam."""
+WHITE = wp.constant(0.9)
+"""Fraction of the colour of foam in a Gaussian that is all foam."""
+MILKY = wp.constant(0.5)
+"""Smallest opacity of a disc that is all foam."""
+THICK = wp.constant(0.65)
+"""Thickness of a disc that is all foam, relative to its radius. The player draws such a thick disc
+without gloss.
+"""
+FLECKED = wp.constant(wp.vec2(0.25, 0.9))
+"""Two fractions of foam, between which flecks appear."""
+FLECKS = wp.constant(0.7)
+"""Largest fraction of a foam's Gaussians that are flecks."""
+LITTLE = wp.constant(wp.vec2(0.07, 0.21))
+"""Standard deviations of the smallest and of the largest fleck."""
 FAR = wp.constant(1.0e9)
 """Value of the distance from the nearest wall if there are no walls."""
 
@@ -130,6 +157,8 @@ class Shape:
     """Fraction of the liquid's face on the wall that is drawn."""
     here: float
     """Value of phi."""
+    foam: float
+    """Fraction of foam in the liquid."""
     shine: float
     """Length of the normal that the reflections use."""
 
@@ -301,6 +330,7 @@ def find_surface(
     means: wp.array(dtype=wp.vec3),  # m
     volumes: wp.array(dtype=float),  # m^3
     rest: wp.array(dtype=float),  # spread at rest
+    speeds: wp.array(dtype=float),  # m/s
     phi: wp.array(dtype=float),  # filled fraction of the space in front of walls
     filled: wp.array(dtype=float),  # filled fraction of cells
     slopes: wp.array(dtype=wp.vec3),  # gradient of phi
@@ -354,6 +384,8 @@ def find_surface(
         move = gap
     spread = spreads[place]
     torn = spread < TORN and spread < THINNER * rest[n] and gap > TOUCH
+    foam = 1.0 - smoothstep(spread / rest[n], THINNED)
+    foam *= smoothstep(speeds[n], FAST) * smoothstep(gap, ALOFT)
     alone = here < ALONE * share or (torn and chance(n) > KEPT)
     fade = float(0.0)
     if not (alone or torn):
@@ -367,13 +399,16 @@ def find_surface(
     shape.fade = fade
     shape.move = move
     shape.normal = outwards
-    shape.shine = 1.0
+    shape.foam = foam
+    shape.shine = 1.0 - foam
     if rim and not wet:
-        shape.shine = RIM
+        shape.shine *= RIM
     if alone:
         shape.kind = DROP
     elif not torn and not thin and fade < 0.5 and here < LEVEL:
         shape.kind = BALL
+    elif fade > 0.0 and chance(n) < FLECKS * smoothstep(foam, FLECKED):
+        shape.kind = FLECK
     elif fade > 0.0:
         shape.kind = DISC
         depth = thickness(lengths[place], outwards) * per_cell / (1.0 + lower)
@@ -456,11 +491,17 @@ def shape_gaussians(
         # stripes.
         depth = interpolate(cells, depths, at) / wp.max(around, 1.0e-6)
         overlapping = wp.max(2.0 * wp.pi * radius * radius * layer, 0.5)
-        opacity = shape.fade * (1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping))
+        opacity = 1.0 - wp.exp(-wp.max(depth, LEAST_DEPTH) / overlapping)
+        opacity = shape.fade * wp.max(opacity, MILKY * shape.foam)
         pale = THIN * wp.exp(-2.0 * depth)
-        scale = radius * wp.vec3(1.0, 1.0, FLAT)
+        scale = radius * wp.vec3(1.0, 1.0, FLAT + shape.foam * (THICK - FLAT))
         quat = turn_to(shape.normal)
         normal = shape.shine * shape.normal
+        mean += shape.move * cells.cell * shape.normal
+    elif shape.kind == FLECK:
+        opacity = 0.9
+        size = LITTLE[0] + chance(n) / FLECKS * (LITTLE[1] - LITTLE[0])
+        scale = size * wp.vec3(1.0, 1.0, 1.0)
         mean += shape.move * cells.cell * shape.normal
     elif shape.kind != HIDDEN:
         share = volumes[n] / (cells.cell * cells.cell * cells.cell)
@@ -479,5 +520,6 @@ def shape_gaussians(
     quats_out[n] = quat
     scales_out[n] = cells.cell * scale
     opacities_out[n] = opacity
-    rgb_out[n] = rgb[n] + pale * (PALE - rgb[n])
+    colour = rgb[n] + pale * (PALE - rgb[n])
+    rgb_out[n] = colour + WHITE * shape.foam * (FOAM - colour)
     normals_out[n] = normal
