@@ -10,8 +10,6 @@ invalid, 3 if the simulation stopped early and its valid frames were saved, 130 
 Errors that a user can correct show no traceback.
 """
 
-from __future__ import annotations
-
 from phy124.runtime.signals import ending, handling, interrupt
 
 with handling(ending(130, "phy124: stopped\n")):  # an error message instead of a traceback

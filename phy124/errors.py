@@ -1,7 +1,5 @@
 """Declares exceptions that do not indicate a bug: bad input, cancellation, partial results."""
 
-from __future__ import annotations
-
 import difflib
 import errno
 from collections.abc import Iterable, Sequence

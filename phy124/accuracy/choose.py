@@ -11,8 +11,6 @@ one more particle per cell and axis. All later levels also use this number of pa
 For a maximum time, the scene is run on the finest grid whose predicted time is within the maximum.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import suppress

@@ -9,8 +9,6 @@ whether to make a companion run does not depend on measured times, so that equal
 reports.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple

@@ -8,8 +8,6 @@ with weights h^-2p (Eca, Hoekstra 2014). The error of a level is h^p e + h^p s (
 Roache 1998). Only the distances between the levels are needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

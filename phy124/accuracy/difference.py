@@ -4,8 +4,6 @@ The difference is stated in metres, as a fraction of the object's size, in pixel
 SSIM.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

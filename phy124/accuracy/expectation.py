@@ -8,8 +8,6 @@ measures the errors, and tests/benchmarks/expectations.py fits the model and wri
 There is no prediction for a scene if no similar scene was measured.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

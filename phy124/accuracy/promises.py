@@ -10,8 +10,6 @@ most"). The bound held for 95 % of the objects and scenes with which it was comp
 percentages of an object's size are formatted by `format_percent`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Computes the properties of a scene that determine its error, such as its severity."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -5,8 +5,6 @@ measurements of the vibration frequency. Therefore, the calls of each stage are 
 run of the whole motion. The duration of a call is measured in a short trial run on the final grid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

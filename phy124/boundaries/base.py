@@ -1,7 +1,5 @@
 """Base class of boundaries. A boundary has a shape, and acts on material that touches the shape."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Refuses runs whose estimated time or memory exceeds the limits, and suggests cheaper settings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

@@ -3,8 +3,6 @@
 Each remedy is sufficient by itself. `phy124 stress` tests the remedies that runs propose.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

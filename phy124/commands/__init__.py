@@ -3,8 +3,6 @@ options, and the method `run` does the work. A command's module is imported only
 run.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator, Mapping
 from functools import cache

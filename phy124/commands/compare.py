@@ -1,7 +1,5 @@
 """`phy124 compare`: measure the difference of two clips, and render both side by side."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """`phy124 convert` and `phy124 export`: write Gaussians and clips for other programs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 This module also declares the picture options of other commands.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from contextlib import ExitStack

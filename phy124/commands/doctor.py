@@ -1,7 +1,5 @@
 """`phy124 doctor` checks this installation."""
 
-from __future__ import annotations
-
 import json
 import platform
 from dataclasses import dataclass

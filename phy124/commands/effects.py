@@ -1,7 +1,5 @@
 """`phy124 effects` and `warm`: list the effects of a scene, compile the kernels of presets."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import dataclass

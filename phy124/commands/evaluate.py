@@ -1,7 +1,5 @@
 """`phy124 evaluate`: measure the quality of a clip."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass

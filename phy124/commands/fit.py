@@ -1,7 +1,5 @@
 """`phy124 fit` estimates material parameters from an observed motion."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`phy124 generate` and `phy124 simulate`: simulate an object from a picture or from Gaussians."""
 
-from __future__ import annotations
-
 import json
 import sys
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Detects the kind of a file, and refuses a file that is meant for another command."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`phy124 orient` draws the Gaussians of a file with each possible up axis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Declares the options for a run's accuracy and time, and prints the forecast before the run."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from typing import Annotated

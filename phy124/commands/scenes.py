@@ -1,7 +1,5 @@
 """`phy124 scenes`: list the presets, or print a preset or the fields of a scene."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass

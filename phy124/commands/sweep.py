@@ -1,7 +1,5 @@
 """`phy124 sweep`: make many clips, on all cores or a cluster."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass

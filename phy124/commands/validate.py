@@ -1,7 +1,5 @@
 """`phy124 validate`: compare the solver with published experiments and theory."""
 
-from __future__ import annotations
-
 import json
 import os
 import platform

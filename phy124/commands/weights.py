@@ -1,7 +1,5 @@
 """`phy124 weights` lists trained weights, and downloads them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

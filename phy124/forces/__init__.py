@@ -4,8 +4,6 @@ Each force is a section of the scene file. `attach` adds a force to a run: its s
 track) and, if it acts on chosen particles only, one stage of the substep.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field, SerializeAsAny

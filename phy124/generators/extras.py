@@ -1,7 +1,5 @@
 """Optional inputs in addition to the front image: a depth map, and images of other sides."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import partial

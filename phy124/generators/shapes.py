@@ -1,7 +1,5 @@
 """Makes simple shapes without an image: a sphere, a box or a capsule of flat Gaussians."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ The bounding box, which defines the object's size, would be much too large. In a
 and its surroundings would move as a single body.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 HEIC, the format of many phones, is decoded by libheif (package pi-heif).
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Segments the object of an image, and warns if the segmentation is implausible."""
 
-from __future__ import annotations
-
 import io
 import os
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Declares the options for segmenting the object of an image."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ program if decoding crashes, never ends or allocates too much memory. The orient
 profile are the only metadata that are read, so damage in other metadata has no effect.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 from typing import Any, NamedTuple

@@ -5,8 +5,6 @@ al. 2024, "Depth Anything V2". The networks receive an image of the object with 
 The scale and the offset of the depth are arbitrary, because `relief` sets both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec

@@ -5,8 +5,6 @@ the centre. After GrabCut, small separate pieces are removed, small holes are cl
 edge is softened where it follows an edge in the photograph.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -3,8 +3,6 @@
 The code is plain Python with bounded loops, so it can safely read untrusted files in any process.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 

@@ -6,8 +6,6 @@ with 8 images of solid objects, there was no false detection. In 150 renderings 
 were 3 false detections (on a hammer's head) and one correct detection (of a teapot's handle).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

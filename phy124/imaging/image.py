@@ -4,8 +4,6 @@ All later steps receive straight (not premultiplied) RGBA in sRGB with 8 bits pe
 module reads the files; a separate process decodes them (`decoding.py`).
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ OpenCV's conversion function would first need 0.07 s to fill tables, which is lo
 work on an image that is already segmented. Only the matrix product is therefore computed by OpenCV.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Refines the edge of a cut-out, and removes the colours of the background from the edge."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Samples a grey image, which a user painted over an object's image, at points of the object."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ For example, phones use Display P3, cameras use Adobe RGB, and print shops use C
 gain.
 """
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

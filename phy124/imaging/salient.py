@@ -5,8 +5,6 @@ al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks of these n
 soft edges, so they are not refined.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec

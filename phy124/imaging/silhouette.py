@@ -1,7 +1,5 @@
 """Measures the plausibility of a mask by its pieces, position, outline and colours."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -7,8 +7,6 @@ splits are wrong: for example, a boat and its sail are separated. docs/lab/cutou
 often this happens.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

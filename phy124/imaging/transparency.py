@@ -1,7 +1,5 @@
 """Examines whether an image's alpha separates an object, and whether alpha is low everywhere."""
 
-from __future__ import annotations
-
 import numpy as np
 from PIL import Image
 

@@ -5,8 +5,6 @@ is set, the file is rotated first. The arguments `up` and `front`, or the file's
 directions in the rotated file.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ The guess relies on the known output of each program (docs/guide/plugins.md). Th
 to the user, and is applied only if the user agrees.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

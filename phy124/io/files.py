@@ -5,8 +5,6 @@ into devices and pipes. When a process ends for any reason, the operating system
 of the process. A temporary file without a lock was therefore left by a killed process.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import secrets

@@ -20,8 +20,6 @@ Before compression, the size is 14 bytes per Gaussian and frame. The error of th
 1/65535 of the bounding box.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import html

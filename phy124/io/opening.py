@@ -1,7 +1,5 @@
 """Explains why a file cannot be opened."""
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path

@@ -19,8 +19,6 @@ listed in a note, because they might also change the Gaussians.
     Scaffold-GS, Octree-GS, HAC       f_anchor_feat, f_offset     refused: they need a network
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable

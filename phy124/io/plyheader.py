@@ -1,7 +1,5 @@
 """Parses the header of a PLY file (Turk 1994): the elements, and the data type of their rows."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Writes rasters (images of physical quantities) as 16-bit PNG or as EXR with 32-bit floats."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ together. Brush plays a zip of PLY files. The axes are converted by the function
 single file.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import zipfile

@@ -9,8 +9,6 @@ of the file. Without tags, players assume BT.709 only for HD videos. The index i
 the file, so that playback can start before the whole file is downloaded.
 """
 
-from __future__ import annotations
-
 import errno
 import itertools
 import os

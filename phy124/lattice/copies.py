@@ -7,8 +7,6 @@ node. A repeated node is tied, with weight 1, to the node that it repeats, so it
 other tied nodes.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

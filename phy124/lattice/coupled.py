@@ -5,8 +5,6 @@ forces change the velocities of the lattices' nodes. Then all contact impulses a
 the grids. Finally, particles and lattices move.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

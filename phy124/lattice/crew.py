@@ -5,8 +5,6 @@ forces of its cells to private memory. For each node, the sums of all workers ar
 fixed order, so that runs with equal numbers of threads are bitwise equal.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace

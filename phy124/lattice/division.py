@@ -1,7 +1,5 @@
 """Division: divides the threads of a kernel among all workers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

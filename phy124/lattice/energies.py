@@ -5,8 +5,6 @@ forces, and the second phase multiplies all forces by the mean velocities of the
 kernels for contact and clamps sum the work of contact and clamps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 

@@ -3,8 +3,6 @@
 Impulses are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, cast
 

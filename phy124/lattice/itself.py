@@ -11,8 +11,6 @@ sample of the surface points shows whether two parts are near each other; if the
 else is computed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """Lists the kernels of a run on lattices, so that they can be compiled before the run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any

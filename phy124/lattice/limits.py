@@ -5,8 +5,6 @@ measured only every few substeps. The next measurement is due when the strain or
 since the last measurement may have become too large.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ In each substep, contact is computed on the particles' grid after the grid updat
 act.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any, cast
 

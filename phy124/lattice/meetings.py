@@ -4,8 +4,6 @@ A sample of the surface points shows whether two bodies, or two parts of a body,
 other. If no parts are near each other, nothing else is computed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Creates the nodes of a lattice at the start of a run, with velocities from the points' motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Searches for surface points that may touch, and for the positions opposite to the points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any

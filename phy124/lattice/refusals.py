@@ -4,8 +4,6 @@ An argument `scene` is a `phy124.scene.Scene`. This module cannot import that cl
 phy124.scene imports this module.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 

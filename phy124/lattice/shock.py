@@ -7,8 +7,6 @@ a shock over a few cells. The viscosity acts while opposite sides of a cell appr
 a few points flat, even slow motions have a high rate of compression.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ The contact of each solid with each body is computed. Each impulse acts on the s
 opposite sign, on the body, so that momentum is conserved.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, cast

@@ -6,8 +6,6 @@ are computed from the nodes before forces on particles act, when limits are meas
 of `advance`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -6,8 +6,6 @@ accelerations are large in material that has just been squeezed or that begins t
 strongly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -5,8 +5,6 @@ distributes the tied node's force and mass over these nodes, so that momentum an
 are conserved. The extrapolation is exact for linear functions.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray

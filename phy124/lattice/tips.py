@@ -5,8 +5,6 @@ therefore enter a wall while its surface points stay outside. The weights of the
 therefore exact: each tied node is replaced by the nodes from which its motion is extrapolated.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 from numpy.typing import NDArray

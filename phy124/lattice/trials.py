@@ -3,8 +3,6 @@
 All workers take part: each of them processes its own cells and nodes.
 """
 
-from __future__ import annotations
-
 import warp as wp
 from numpy.typing import NDArray
 

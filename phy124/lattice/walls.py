@@ -3,8 +3,6 @@
 Walls act on surface points, and clamps act on nodes (phy124/lattice/clamps.py).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

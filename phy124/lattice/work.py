@@ -1,7 +1,5 @@
 """Records the launches that sum the work of contact impulses on surface points."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import warp as wp

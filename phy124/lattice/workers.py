@@ -1,7 +1,5 @@
 """Workers: the points and nodes that each thread processes, and the launches of each thread."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import warp as wp

@@ -1,7 +1,5 @@
 """Chooses the finest grid that this machine can run live, by a trial of half a second."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

@@ -5,8 +5,6 @@ note, drops the inputs, and continues from the last valid frame, from an earlier
 start. The run ends only if a frame fails although no input has acted since the start.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

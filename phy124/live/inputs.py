@@ -3,8 +3,6 @@
 All times are times of frames. A run of the recorded scene therefore takes the same substeps.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Shows each frame of a live run at the right time, or later if the machine is too slow."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable

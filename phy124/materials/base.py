@@ -1,7 +1,5 @@
 """Base classes of all materials."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, ClassVar
 

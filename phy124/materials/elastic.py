@@ -1,7 +1,5 @@
 """Elastic solids, which return to their rest shape after any deformation."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Weakly compressible fluids."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Compares the positions, colours and rendered frames of two clips of the same Gaussians."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Measures the physics of a clip from the motion of its Gaussians, without trained weights."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measures images and videos without trained weights."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ lower is better). Both formulas of CLIP-T measure only the similarity of consecu
 frozen video therefore has the best value.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Crossing: notes that a body on a lattice is deep inside a wall."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

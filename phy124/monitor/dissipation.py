@@ -6,8 +6,6 @@ elastic energy. Walls dissipate energy by friction. All other losses are numeric
 occur in the transfers between particles and grid, and in the layer of cells at a wall.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 

@@ -4,8 +4,6 @@ The kernel of the contact between a body and a wall sums the wall's impulse
 (phy124/monitor/lattice.py). The liquid sums the impulses of walls on the liquid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

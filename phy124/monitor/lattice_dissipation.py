@@ -5,8 +5,6 @@ all causes adds up to the change of the kinetic energy, except for rounding erro
 the difference.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

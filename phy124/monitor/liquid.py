@@ -4,8 +4,6 @@ The solver sums the work of each cause in every step (phy124/liquid/energies.py)
 occurs in the transfers between particles and faces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ known only at the end of the step. A sum over substeps would therefore count the
 liquid as if nothing carried the liquid. The work is summed once per step of the liquid instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Launches kernels over blocks of Gaussians, which are divided among CPU threads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple

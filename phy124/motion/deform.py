@@ -10,8 +10,6 @@ closest to the previous frame, and the sign of q is chosen so that q . q_previou
 equal length rotate with the material; the covariance changes by at most a fraction of 1e-5.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Shows Gaussians of inner particles, hidden in the surface until a tear exposes the particles."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -5,8 +5,6 @@ Zstandard. Positions and F of particles are rounded to `STEP_X` and `STEP_F`. Di
 in time, and along a Hilbert curve through the particles at rest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

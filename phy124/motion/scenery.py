@@ -3,8 +3,6 @@
 The added Gaussians belong to static parts, to objects that follow a track, and to rigid solids.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol

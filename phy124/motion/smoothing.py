@@ -11,8 +11,6 @@ Smoothing does not change affine motions, even at the surface, where all neighbo
 side.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clock: keeps the time of a run, and chooses the length of the next substep."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

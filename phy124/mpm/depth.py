@@ -5,8 +5,6 @@ A shape is defined by three vectors, as in `phy124.kernels.distance`, and the de
 signed distance. `tests/test_depth.py` compares the two modules.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

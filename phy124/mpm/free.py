@@ -5,8 +5,6 @@ explains the mechanics. In each substep, the contact of free bodies with particl
 after the contact between particle bodies and before walls act.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Protocol

@@ -10,8 +10,6 @@ most kernels. Substeps that cannot be the last one therefore run without a condi
 also runs on the CPU, where the tests compare its results with the host's loop, bit for bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any
 

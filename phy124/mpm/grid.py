@@ -4,8 +4,6 @@ Each body has a separate grid on a common lattice, and therefore a separate velo
 node.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, cast

@@ -7,8 +7,6 @@ times the initial number. Particles outside the box are counted, and only the un
 acts on them. A particle that returns to the box takes part in the transfers again.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ Any two bodies may touch. There is a launch only for pairs with overlapping wind
 are far apart take no computing time.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast

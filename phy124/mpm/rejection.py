@@ -6,8 +6,6 @@ only near the limits of speed and gradient, under forces on particles, or under 
 acceleration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

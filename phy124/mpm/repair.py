@@ -5,8 +5,6 @@ deformations that no law can handle are reset to F = I and counted. In plastic a
 F_total grows without bound, so its norm is limited.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import Any
 

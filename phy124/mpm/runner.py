@@ -1,7 +1,5 @@
 """Runs the phases of a substep, and other tasks, on all workers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol

@@ -5,8 +5,6 @@ threads repeat them for parts of the particles (phy124/mpm/workers.py), or a CUD
 them without the host (phy124/mpm/graph.py).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import time

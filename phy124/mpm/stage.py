@@ -1,7 +1,5 @@
 """Stage: a launch in a substep that is recorded again whenever the grid's window changes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 

@@ -13,8 +13,6 @@ Workers then access their particles through lists of indices, so a substep becom
 expensive. Particles are therefore rarely divided again.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable, Sequence

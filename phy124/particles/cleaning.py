@@ -17,8 +17,6 @@ rules apply in this order:
   all Gaussians or of their `visible_area`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

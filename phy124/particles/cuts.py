@@ -5,8 +5,6 @@ the cube, so its moments are known in closed form. Lengths are relative to a vox
 are relative to the middle of the cube.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

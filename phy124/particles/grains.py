@@ -5,8 +5,6 @@ would be visible between the Gaussians. Inner particles therefore get round Gaus
 of the surface above them. Grains do not affect the motion.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

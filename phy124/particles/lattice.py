@@ -8,8 +8,6 @@ second moments of this part of the body. In a full cell, the eight points are th
 points. Without exact second moments, plates thinner than a cell would be too stiff.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache

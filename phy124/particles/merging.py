@@ -5,8 +5,6 @@ mass (opacity times volume). The opacity of the new Gaussian preserves the mass.
 would exceed `OPAQUE`, the new Gaussian is enlarged instead.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -11,8 +11,6 @@ that are not connected with the body at all, such as specks around it, share its
 it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

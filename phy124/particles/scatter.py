@@ -5,8 +5,6 @@ of a regular lattice would then form visible rows with empty grooves in between.
 in its lattice cell, so the density hardly varies.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Reduces the number of Gaussians; the remaining Gaussians are enlarged to cover the same area."""
 
-from __future__ import annotations
-
 import inspect
 from dataclasses import replace
 from functools import partial

@@ -6,8 +6,6 @@ by two parallel planes (phy124/particles/sheets.py). In a rod without full voxel
 by a cylinder.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Estimates the size of a run's results, and warns if the disk has less free space."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import warnings

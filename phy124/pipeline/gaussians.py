@@ -1,7 +1,5 @@
 """Turns pictures into static Gaussians, and declares all options of this step."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ state. Each frame is written only once, to the file that becomes the clip. The i
 that writing states takes at most a hundredth of the run's time.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import secrets

@@ -4,8 +4,6 @@ On a CPU, the continued run equals an uninterrupted run bit for bit. On a GPU, t
 by rounding errors, because a GPU adds numbers in no fixed order.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import zlib

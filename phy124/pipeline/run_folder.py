@@ -5,8 +5,6 @@ After the new results are written, the results of an earlier run are removed. On
 listed in the earlier report are removed.
 """
 
-from __future__ import annotations
-
 import json
 import platform
 import shutil

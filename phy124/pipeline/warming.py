@@ -1,7 +1,5 @@
 """Compiles the kernels of scenes ahead of time, so that no run has to wait for the compiler."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

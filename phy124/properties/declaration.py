@@ -1,7 +1,5 @@
 """The section `[properties]` of a scene, and the evaluation of its values at the particles."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import numpy as np

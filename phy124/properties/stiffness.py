@@ -6,8 +6,6 @@ parameters per particle; without a field, all particles use one row. A propertie
 contain a fraction for each Gaussian (phy124/properties).
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reads a file of material properties into columns with one value per point."""
 
-from __future__ import annotations
-
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ Versions 1 and 2 of control groups are read, even if both are mounted. A group's
 all groups below it, so the effective limit is the smallest limit on the path to the root group.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import suppress

@@ -5,8 +5,6 @@ the same kernels, because each process writes to its own folder and renames the 
 complete.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Counts the CPU cores that this process may use, and how many of them are free."""
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

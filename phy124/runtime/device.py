@@ -1,7 +1,5 @@
 """Chooses the computing device by name, and checks the version of NVIDIA's driver."""
 
-from __future__ import annotations
-
 import ctypes
 import threading
 import warnings

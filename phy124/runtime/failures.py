@@ -5,8 +5,6 @@ a problem has one message everywhere. Exceptions of libraries are recognised by 
 to import the libraries.
 """
 
-from __future__ import annotations
-
 import errno
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Determines how phy124 was installed, and the command that installs an optional extra."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -4,8 +4,6 @@ A module that cannot be loaded is compiled again, and incomplete modules are rem
 full, compilation is refused, because the compiler would crash the whole program.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

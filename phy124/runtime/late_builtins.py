@@ -5,8 +5,6 @@ that Python code outside kernels can call, with values such as `wp.vec3`. Declar
 took half of the time to import Warp.
 """
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections import defaultdict

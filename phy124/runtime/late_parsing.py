@@ -4,8 +4,6 @@ phy124 declares about 350 device functions, and a run uses a quarter of them. Pa
 functions took a fifth of the time of phy124's imports.
 """
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 

@@ -6,8 +6,6 @@ for a single class, and thereby the event loop and TLS. pydantic describes its s
 dictionaries, which only type checkers read. Without these parts, the imports take half of the time.
 """
 
-from __future__ import annotations
-
 import sys
 import typing
 from collections import defaultdict

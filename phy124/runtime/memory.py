@@ -1,7 +1,5 @@
 """Measures the memory available to this process, and checks that limits are large enough."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import mmap

@@ -1,7 +1,5 @@
 """Runs tasks in parallel in spawned processes, while the caller continues."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 from collections.abc import Callable, Iterable, Iterator

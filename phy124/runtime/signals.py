@@ -1,7 +1,5 @@
 """Handles signals that ask a process to end: Ctrl-C, SIGTERM, or a closed terminal."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

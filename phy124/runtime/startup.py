@@ -1,7 +1,5 @@
 """Starts Warp without Warp's messages, and with a writable folder for compiled kernels."""
 
-from __future__ import annotations
-
 import os
 import stat
 import sys

@@ -1,7 +1,5 @@
 """Measures how long each stage of a run takes."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterable, Iterator

@@ -4,8 +4,6 @@ Results matter more than messages. If a stream is closed or broken, the remainin
 discarded. A character that is missing in the encoding is replaced by ASCII.
 """
 
-from __future__ import annotations
-
 import codecs
 import errno
 import io

@@ -1,7 +1,5 @@
 """Lets a part call a method of its owner without keeping the owner in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 from weakref import WeakMethod

@@ -1,7 +1,5 @@
 """Accuracy settings, and the values and purposes of `draft`, `standard` and `fine`."""
 
-from __future__ import annotations
-
 from typing import Any, Literal, get_args
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """Changes to a scene's plain data at dotted paths, such as `material.E=2e4`."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

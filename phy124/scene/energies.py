@@ -5,8 +5,6 @@ depend on the shapes of the objects. Moving walls are therefore included even if
 object. Forces are included in full even if nothing stops the accelerated object.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Read a scene's TOML file, check its nesting depth, and list the files that it names."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

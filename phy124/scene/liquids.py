@@ -3,8 +3,6 @@
 An argument `scene` is a `Scene` of `phy124.scene`, which imports this module.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

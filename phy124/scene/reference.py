@@ -1,7 +1,5 @@
 """Write the scene reference: each field with its accepted values, its default and its meaning."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

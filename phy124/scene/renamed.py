@@ -1,7 +1,5 @@
 """Convert option names of earlier versions in scene files, clips and commands."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

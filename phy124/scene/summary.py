@@ -1,7 +1,5 @@
 """Summarise a scene in one line: parameters of laws, forces, boundaries, grid and frames."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """Describe in words the fields that a section declares, based on the section's JSON schema."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

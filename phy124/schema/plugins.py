@@ -5,8 +5,6 @@ and on the command line, a class is identified by the name of its entry point in
 `GROUPS`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property

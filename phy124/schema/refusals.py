@@ -1,7 +1,5 @@
 """Turn validation errors of pydantic into messages that state the limit and a remedy."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeVar

@@ -1,7 +1,5 @@
 """Base class of all declared options: of scenes, of the page and of the bridge."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, ClassVar, get_args
 

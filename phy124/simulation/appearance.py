@@ -1,7 +1,5 @@
 """Creates the visible Gaussians of each material; these Gaussians do not affect the motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 

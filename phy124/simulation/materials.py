@@ -5,8 +5,6 @@ these. Later parts override earlier parts. Particles outside all parts have the 
 Static parts have no particles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

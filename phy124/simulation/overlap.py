@@ -1,7 +1,5 @@
 """Refuses bodies that overlap at the start, since contact cannot separate overlapping bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Scales, rotates and places objects together with their surroundings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

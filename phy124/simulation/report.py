@@ -1,7 +1,5 @@
 """Writes the report of a run as plain data; phy124.pipeline.report_keys documents the keys."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

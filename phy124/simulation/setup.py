@@ -3,8 +3,6 @@
 `prepare(gaussians, Scene.named("press"))` returns a setup, from which `Simulation` computes frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property

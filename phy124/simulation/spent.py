@@ -3,8 +3,6 @@
 The time of other programs is not counted, so other programs cannot stop a run.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

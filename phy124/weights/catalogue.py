@@ -3,8 +3,6 @@
 Weights whose terms forbid commercial use are not listed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 ANYWHERE = "anywhere, also commercially"

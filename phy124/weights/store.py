@@ -5,8 +5,6 @@ the user's folder (`--weights`), the folder PHY124_WEIGHTS, the Hugging Face cac
 phy124.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ elevation is *below* the object, unlike in `phy124.camera`. A camera with an azi
 looks at the object's left side (+x).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

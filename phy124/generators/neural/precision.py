@@ -1,7 +1,5 @@
 """Selects the device and the floating-point precision of a generator's networks."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -7,8 +7,6 @@ gsplat (the extra `gpu`) is used instead if it is installed. Video frames are re
 `phy124.rendering.render`.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import warnings
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ file of the full network must be downloaded. The file of a network is either an 
 OpenCV, or a .pth file, for phy124's torch module.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from importlib.util import find_spec

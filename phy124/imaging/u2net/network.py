@@ -4,8 +4,6 @@ Source: Qin et al. 2020, "U^2-Net: Going Deeper with Nested U-Structure for Sali
 Detection". The submodules have the same names as in the public .pth files.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

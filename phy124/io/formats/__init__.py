@@ -7,8 +7,6 @@ layout in a table in the module's docstring, and add a `Format` to `FORMATS`. A 
 its own `Format` with an entry point in the group `phy124.formats` (docs/guide/extending-files.md).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress

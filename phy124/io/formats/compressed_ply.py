@@ -15,8 +15,6 @@
 The axes are x right, y down, as in a 3DGS PLY.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

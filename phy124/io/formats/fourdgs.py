@@ -10,8 +10,6 @@ frame. Colours are constant and of degree 0. The axes are those of glTF: y up, z
 metres.
 """
 
-from __future__ import annotations
-
 import os
 from functools import partial
 from types import SimpleNamespace

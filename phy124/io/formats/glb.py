@@ -20,8 +20,6 @@ Files from early 2026, before the extension was ratified, have logarithmic scale
 uniformly.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Iterator

@@ -11,8 +11,6 @@ the spacing of the Gaussians is examined. The width of an object's Gaussians is 
 between them. If logarithms were mistaken for lengths, the Gaussians would be much narrower.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

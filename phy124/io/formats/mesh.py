@@ -9,8 +9,6 @@ triangles are computed by marching cubes (Lewiner et al. 2003, in scikit-image).
 mean colour of the Gaussians nearest to it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any

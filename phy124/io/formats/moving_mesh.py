@@ -8,8 +8,6 @@ metres). The topology is constant. For objects that tear or flow, write a mesh o
 (`phy124/io/formats/mesh.py`).
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -5,8 +5,6 @@ rotation, this component can be made positive. This component then follows from 
 magnitude of each of the other three components is at most 1 / sqrt 2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

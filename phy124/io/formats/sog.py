@@ -17,8 +17,6 @@
 Pixels are numbered row by row: pixel i of an image belongs to Gaussian i.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -9,8 +9,6 @@
 The format has no spherical harmonics above degree 0.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

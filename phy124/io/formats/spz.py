@@ -24,8 +24,6 @@ a relative increment of 6.5 %. As in Niantic's program, harmonics are written wi
 1, and with 4 bits for higher degrees.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from itertools import pairwise

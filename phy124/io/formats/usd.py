@@ -5,8 +5,6 @@ units and axes are those of phy124 (metres, z up), as stated in the USD header. 
 are linear.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from types import SimpleNamespace

@@ -6,8 +6,6 @@ vertices without further light. The axes are y up and z to the front, in metres,
 phones expect. The topology is constant, as in `phy124/io/formats/moving_mesh.py`.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

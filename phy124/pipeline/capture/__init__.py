@@ -5,8 +5,6 @@ between the object and the scene's ground, which is at the same height as the fl
 scaled so that its longest side is the scene's `object.size`.
 """
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any

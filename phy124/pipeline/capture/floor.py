@@ -6,8 +6,6 @@ these points by least squares. The scatter of the points around the plane determ
 belong to the floor.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ platform. The process imports only the function's own module. The process is end
 limit is over, when the caller is interrupted or cancels, and when the caller's process dies.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import queue

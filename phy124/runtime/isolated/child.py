@@ -3,8 +3,6 @@
 The file is started by its path, so that no other module of phy124 is imported.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

@@ -4,8 +4,6 @@ The parser (tyro) passes errors to a hook. If the installed version of tyro has 
 parser prints its message itself.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

@@ -1,7 +1,5 @@
 """Prepares a command line for the parser: expands `~`, splits at `--`, merges options."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Forecasts the time of a fit before the first run, and measures the time used so far."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

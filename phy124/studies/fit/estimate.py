@@ -5,8 +5,6 @@ of the values, the fit is refused. Otherwise, the values are refined on each fin
 intervals are computed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ error, for example if a point is badly tracked. Since groups are drawn as a whol
 the interval.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Reads measurements from tables, and predicts them from a clip."""
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ The result of `figure` is also shown on phy124's web page. The script and the st
 phy124/io/viewer.
 """
 
-from __future__ import annotations
-
 import base64
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence

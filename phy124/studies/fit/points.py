@@ -1,7 +1,5 @@
 """Compares tracked points, whose positions over time are measured in m or pixels, with a clip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

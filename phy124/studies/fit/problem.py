@@ -4,8 +4,6 @@ A point of the unit cube represents a set of values, one on each axis of the cub
 predicts the measurements for each point of the cube.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Makes the report of a fit: values, intervals, and misfits for each kind of measurement."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

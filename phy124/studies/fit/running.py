@@ -1,7 +1,5 @@
 """Runs a fit from the declaration of its options, and writes the result files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

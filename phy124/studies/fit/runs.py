@@ -1,7 +1,5 @@
 """Runs a scene with different values in several processes, and stores the result of each run."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import time

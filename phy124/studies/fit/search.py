@@ -4,8 +4,6 @@ CMA-ES searches on the coarsest grid. On finer grids, the Gauss-Newton steps may
 derivatives from a coarser grid.
 """
 
-from __future__ import annotations
-
 import warnings
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ If a video's camera is unknown, its first frame is aligned with the scene's view
 rest. The alignment is a scale and a shift, which are applied to all frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

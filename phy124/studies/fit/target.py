@@ -1,7 +1,5 @@
 """Reads the inputs of a fit: the measurements, the object and the scene."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

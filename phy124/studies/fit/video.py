@@ -1,7 +1,5 @@
 """Reads a video or a folder of images, and separates the object from its background."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Iterator

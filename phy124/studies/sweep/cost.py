@@ -1,7 +1,5 @@
 """Forecasts the time and size of a sweep from a few clips, and estimates the remaining time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The tar files can be read by WebDataset.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import tarfile

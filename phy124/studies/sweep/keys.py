@@ -3,8 +3,6 @@
 Clips with the same key are equal and are made only once.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable

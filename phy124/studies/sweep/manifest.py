@@ -5,8 +5,6 @@ written to a Parquet table. The table is assembled column by column, because row
 would need ten times as much memory.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ lost when a node fails. This process submits only a few tasks per worker at a ti
 this process therefore does not grow with the number of clips.
 """
 
-from __future__ import annotations
-
 import logging
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Plans a sweep; the settings of each clip are computed from the clip's index."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

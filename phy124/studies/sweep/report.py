@@ -1,7 +1,5 @@
 """Makes the report of a sweep as a table for the terminal, and as an HTML page with thumbnails."""
 
-from __future__ import annotations
-
 import base64
 import html
 from collections import Counter, defaultdict

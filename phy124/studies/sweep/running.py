@@ -1,7 +1,5 @@
 """Runs a sweep: makes the clips that do not exist yet, and writes the manifest."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress

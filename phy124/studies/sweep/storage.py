@@ -1,7 +1,5 @@
 """Stores a sweep's results in a local folder, or in a folder at an fsspec address."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Makes one clip of a sweep in a worker process, and writes the clip's row last."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

@@ -5,8 +5,6 @@ In practice, this generator needs a GPU. PLY files of the original program can b
 (docs/guide/plugins.md).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

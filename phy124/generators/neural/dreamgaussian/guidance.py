@@ -4,8 +4,6 @@ Poole et al. 2023, "DreamFusion": noise is added to images, a diffusion model pr
 and the difference is the gradient. A guidance is any callable with the signature of `Guidance`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 

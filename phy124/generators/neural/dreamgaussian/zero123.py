@@ -3,8 +3,6 @@
 Liu et al. 2023, "Zero-1-to-3". The weight files have the layout of diffusers.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

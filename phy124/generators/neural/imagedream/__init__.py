@@ -1,7 +1,5 @@
 """ImageDream: four consistent views of the object in an image (Wang & Shi 2023)."""
 
-from __future__ import annotations
-
 from phy124.generators.options import Work
 
 STEPS = 30

@@ -4,8 +4,6 @@ Shi et al. 2023, "MVDream", section 3.1; Wang & Shi 2023, "ImageDream", section 
 the same names as in the public checkpoints.
 """
 
-from __future__ import annotations
-
 import torch.nn.functional as F
 from torch import Tensor, nn
 

@@ -5,8 +5,6 @@ those of Stable Diffusion 2.1 and CLIP ViT-H/14. The sizes are stated here, so t
 files are needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ an object, and the time embedding includes each view's camera. Wang & Shi 2023, 
 al. 2023, "MVDream".
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 Tang et al. 2024, "LGM". The four views come from ImageDream or from the user.
 """
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable

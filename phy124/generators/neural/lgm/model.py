@@ -3,8 +3,6 @@
 Tang et al. 2024, "LGM: Large Multi-View Gaussian Model", section 3.2 and the released weights.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from typing import Literal

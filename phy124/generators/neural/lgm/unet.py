@@ -4,8 +4,6 @@ Tang et al. 2024, "LGM: Large Multi-View Gaussian Model for High-Resolution 3D C
 section 3.3. Submodules have the same names as in the public checkpoints.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ onto each plane, where the features are interpolated bilinearly. A small network
 to density and colour.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ Tochilkin et al. 2024. The network runs in onnxruntime if ONNX files are install
 from the public checkpoint.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

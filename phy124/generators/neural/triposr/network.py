@@ -5,8 +5,6 @@ reconstruction model (Hong et al. 2024, "LRM"). Submodules have the same names a
 checkpoint `model.ckpt` of stabilityai/TripoSR.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Extracts the surface of a density field, and covers it with Gaussians."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 from typing import Any

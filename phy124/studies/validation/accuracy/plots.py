@@ -4,8 +4,6 @@ A setting is dominated if another setting is both faster and more accurate. Domi
 grey. The page works offline, because it contains its data and the script that draws the plot.
 """
 
-from __future__ import annotations
-
 import html
 import json
 import math

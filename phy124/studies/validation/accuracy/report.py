@@ -1,7 +1,5 @@
 """Reports a study: the time and the error of each setting, and the recommended setting."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

@@ -8,8 +8,6 @@ describe only the motion up to that time. If the levels do not converge at all, 
 no errors, but only the distance between the two finest levels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial

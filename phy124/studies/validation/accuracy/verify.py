@@ -4,8 +4,6 @@ Each check measures an error and the order at which it converges, and states the
 both. The tests run the same checks on coarse grids; slow tests run them on fine grids.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

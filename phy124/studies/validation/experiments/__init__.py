@@ -7,8 +7,6 @@ contains a deliberate mistake, which must move at least one quantity out of its 
 validate --docs` writes docs/lab/experiments.md.
 """
 
-from __future__ import annotations
-
 from phy124.errors import InputError
 from phy124.studies.validation.experiments import (
     beam,

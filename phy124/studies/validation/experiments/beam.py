@@ -4,8 +4,6 @@ The exact shape of the beam is Euler's elastica. The load increases in steps, an
 rest after each step.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Experiment: the collapse of a water column (Martin and Moyce 1952)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Experiment: the force on a ball between two plates, and the contact time of a bouncing ball."""
 
-from __future__ import annotations
-
 import math
 
 from phy124.boundaries import HalfSpace

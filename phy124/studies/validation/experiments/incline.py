@@ -1,7 +1,5 @@
 """Experiment: Coulomb friction of a block on an incline, aligned with or oblique to the grid."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

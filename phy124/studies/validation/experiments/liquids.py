@@ -1,7 +1,5 @@
 """Experiments with projected liquids: sloshing, a viscous channel, a spreading heap."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -3,8 +3,6 @@
 A free rigid body that spins about its axis of intermediate inertia flips repeatedly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 The moduli are Young's modulus, the confined modulus and the bulk modulus.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -3,8 +3,6 @@
 The simulated speed is compared with the speed that follows from a force law.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Runs experiments in parallel processes: one run per grid, and one for the control."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator, Sequence

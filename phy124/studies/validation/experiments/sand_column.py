@@ -1,7 +1,5 @@
 """Experiment: collapse of sand columns in a channel (Lube et al. 2005; Lajeunesse et al. 2005)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Experiment: a copper bar that hits a rigid wall (the Taylor bar of Wilkins and Guinan)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from phy124.boundaries import Ground

@@ -1,7 +1,5 @@
 """Experiment: the terminal speed of a body that falls through an upward stream of air."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

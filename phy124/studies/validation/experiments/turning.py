@@ -4,8 +4,6 @@ The lattice solver simulates the ball and the plate (`accuracy.solver = "lattice
 lumped at nodes, the moment of inertia per mass about each axis is too large by dx^2 / 2.
 """
 
-from __future__ import annotations
-
 import math
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Case 30: checks that the remedies in error messages help."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

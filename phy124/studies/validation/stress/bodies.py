@@ -1,7 +1,5 @@
 """Builds the bodies of the stress tests, and measures their state."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A case of the stress tests: its setting, measurement and bounds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple, SupportsFloat
 

@@ -1,7 +1,5 @@
 """Cases 1 to 5 and 23 to 25: conserved quantities and the Gaussians' shapes in long motions."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from phy124.boundaries import Ground

@@ -1,7 +1,5 @@
 """Cases 11, 13, 20 and 32: impacts, release from a large strain, a huge force, free solids."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

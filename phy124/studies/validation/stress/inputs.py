@@ -1,7 +1,5 @@
 """Cases 14 and 16 to 18: files with unusual values, and negative positions."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from dataclasses import replace

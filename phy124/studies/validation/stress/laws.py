@@ -3,8 +3,6 @@
 Case 12 also tests the watchdog, which resets particles with an unphysical deformation.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cases 6 to 10 and 19: checks of the stability limit for a wide range of parameters."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

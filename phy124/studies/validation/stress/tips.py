@@ -1,7 +1,5 @@
 """Cases 33 and 34: thin and pointed shapes on the floor and on another body."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from typing import Any

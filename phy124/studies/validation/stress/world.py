@@ -1,7 +1,5 @@
 """Cases 15, 26 to 29 and 31: grid window, particle order, orientation, threads and walls."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
