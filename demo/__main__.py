@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def import_gradio() -> None:
     """Import gradio without its generation of .pyi files; this saves a third of the import time.
 
-    Whenever it is imported, gradio derives a .pyi file (for editors) from the source code of each
+    On every import, gradio derives a .pyi file (for editors) from the source code of each
     component. Gradio skips components whose source file is unknown.
     """
     usual = inspect.getfile

@@ -23,7 +23,7 @@ HEAD, BODY, STALLED = 20.0, 120.0, 60.0
 FILES, UNLIMITED = 16_384, 512
 """Limit on open files and connections that the page requests from the operating system.
 
-The second number is the assumed limit if the system has none.
+`UNLIMITED` is the assumed limit if the system has none.
 """
 AT_ONCE = 2048
 """Largest number of connections that are accepted at once (uvicorn's default)."""

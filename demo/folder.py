@@ -32,7 +32,7 @@ def lock_folder(wanted: str = "") -> Iterator[Path]:
     """Lock a folder for this page, empty the folder, and remove it when the page ends.
 
     Args:
-        wanted: Path of the folder. If it is empty, a new temporary folder is made.
+        wanted: Path of the folder. If the path is empty, a new temporary folder is made.
 
     Raises:
         InputError: Another page uses the folder, or it contains other files.

@@ -51,7 +51,7 @@ class Camera:
 
         Args:
             azimuth: Azimuth, degrees. 0 is the front (+x), 90 the right side (+y).
-            elevation: Elevation, degrees. If it is positive, the camera looks down.
+            elevation: Elevation, degrees. If the elevation is positive, the camera looks down.
             radius: Distance of the camera from the target, m.
             size: Width and height in pixels, or one number for both.
             target: Point to look at [3], m.

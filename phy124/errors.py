@@ -52,7 +52,7 @@ class Cancelled(Exception):
 class Incomplete(Exception):
     """Raised after some of the results were saved.
 
-    The cause of the exception is the exception that ended the work.
+    `__cause__` is the exception that ended the work.
 
     `kept` is the end of a sentence: it names the saved files and the command that continues the
     run.

@@ -28,13 +28,13 @@ FPS = 24.0
 ROOM, TIME = 0.5, 0.1
 """Two fractions that limit a saved clip.
 
-The first is the size of the clip with the viewer's file, relative to a visitor's disk space. The
-second is the duration of the clip, relative to the time limit of a run.
+`ROOM` is the size of the clip with the viewer's file, relative to a visitor's disk space. `TIME` is
+the duration of the clip, relative to the time limit of a run.
 """
 FORCES = 64
 """Number of forces and boundaries that is always allowed.
 
-Each grab and each change of gravity needs one of them.
+Each grab and each change of gravity needs one force or boundary.
 """
 
 

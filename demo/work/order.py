@@ -39,8 +39,7 @@ BYTES_OF_FILMS = 2_000_000
 COMPOSING, EACH = 210, 1800
 """Cost of matching camera and colours to a photograph.
 
-The first number is a number of rendered pictures, the second a number of rendered pixels per
-Gaussian.
+`COMPOSING` is a number of rendered pictures, `EACH` a number of rendered pixels per Gaussian.
 """
 
 

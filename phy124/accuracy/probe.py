@@ -85,8 +85,8 @@ def probe(simulation: Simulation, pilot: Pilot | None = None) -> tuple[SubstepCo
 
     Args:
         simulation: The simulation.
-        pilot: A pilot run, whose stages correct the cost of substeps on lattices. If it is None,
-            the cost is measured at rest.
+        pilot: A pilot run, whose stages correct the cost of substeps on lattices. If the pilot is
+            None, the cost is measured at rest.
     """
     solver, watchdog = simulation.solver, simulation.find(Watchdog)
     after = None if watchdog is None else watchdog.after_substep

@@ -142,8 +142,8 @@ def promise(
 
     Args:
         scene: The scene.
-        proportions: Proportions of the object (`phy124.particles.thickness`). If None, they are
-            read from the report, if possible.
+        proportions: Proportions of the object (`phy124.particles.thickness`). If None, the
+            proportions are read from the report, if possible.
         report: The report of the scene's run. The report may contain the estimated error, the error
             that was measured for a goal, or a reason why no bound holds.
     """

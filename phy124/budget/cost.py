@@ -38,13 +38,13 @@ PASS = 0.7
 STEP = 6.0
 """Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
-"""Times of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md). The
-first two numbers are the times per lattice point: with kernels for the CPU's vector units, and with
-other kernels. The third number is the time to launch the kernels.
+"""Times of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md). `VECTOR`
+and `PLAIN` are the times per lattice point: with kernels for the CPU's vector units, and with other
+kernels. `LAUNCHES` is the time to launch the kernels.
 """
 UNDAMPED, DAMPED = 1.5, 0.235
-"""Two properties of a lattice that determine its substep. The first is the longest stable substep
-of an undamped lattice at rest, in units of sqrt(cfl) dx / c. The second is the damping ratio of the
+"""Two properties of a lattice that determine its substep. `UNDAMPED` is the longest stable substep
+of an undamped lattice at rest, in units of sqrt(cfl) dx / c. `DAMPED` is the damping ratio of the
 fastest vibration, in units of dx / c divided by the viscous limit.
 """
 WINDOW = 11

@@ -25,10 +25,10 @@ class Physics:
     """Mean difference between the velocity and the rate of change of the position of the centre.
 
     The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
-    speed. x and v are means over all Gaussians. If all velocities are zero, the mean is not divided
-    [m/s]. The residual is larger than zero if the path of the centre curves between two frames, as
-    in a collision. The residual is even larger if the velocities do not match the motion. The
-    residual is None if the clip has no velocities.
+    speed. x and v are means over all Gaussians. If all velocities are zero, the residual is this
+    mean itself [m/s]. The residual is larger than zero if the path of the centre curves between two
+    frames, as in a collision. The residual is even larger if the velocities do not match the
+    motion. The residual is None if the clip has no velocities.
     """
     travelled: float
     """Length of the path of the object's centre, relative to the object's size; 0 for a frozen

@@ -19,7 +19,9 @@ SIGNS = np.prod(-2 * CORNERS, axis=1)
 HALVINGS = 16
 """Number of bisection steps for the distance of two planes."""
 LEAST = 1e-9
-"""Smallest distance of a filled fraction from 0 and 1, and smallest volume in a division."""
+"""Filled fractions are kept at this distance from 0 and 1. It is also the smallest divisor of a
+division by a volume.
+"""
 
 
 def below(normal: NDArray, height: NDArray, side: float = 1, order: int = 0) -> NDArray[np.float64]:

@@ -150,7 +150,7 @@ def check_not_empty(count: int) -> None:
     """Check that a number of Gaussians is at least 1.
 
     Raises:
-        InputError: If it is below 1.
+        InputError: If the number is below 1.
     """
     if count < 1:
         raise InputError("merge", count, "no Gaussians would be left.", "Choose at least 1.")

@@ -24,7 +24,7 @@ def check_count(count: int | None) -> None:
     """Check a requested number of Gaussians.
 
     Raises:
-        InputError: If it is outside the range from `FEWEST` to `MOST`.
+        InputError: If the number is outside the range from `FEWEST` to `MOST`.
     """
     if count is not None and not FEWEST <= count <= MOST:
         limit = f"it must be from {FEWEST} to {MOST:,}."

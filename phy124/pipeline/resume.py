@@ -53,7 +53,8 @@ def save(
         run: The run.
         path: The file to write.
         about: Further entries to save; `read_about` returns them.
-        frames: The frame file in the same folder. If it is None, the frames are written to `path`.
+        frames: The frame file in the same folder. If `frames` is None, the frames are written to
+            `path`.
         files: Contents of result files by name; `read_files` returns them.
 
     Raises:

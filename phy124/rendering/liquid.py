@@ -1,4 +1,4 @@
-"""Shapes the Gaussians of a liquid: discs on the surface, and balls where the liquid tears.
+"""Computes the shapes of a liquid's Gaussians: discs on the surface, balls where the liquid tears.
 
 Each Gaussian represents a volume of liquid. The fraction phi of space that the liquid fills is
 computed from these volumes and smoothed over `BLUR` cells. The liquid's surface is where phi =
@@ -188,7 +188,7 @@ def _wrap(array: NDArray) -> wp.array:
 
 
 class Liquid:
-    """Shapes the Gaussians of one liquid of a clip."""
+    """Computes the shapes of the Gaussians of one liquid of a clip."""
 
     def __init__(
         self,

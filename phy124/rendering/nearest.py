@@ -33,7 +33,7 @@ The sampled Gaussians have evenly spaced indices.
 """
 MOST_VALUES, FEWEST = 1 << 20, 128
 """Largest product of the number of Gaussians in the sample and the number of frames. For longer
-clips the sample is reduced, but to no fewer Gaussians than the second number."""
+clips the sample is reduced, but to no fewer Gaussians than `FEWEST`."""
 BLOCK = 64
 """Number of frames that are processed at a time."""
 VISIBLE = 0.1
@@ -50,8 +50,8 @@ DEPTHS = 1.5
 CLOSE, TRIES = 0.98, 8
 """Two conditions that end the search for a zoom.
 
-The first is a smallest distance of the camera, relative to the smallest allowed distance. The
-second is a number of trials.
+`CLOSE` is a smallest distance of the camera, relative to the smallest allowed distance. `TRIES` is
+a number of trials.
 """
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""

@@ -94,7 +94,9 @@ QUANTITIES: dict[Output, Quantity] = {
         "the total force. The resolution is one grid cell; the force is blurred by half a cell.",
     ),
 }
-"""Unit and meaning of each output. `channels` are the names of its channels in an EXR file."""
+"""Unit and meaning of each output. `channels` are the names of the output's channels in an EXR
+file.
+"""
 
 
 def refuse_outputs(view: View, frames: int) -> None:

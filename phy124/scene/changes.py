@@ -17,7 +17,9 @@ else:
 TAGS = ("law", "kind")
 """Keys whose values are the name of the kind of a section."""
 LENGTH = ("time.frames", "time.seconds")
-"""Two fields that set the length of a scene. If one of them is set, it replaces the other."""
+"""Two fields that set the length of a scene. If `time.seconds` is changed, `time.frames` is
+removed.
+"""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 

@@ -91,7 +91,9 @@ class View(Section):
         default=10.0,
         ge=-89,
         le=89,
-        description="Elevation of the camera [deg]. If it is positive, the camera looks down.",
+        description=(
+            "Elevation of the camera [deg]. If the elevation is positive, the camera looks down."
+        ),
     )
     distance: float = Field(
         default=1.9,

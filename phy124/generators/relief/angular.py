@@ -26,7 +26,7 @@ TILTED = 3.0
 EITHER, BOTH = 0.15, 0.4
 """Smallest share of the outline that consists of vertical edges, and of horizontal edges.
 
-The second number is the smallest share of both together.
+`BOTH` is the smallest share of both together.
 """
 SOLID = 0.8
 """Smallest ratio of the silhouette's area to the area of its convex hull; hourglasses have less."""
@@ -34,7 +34,7 @@ ACROSS, EXPLAINED = 0.15, 0.25
 """Smallest change of brightness from the axis to a side, if the object is round, relative to the
 mean brightness.
 
-The second number is the smallest part of the variation within the rows that the shading explains.
+`EXPLAINED` is the smallest part of the variation within the rows that the shading explains.
 """
 INNER = 0.92
 """Largest distance from the middle of a row at which the shading is examined, relative to half the

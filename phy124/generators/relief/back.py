@@ -26,14 +26,14 @@ SYMMETRIC = 0.86
 HANDLE, BODY = 0.4, 0.75
 """Limits of thin parts such as handles.
 
-The first number is the largest thickness of a thin part, relative to the thickest part. The second
-number is the smallest fraction of the silhouette's area that remains without the thin parts.
+`HANDLE` is the largest thickness of a thin part, relative to the thickest part. `BODY` is the
+smallest fraction of the silhouette's area that remains without the thin parts.
 """
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
 """Upper fraction of the height that may contain a face.
 
-The second value is the smallest overlap (IoU) of a face with its mirror image. The third value is
-the smallest correlation between the brightness of both images.
+`OUTLINE` is the smallest overlap (IoU) of a face with its mirror image. `FACE` is the smallest
+correlation between the brightness of both images.
 """
 LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and smallest number of pixels
@@ -57,8 +57,8 @@ on the front from which they are copied [pixels]."""
 QUIET, STRONG = 0.4, 0.07
 """Fraction of the front's patches that may be copied, beginning with the least texture.
 
-The second value is the standard deviation above which texture is weakened, because strong texture
-shows the edges of features.
+`STRONG` is the standard deviation above which texture is weakened, because strong texture shows the
+edges of features.
 """
 BINS = 10
 """Number of bins per channel of the histogram that counts the colours of a flat card."""

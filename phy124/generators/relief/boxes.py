@@ -22,8 +22,8 @@ Field = NDArray[np.float64]
 TOLERANCES, OVERLAP = (0.01, 0.007, 0.004), 0.98
 """Limits for a hexagon that approximates the silhouette.
 
-The first numbers are tolerances, relative to the outline's length, which are tried in turn. The
-last number is the smallest overlap (IoU).
+`TOLERANCES` are tolerances, relative to the outline's length, which are tried in turn. `OVERLAP` is
+the smallest overlap (IoU).
 """
 ROUGH, LONG, BLUNT, ROUNDED = 1.5, 0.06, 8.0, 0.95
 """Limits for a hexagon with rounded corners.
@@ -35,7 +35,7 @@ and the smallest overlap (IoU) with the hexagon.
 LOWEST_VIEW, ELONGATED = 10.0, 4.0
 """Smallest elevation of the camera that sees a box with rounded corners [degrees].
 
-The second number is the largest ratio of this box's longest side to its shortest side.
+`ELONGATED` is the largest ratio of this box's longest side to its shortest side.
 """
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""

@@ -39,9 +39,8 @@ DISC = 0.4
 GROUND, TOUCH, FOOT = 0.1, 0.03, 0.35
 """Height of the lowest part of an object, in which feet and wheels are separate.
 
-The second number is the largest height of a foot's lowest point above the ground. Both numbers are
-relative to the object's height. The third number is the largest width of a foot, relative to that
-of the object.
+`TOUCH` is the largest height of a foot's lowest point above the ground. Both numbers are relative
+to the object's height. `FOOT` is the largest width of a foot, relative to that of the object.
 """
 SHARPNESS = 4
 """Exponent of the smooth minimum of round shape and limit."""

@@ -31,8 +31,7 @@ HALVINGS = 3
 LEFT, MORE = 0.015, 0.004
 """Largest fraction of the silhouette that the circles leave empty.
 
-The second number is the largest amount by which this fraction exceeds its minimum over all
-elevations.
+`MORE` is the largest amount by which this fraction exceeds its minimum over all elevations.
 """
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
@@ -41,9 +40,9 @@ EDGE = 1.0
 SHALLOW, SLANTED, SMALL_FOOT = 0.5, 0.5, 0.4
 """Largest height of a bowl's visible wall, relative to the radius of its rim.
 
-The second number is the smallest slope of this wall, relative to the slope at which the camera
-would not see it. The wall of a bowl continues below to a foot, whose radius relative to that of the
-rim is the third number.
+`SLANTED` is the smallest slope of this wall, relative to the slope at which the camera would not
+see it. The wall of a bowl continues below to a foot, whose radius relative to that of the rim is
+`SMALL_FOOT`.
 """
 CLEAR = 0.95
 """Fraction of a ring's visible angle in which the image is not stretched too much."""

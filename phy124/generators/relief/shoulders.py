@@ -29,13 +29,13 @@ SLOPE = 0.25
 COVERED, SIDE = 0.5, 0.12
 """Smallest part of the body's width over which the edge is visible.
 
-This part of the edge must also be visible at both sides of the body. The second number is the width
-of a side, relative to the body's width.
+This part of the edge must also be visible at both sides of the body. `SIDE` is the width of a side,
+relative to the body's width.
 """
 WIDE, LOW = 0.35, 0.35
 """Smallest width of the body, relative to the object's width.
 
-The second number is the smallest height of the body below the edge, relative to the body's width.
+`LOW` is the smallest height of the body below the edge, relative to the body's width.
 """
 LENGTH = 0.2
 """Height of the mirror image of the body, relative to the image's height."""

@@ -46,7 +46,7 @@ TRIED = 4
 ROUNDS, ATTEMPTS, DONE = 12, 4, 1e-3
 """Largest number of rounds of a fit, and of attempts in a round with shorter and shorter steps.
 
-A fit ends if the error decreases by less than the third number, relative to the error.
+A fit ends if the error decreases by less than `DONE`, relative to the error.
 """
 GAP, LEGS = 0.12, 0.5
 """Smallest height of the gaps between legs, relative to the object's height, and largest width of

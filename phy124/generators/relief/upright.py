@@ -21,7 +21,7 @@ Mask = NDArray[np.bool_]
 CENTRED, EVERY = 0.04, 0.97
 """Largest distance of a row's centre from the axis, relative to half of the largest width.
 
-The second number is the smallest fraction of the rows that must be centred and without gaps.
+`EVERY` is the smallest fraction of the rows that must be centred and without gaps.
 """
 LEAN = 0.04
 """Largest slope of the axis in the image. Perspective lets an object away from the centre lean."""
@@ -31,7 +31,7 @@ ellipse's half width."""
 LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.7
 """Limits of the ratio of an ellipse's height to its width, for a circle seen from above.
 
-Arcs of a ball have larger ratios than the second number.
+Arcs of a ball have larger ratios than `HIGHEST_VIEW`.
 """
 WALL = 0.3
 """Smallest height of a drum between its arcs, relative to half the width."""
@@ -44,40 +44,40 @@ FULL = 0.97
 FLAT_RIM, LOW_RIM = 0.15, 0.5
 """Largest height of a vessel above its rim, relative to its whole height, for any outline.
 
-The second number applies if the outline is half of an ellipse above the rim, but not below it. If
-both halves are ellipses, the outline is that of an egg.
+`LOW_RIM` applies if the outline is half of an ellipse above the rim, but not below it. If both
+halves are ellipses, the outline is that of an egg.
 """
 EGG = 0.9
 """Smallest height of the two arcs of an egg together, relative to the whole height."""
 NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
 """Largest width of a vessel near its foot, relative to its largest width; a drum is wider.
 
-The second number is the height of this place, relative to the height of the object. The third
-number is the largest amount by which the vessel may become wider below its rim.
+`FOOT` is the height of this place, relative to the height of the object. `WIDENING` is the largest
+amount by which the vessel may become wider below its rim.
 """
 UPPER, TIP_HEIGHT, TAPERED, HIGHER = 0.22, 0.1, 0.46, 0.6
 """Limits of outlines that end in a tip, such as those of shields and briefs.
 
-The first number is the upper fraction of the height, in which the rim must lie. The second number
-is a height near the tip, relative to the object's height. At this height, the width is at most the
-third number times the largest width. The last number is the smallest ratio of height to width.
-Lower outlines may be those of bowls without a foot.
+`UPPER` is the upper fraction of the height, in which the rim must lie. `TIP_HEIGHT` is a height
+near the tip, relative to the object's height. At this height, the width is at most `TAPERED` times
+the largest width. `HIGHER` is the smallest ratio of height to width. Lower outlines may be those of
+bowls without a foot.
 """
 STEP, SPAN = 0.12, 0.03
 """Largest decrease of half the width of a vessel over a short height, relative to its maximum.
 
-The second number is this height, relative to the height of the object. Sleeves end more abruptly.
+`SPAN` is this height, relative to the height of the object. Sleeves end more abruptly.
 """
 THIN, REACH = 0.4, 0.05
 """Largest thickness of a handle, relative to the thickest part of the object.
 
-The second number is the smallest length by which a handle protrudes, relative to the object's size.
+`REACH` is the smallest length by which a handle protrudes, relative to the object's size.
 """
 TIP, POINTED = 0.2, 0.3
 """Length of the tip of a protruding part, as a fraction of the part's length.
 
-The second number is the largest mean height of the tip, relative to the height of the part, if the
-part is a sharp rim instead of a handle.
+`POINTED` is the largest mean height of the tip, relative to the height of the part, if the part is
+a sharp rim instead of a handle.
 """
 FEWEST = 16
 """Smallest number of rows of a vessel or a drum."""

@@ -25,9 +25,10 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 SIZE = 320
 """Width and height of the network's input [pixels]."""
 CLOSER, AROUND = 1.4, 0.15
-"""An object is segmented again, with its surroundings, if it can be enlarged by the first number.
+"""An object is segmented again, with its surroundings, if it can be enlarged by a factor of
+`CLOSER`.
 
-The second number is the width of the surroundings, relative to the object's longest side.
+`AROUND` is the width of the surroundings, relative to the object's longest side.
 """
 AGREED = 0.85
 """Smallest overlap (IoU) with the first mask of a repeated segmentation that is used."""

@@ -6,15 +6,15 @@ import warp as wp
 
 PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
 """Offsets in the array of a body: X [m], q (wxyz), V [m/s], L [kg m^2/s], and 1 if V includes the
-kick of this substep. The last number is the length of the array.
+kick of this substep. `SIZE` is the length of the array.
 """
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
 """Offsets in a solution: V and w, the previous V and w, and the impulse and moment of the walls.
-The last number is the length of the array.
+`TRIAL` is the length of the array.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Offsets in the six equations: the [3,3] blocks of the matrix, then the right-hand side. The last
-number is the length of the array.
+"""Offsets in the six equations: the [3,3] blocks of the matrix, then the right-hand side. `SYSTEM`
+is the length of the array.
 """
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
 """Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and the number of sums.

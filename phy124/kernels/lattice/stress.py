@@ -31,10 +31,10 @@ point would stop the run.
 QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""
 STEEPEST = wp.constant(6.0)
-"""Upper bound, per cell squared, of the sum of |dw/dx|^2 / w over the nodes of a point, for w along
-one axis. The bound limits the rate at which the viscosity stops a compression. The mass of a node
-is at least the sum of w m over its points, so the limit does not depend on how much of a cell is
-filled.
+"""Upper bound [1/cell^2] of a sum over the nodes of a point: the sum of |dw/dx|^2 / w, where w is
+the weight along one axis. The bound limits the rate at which the viscosity stops a compression. The
+mass of a node is at least the sum of w m over its points, so the limit does not depend on how much
+of a cell is filled.
 """
 
 

@@ -187,10 +187,10 @@ def make_film(real: Any):
     """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact. `rims` contains the sums over this liquid for each direction (`make_head`).
-    If a cell between body and wall contains liquid, the film has the pressure of the cell. All
-    pressures are converted to the position of the wall, with the distances `fixed` from the fixed
-    walls. The film acts on the fraction of the contact that `share_of` returns.
+    around the contact. `rims` contains the sums over the given liquid for each direction
+    (`make_head`). If a cell between body and wall contains liquid, the film has the pressure of the
+    cell. All pressures are converted to the position of the wall, with the distances `fixed` from
+    the fixed walls. The film acts on the fraction of the contact that `share_of` returns.
     """
     t = types(real)
 

@@ -1,4 +1,4 @@
-"""Shapes the Gaussians of a liquid into discs on its surface, and into balls of spray and foam.
+"""Computes the shapes of a liquid's Gaussians: discs on its surface, balls of spray and foam.
 
 `phy124.rendering.liquid` describes the method. A field has one value per cell of a grid, and is
 stored as a flat array. Positions and lengths are in cells of this grid, unless stated otherwise.

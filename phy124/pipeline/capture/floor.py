@@ -55,8 +55,9 @@ def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
 
     Args:
         points: Centres of the visible Gaussians [N,3].
-        up: Approximate up direction, or None. If it is known, planes that are too steep, such as
-            walls, are rejected. If it is None, up is the side of the plane with more points.
+        up: Approximate up direction, or None. If this direction is known, planes that are too
+            steep, such as walls, are rejected. If `up` is None, up is the side of the plane with
+            more points.
 
     Raises:
         InputError: No plane contains enough points, or the plane is smaller than the object on top.

@@ -88,7 +88,8 @@ def slosh(cells: int, depth: float) -> Values:
 def fall(cells: int, viscosity: float) -> Values:
     """Let a liquid slab fall between no-slip plates, with `cells` cells across the gap.
 
-    Return its speeds in the middle and across the gap [m/s]. The viscosity is dynamic [Pa s].
+    Return the liquid's speeds in the middle and across the gap [m/s]. The viscosity is dynamic [Pa
+    s].
     """
     fine, width = round(cells / GAP), 4 * GAP / cells
     plates = [
