@@ -70,7 +70,7 @@ def on_correct(studio: Studio) -> Handler:
 
 
 def on_cut_end(studio: Studio) -> Handler:
-    """Handle the event "cut" of the picture panel: show the cut-out, or the reason of a failure."""
+    """Handle the event "cut" of the picture panel: show the cut-out, or why there is none."""
 
     def show(shown: Any, source: Any, event: gr.EventData, request: gr.Request) -> tuple[Any, ...]:
         job = job_of(studio, request, event)

@@ -6,12 +6,12 @@ wall. A column's first node is the node nearest to the wall among the nodes that
 cell in front of the wall. The other two nodes of a column are the next ones behind the first node.
 A node's velocity is the first node's velocity times g, the ratio of the node's distance from the
 wall to the first node's distance. Quadratic B-splines reproduce linear functions, and the splines
-of nodes further behind do not reach the wall. Momentum is projected onto such velocities, v_1 =
-sum(g m v) / sum(g^2 m). The projection acts on all three nodes and never adds energy. Without the
-projection, a wall is as compliant as a layer of material one cell thick. B-splines with linear
-values behind the wall are called extended B-splines (Hoellig, Reif, Wipper 2001). The wall acts as
-soon as the material has reached it. The masses of the nodes on both sides of the wall show when the
-material has reached it (see `coverage`).
+of nodes further behind do not reach the wall. Momentum is projected onto velocities that are linear
+in this distance, v_1 = sum(g m v) / sum(g^2 m). The projection acts on all three nodes and never
+adds energy. Without the projection, a wall is as compliant as a layer of material one cell thick.
+B-splines with linear values behind the wall are called extended B-splines (Hoellig, Reif, Wipper
+2001). The wall acts as soon as the material has reached it. The masses of the nodes on both sides
+of the wall show when the material has reached it (see `coverage`).
 
 The surface of a clamp's region is treated like a wall. The nodes inside the region are fixed. The
 velocity of the node next to the surface is chosen so that the interpolated velocity is zero at the

@@ -218,7 +218,7 @@ class _Lattices:
     def launch(self) -> None:
         """Apply forces and then all contact impulses to the nodes of the lattices.
 
-        This happens after the particles' grids are updated and before walls act on the grids.
+        The launches come after the particles' grids are updated and before walls act on the grids.
         """
         self._lattice.start_step(*self.times)
 

@@ -48,7 +48,7 @@ NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
 """Largest number of substeps of a frame, relative to the object at rest. A duck that is a hundred
-times softer, under ten times its weight, needs 23 times as many.
+times softer, under ten times its weight, needs 23 times as many substeps as at rest.
 """
 
 

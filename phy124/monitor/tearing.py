@@ -37,8 +37,9 @@ MANY, FEW = 5e-3, 3
 than `APART`. P^(2/3) is about the number of particles in a cross-section. At corners, a few
 particles always separate.
 
-In tests, ducks were pressed, dropped and bounced. All ducks with a count below 5.2e-3 P^(2/3)
-stayed whole. One duck with 6.7e-3 P^(2/3) lost its head, but another with 7.9e-3 P^(2/3) did not.
+In tests, ducks were pressed, dropped and bounced. All ducks with fewer than 5.2e-3 P^(2/3) such
+particles stayed whole. One duck with 6.7e-3 P^(2/3) lost its head, but another with 7.9e-3 P^(2/3)
+did not.
 """
 REACH = 1.5
 """Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""

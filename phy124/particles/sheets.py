@@ -74,9 +74,10 @@ def fill_sheets(
         index: Indices of all voxels that are not empty [V,3].
         chosen: Numbers of the K voxels that belong to sheets [K].
         planes: First approximations of the middle planes of these K voxels.
-        thick: Thicknesses of the material around all voxels, and a zero [V+1]. Those of sheets are
-            set.
-        shift: Centres of the filled parts [V,3]; those of other voxels are known.
+        thick: Thicknesses of the material around all voxels, and a zero [V+1]. This function sets
+            the values of sheets.
+        shift: Centres of the filled parts [V,3]. This function sets the values of sheets; the
+            others must be set before.
         spread: Second moments of the filled parts [V,3,3].
     """
     if not len(chosen):

@@ -200,8 +200,9 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 def make_body_volume(real: Any):
     """Kernel over the cells of a region: sums the volume inside a body's surface and outside walls.
 
-    `volumes_out` receives this volume [cells], and its change if the surface is shifted by one
-    cell. `vacant` contains the fraction of each eighth of a cell that is outside walls.
+    `volumes_out` receives this volume [cells], and the change of the volume if the surface is
+    shifted by one cell. `vacant` contains the fraction of each eighth of a cell that is outside
+    walls.
     """
     t = types(real)
 

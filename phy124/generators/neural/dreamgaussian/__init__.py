@@ -12,7 +12,7 @@ def make_dreamgaussian(*, device: str | None = None, steps: int | None = None) -
     """Return the generator `dreamgaussian`.
 
     Args:
-        device: Device on which it runs; None: a GPU if there is one.
+        device: Device for the generator; None: a GPU if there is one.
         steps: Number of optimisation steps; None: the default.
     """
     from phy124.generators.neural.dreamgaussian.generator import DreamGaussian

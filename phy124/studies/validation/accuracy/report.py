@@ -118,8 +118,8 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 
     On a grid between two levels, the error is assumed to be that of the coarser level. On grids
     finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`). If no
-    order was observed (None), the error is constant there. On grids coarser than all levels, the
-    error is unknown (None).
+    order was observed (None), the error of the finest level is assumed for finer grids. On grids
+    coarser than all levels, the error is unknown (None).
     """
     within = [level for level in errors if level <= cells]
     if not within:
