@@ -16,6 +16,14 @@ CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 
 
+def is_full_disk(problem: BaseException) -> bool:
+    """Return whether an exception, of the system or of a library, reports a full disk."""
+    code = problem.errno if isinstance(problem, OSError) else None
+    words = str(problem).lower()
+    says = code in DISK_CODES or any(sign in words for sign in DISK_WORDS)
+    return says and not isinstance(problem, (InputError, Incomplete))
+
+
 class Remedy(NamedTuple):
     """A change of the scene that solves a problem."""
 

@@ -92,6 +92,32 @@ def test_a_machine_that_runs_short_is_no_bad_name(tmp_path, monkeypatch, code):
     assert names(tmp_path) == []
 
 
+@pytest.mark.parametrize(
+    "problem",
+    [
+        OSError(errno.ENOSPC, "no room"),
+        OSError(errno.ENOSPC, "no room", "x/out/.making-1/.a.part"),
+        OSError(errno.ENOSPC, "no room", "/tmp/scratch", None, "x/out/.making-1/a"),
+        RuntimeError("a library: No space left on device"),
+    ],
+    ids=["no name", "a temporary name", "two names", "no OSError"],
+)
+def test_a_full_disk_is_named_by_the_folder_of_the_results(tmp_path, monkeypatch, problem):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError) as refused, staging("x/out") as folder, replacing(folder / "a"):
+        raise problem
+    assert failure(refused.value).sentence.endswith(
+        "No space left on device: 'x/out'). Free some space, or choose another folder."
+    )
+    assert names(tmp_path) == []
+
+
+def test_a_full_disk_elsewhere_keeps_its_name(tmp_path):
+    problem = OSError(errno.ENOSPC, "no room", "/elsewhere/a")
+    with pytest.raises(OSError, match="elsewhere"), staging(tmp_path / "out"):
+        raise problem
+
+
 def test_a_folder_with_too_long_a_name_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"out = .*name too long"), staging(tmp_path / ("n" * 300)):
         pytest.fail("it began")

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from phy124.errors import SHORT_CODES, Incomplete, InputError
+from phy124.errors import SHORT_CODES, Incomplete, InputError, is_full_disk
 
 try:
     import fcntl
@@ -192,8 +192,9 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
         if others and held is not None:  # without locks, they may be leftovers of killed runs
             limit = "another run is writing its results to this folder."
             raise InputError("out", out, limit, "Wait until it ends, or choose another folder.")
-        yield folder
-        deliver(folder)
+        with naming_full_disk(out):
+            yield folder
+            deliver(folder)
     except Exception as error:
         if keeps and (names := deliver(folder)):
             raise Incomplete(f"kept in {out}: {', '.join(names)}") from error
@@ -202,6 +203,31 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
         shutil.rmtree(folder, ignore_errors=True)
         unlock(held)
         remove_empty(missing)
+
+
+@contextmanager
+def naming_full_disk(folder: Path) -> Iterator[None]:
+    """Let an error about a full disk name the folder to which the block writes.
+
+    Many such errors name no file, and others name a temporary file. An error that names a file
+    outside the folder is not changed.
+
+    Raises:
+        OSError: If the disk is full.
+    """
+    try:
+        yield
+    except Exception as error:
+        if not is_full_disk(error):
+            raise
+        code, name = errno.ENOSPC, None
+        if isinstance(error, OSError):
+            code, name = error.errno or code, error.filename2 or error.filename
+        if name and not resolve_links(Path(name)).is_relative_to(resolve_links(folder)):
+            raise
+        # `staging` hides its folder, and the user knows only the folder that this one fills.
+        known = folder.parent if folder.name.startswith(MAKING) else folder
+        raise OSError(code, os.strerror(code), os.fspath(known)) from error
 
 
 def deliver(folder: Path) -> list[str]:
@@ -296,8 +322,9 @@ def replacing(path: PathLike) -> Iterator[Path]:
     temporary = _create(path)
     held = lock(temporary)
     try:
-        yield temporary
-        move_to(temporary, path)
+        with naming_full_disk(path.parent):
+            yield temporary
+            move_to(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

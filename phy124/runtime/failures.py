@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
 
-from phy124.errors import DISK_CODES, DISK_WORDS, Cancelled, Incomplete, InputError
+from phy124.errors import Cancelled, Incomplete, InputError, is_full_disk
 
 PROJECT = "phy124"
 OURS = (PROJECT, "phy124_demo", "phy124_bridge", "demo", "bridge", "__main__")
@@ -110,7 +110,7 @@ def _kind(problem: BaseException) -> Kind:
         or any(sign in words for sign in MEMORY_WORDS)
     ):
         return Kind.MEMORY
-    if code in DISK_CODES or any(sign in words for sign in DISK_WORDS):
+    if is_full_disk(problem):
         return Kind.DISK
     if code is not None or isinstance(problem, UnicodeError):
         return Kind.MACHINE
