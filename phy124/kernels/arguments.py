@@ -103,6 +103,8 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "low": int,  # first node of the launch's forces
         "full_blocks": int,  # number of blocks of full cells (lattice/simd.py)
         "restore": real,  # gain of the speed at which points that penetrate move out [1/s]
+        "deep": real,  # depth from which more sweeps over points follow [m]
+        "exact": real,  # displacement by a correction at which sweeps over points end [m]
         "between": bool,  # whether contact is between two bodies, not within one
         "far": real,  # distance below which parts may touch [m]
         "cells": wp.uint64,  # a hash grid of points

@@ -28,7 +28,7 @@ from phy124.kernels.launches import put
 from phy124.lattice.clamps import PassedOn
 from phy124.lattice.partners import REACH, Partners
 from phy124.lattice.surface import Surface
-from phy124.lattice.walls import Nodes
+from phy124.lattice.walls import DEEP, EXACT, Nodes
 from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
@@ -149,11 +149,12 @@ class Meeting:
             [0, *limits, *read, nodes.movable, nodes.inverse, nodes.u, clock],
             [*changed, nodes.v, gap, yields, pairs["force"]],
         )
+        response = self._restore, self._friction, DEEP * model.dx, EXACT * model.dx
         tail = [nodes.movable, gap, yields, clock, self._tracks.rates]
         resist = model.launch(
             make_resist(self._response, real, nodes.rows),
             1,
-            [every, 0, self._restore, self._friction, 0, pairs["nodes"], pairs["weights"], *tail],
+            [every, 0, *response, 0, pairs["nodes"], pairs["weights"], *tail],
             [nodes.v, pairs["force"]],
         )
         self._launches = [(meet, 0), (resist, 1)]

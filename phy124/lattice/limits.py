@@ -188,7 +188,10 @@ class Limits:
 
     def _list_near(self) -> None:
         """List the surface points that walls may touch before the next measurement."""
-        self._walls.list_near(self._travel + 2 * WAY * self._dx, self._step())
+        step = self._step()
+        # The walls are where they were one substep ago.
+        ahead = (self._clock.interval + 1) * step if math.isfinite(step) else 0.0
+        self._walls.list_near(self._travel + max(2 * WAY * self._dx, ahead), step)
 
     def _step(self) -> float:
         """Return the largest distance [m] by which a point may approach a wall in a substep."""

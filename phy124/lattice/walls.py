@@ -43,13 +43,17 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import STILL, Tracks
 
 REACH = 0.6
-"""Largest distance from a wall at which contact is computed [cells]."""
-AHEAD, CLOSE = 2.0, 0.1
-"""Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`
-[cells].
+"""Distance from a wall up to which the wall holds points that have touched it [cells]."""
+AHEAD, CLOSE, FAR = 2.0, 0.1, 3.0
+"""Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`,
+but at most up to `FAR` [cells].
 """
 TOUCHING = 0.5
 """Distance up to which a wall counts as touching a point that is inside another wall [cells]."""
+DEEP, EXACT = 0.1, 1e-3
+"""If a point is deeper than `DEEP` inside a wall, further sweeps over all points follow, until no
+correction displaces a point by more than `EXACT` [cells].
+"""
 STEP = 0.5
 """Increment of the distance up to which points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
@@ -215,8 +219,8 @@ class Walls:
             step: Largest distance by which a point approaches a wall in a substep [m].
         """
         for contact in self._contacts:
-            if contact.separates:
-                contact.limit(min(REACH * self._dx, AHEAD * step + CLOSE * self._dx))
+            near = min(FAR * self._dx, AHEAD * step + CLOSE * self._dx)
+            contact.limit(near if contact.separates else max(REACH * self._dx, near))
         width = STEP * self._dx
         steps = math.ceil(approach / width)
         if steps > self._listed:
@@ -334,8 +338,8 @@ class _Contact:
         return self._division.record(kernel, self._count, inputs, [self._gaps])
 
     def list_near(self, approach: float) -> None:
-        """List the points that were within `REACH` cells plus `approach` [m] of the wall."""
-        close = self._gaps.numpy() < REACH * self._model.dx + approach
+        """List the points that were within `reach` plus `approach` [m] of the wall."""
+        close = self._gaps.numpy() < self.reach + approach
         near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
             self._near = near.astype(np.int32)
@@ -420,7 +424,8 @@ class _Contact:
             self._part.response(),
         )
         restore = RESTORE[response] * self._slowest
-        inputs = [self._list, 0, restore, self._part.friction, self._slot, *nodes.points[:2]]
+        inputs = [self._list, 0, restore, self._part.friction, DEEP * model.dx, EXACT * model.dx]
+        inputs += [self._slot, *nodes.points[:2]]
         inputs += [nodes.movable, self._gap, self._yields, tracks.clock, tracks.rates]
         kernel = make_resist(response, model.real, nodes.rows)
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))

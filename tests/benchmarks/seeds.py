@@ -132,8 +132,7 @@ def run(gaussians: Gaussians, scene: Scene) -> dict[str, Any]:
         nonlocal deepest
         solver: Any = simulation.solver
         if isinstance(solver, LatticeSolver):
-            gaps = [contact.distances().min() for contact in solver.walls._contacts]
-            deepest = max(deepest, -min(gaps, default=0.0) / solver.model.dx)
+            deepest = max(deepest, solver.walls.depth()[0])
 
     try:
         simulation = Simulation(prepare(gaussians, scene, RunContext(threads=1)))

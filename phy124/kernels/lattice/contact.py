@@ -40,6 +40,8 @@ points.
 """
 NODES = 27
 """Largest number of nodes that carry a surface point."""
+SWEEPS = 16
+"""Largest number of sweeps over all points, forwards and backwards."""
 MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
 """Index of the moment of all impulses about the origin [N m s]; index of the work by a clamp's
 motion [J]; length of each wall's sums. The first `EXCHANGE` sums are the sums of
@@ -129,8 +131,13 @@ def make_yields(real: Any, rows: Rows):
 
 @build_once
 def make_resist(response: str, real: Any, rows: Rows):
-    """Single-thread kernel: one forward and one backward projected Gauss-Seidel sweep over the
-    points near a wall.
+    """Single-thread kernel: forward and backward projected Gauss-Seidel sweeps over the points near
+    a wall.
+
+    One sweep leaves a part of each change of the load, by which points drift into the wall. Further
+    sweeps follow if the wall holds points in both directions, or if a point is deeper than `deep`.
+    They end when no correction displaces a point by more than `exact`, at the latest after
+    `SWEEPS`.
 
     The wall moves at the rate of the track `slot`. Pairs of points use slot 0, which has no rate,
     because their `gap` is relative to the opposite position.
@@ -141,6 +148,7 @@ def make_resist(response: str, real: Any, rows: Rows):
         rows: Functions on the nodes of a point.
     """
     moved_by, strike, limit = rows.moved_by, rows.strike, LIMITS[response]
+    leaves = response == "separate"
 
     @kernel(f"phy124_lattice_resist_{response}_{rows.name}{real.__name__}", real, seconds=0.6)
     def resist(
@@ -148,6 +156,8 @@ def make_resist(response: str, real: Any, rows: Rows):
         count,
         restore,
         friction,
+        deep,
+        exact,
         slot,
         nodes,
         weights,
@@ -161,10 +171,18 @@ def make_resist(response: str, real: Any, rows: Rows):
     ):
         wall = xyz(rates[slot])
         zero = real(0.0)
-        for b in range(2 * count):
-            s = near[there_and_back(b, count)]
+        farthest = zero
+        lowest = zero
+        for b in range(wp.static(SWEEPS) * 2 * count):
+            step = b % (2 * count)
+            if step == 0:
+                if b > 0 and (farthest < exact or (wp.static(leaves) and lowest > -deep)):
+                    break
+                farthest = zero
+            s = near[there_and_back(step, count)]
             g = gap[s]
             if not wp.isinf(g[3]) and yields[s] > zero and clock[0] > zero:
+                lowest = wp.min(lowest, g[3])
                 relative = moved_by(v_out, nodes, weights, s) - wall
                 last = clock[0] * force_out[s]
                 part = real(RELAXED) / yields[s]
@@ -174,6 +192,7 @@ def make_resist(response: str, real: Any, rows: Rows):
                 force_out[s] = impulse / clock[0]
                 if wp.dot(change, change) > zero:
                     strike(v_out, inverse, nodes, weights, s, change)
+                    farthest = wp.max(farthest, yields[s] * wp.length(change) * clock[1])
 
     return resist
 
