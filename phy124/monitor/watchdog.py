@@ -85,11 +85,10 @@ digit, so rounding strains the body. The measured strain per substep in float32 
 distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy is quadratic in the
 strain, and a quarter of the energy is tolerated.
 """
-FAST = ("solver", "cells", "push", "damping")
+FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
 """Names of two causes of errors (`phy124.budget.remedies`): particles too fast for the window, and
-rounding. Remedies that helped most often come first: in five stopped random scenes on lattices,
-another solver helped in 4 of 4, fewer cells and a gentler push in 3 of 4, damping in 0 of 3.
+rounding.
 """
 SWOLLEN = 2.0
 """Volume ratio above which a real solid would have fractured."""
@@ -405,7 +404,7 @@ class Watchdog(Observer):
         motions, others.
         """
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
-        return ("solver", "substep", *(("law", "push", "damping") if violent else ()))
+        return ("solver", "substep", *(("law", "push") if violent else ()))
 
     def _strain_energy(self, strain: float) -> float:
         """Return the elastic energy [J] of the whole body at a given strain."""
