@@ -7,7 +7,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from phy124.gaussians import rotation_matrices
-from phy124.generators.relief import relief
+from phy124.generators.relief import boxes, relief
 from phy124.generators.relief.boxes import CORNERS, find_box
 from phy124.generators.relief.surface import View
 
@@ -96,3 +96,20 @@ def test_other_shapes_are_not_boxes():
     cv2.fillPoly(lopsided, [np.array(corners)], 1)
     for mask in (disc, square, star, lopsided > 0):
         assert find_box(mask, View.of(mask, DISTANCE)) is None
+
+
+def test_distant_cameras_are_not_tried_for_an_outline_far_from_a_box(monkeypatch):
+    """The fit takes most of the time of a picture whose outline has six edges."""
+    tried = []
+    fit = boxes._fit_box
+
+    def record(corners, view):
+        tried.append(view.distance)
+        return fit(corners, view)
+
+    monkeypatch.setattr(boxes, "_fit_box", record)
+    lopsided = np.zeros((300, 300), np.uint8)
+    corners = [[20, 150], [60, 40], [250, 20], [280, 100], [150, 280], [90, 260]]
+    cv2.fillPoly(lopsided, [np.array(corners)], 1)
+    assert find_box(lopsided > 0, View.of(lopsided > 0, DISTANCE)) is None
+    assert tried == [DISTANCE]

@@ -44,8 +44,13 @@ MISFIT = 7.0
 
 This distance is 2.8 % of the object's longest side, which has 248 pixels.
 """
-FARTHER = (2.0, 4.0, 8.0)
-"""Distances of cameras with a weaker perspective, relative to that of the front camera."""
+FARTHER, WORST = (2.0, 4.0, 8.0), 14.0
+"""Distances of cameras with a weaker perspective, relative to that of the front camera.
+
+They are not tried if the misfit from the front exceeds the last number [pixels].
+"""
+PRECISE = 1e-3
+"""Relative change of the error or of the values at which a fit ends."""
 LONGEST = 12.0
 """Largest ratio of the box's longest side to its shortest side."""
 ASKEW = 8.0
@@ -155,7 +160,7 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
         return None
     corners = corners - view.middle[:2]
     box, misfit = _fit_box(corners, view)
-    if misfit > MISFIT:
+    if MISFIT < misfit <= WORST:
         farther = [_fit_box(corners, replace(view, distance=f * view.distance)) for f in FARTHER]
         box, misfit = min(farther, key=lambda fit: fit[1])
     if box is None or misfit > MISFIT or box.half.max() > LONGEST * box.half.min():
@@ -242,6 +247,10 @@ def _fit(corners: Field, yaw: float, pitch: float, distance: float) -> tuple[Fie
         shifts, key=lambda o: float(((scaled[o] - (wanted - wanted.mean(axis=0))) ** 2).sum())
     )
     fit = scipy.optimize.least_squares(
-        lambda v: (_project(v, distance)[order] - wanted).ravel(), values, max_nfev=60
+        lambda v: (_project(v, distance)[order] - wanted).ravel(),
+        values,
+        max_nfev=60,
+        ftol=PRECISE,
+        xtol=PRECISE,
     )
     return fit.x, float(np.sqrt(2 * fit.cost / len(wanted)))

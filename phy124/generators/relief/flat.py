@@ -70,6 +70,11 @@ def flatten(
     flat = min(deepest, size * float(np.interp(radius, RADII, HALVES)))
     contrast = 0.0 if always else shading.contrast
     limit = float(np.interp(contrast, SHADED, (flat, deepest)))
+    return limit_thickness(half, limit)
+
+
+def limit_thickness(half: Field, limit: Field | float) -> Field:
+    """Limit squared half thicknesses [H,W] smoothly to those of `limit` [pixels]."""
     ratio = half / limit**2
     return half / (1 + ratio**SHARPNESS) ** (1 / SHARPNESS)
 

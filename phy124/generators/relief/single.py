@@ -34,7 +34,7 @@ from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.rings import find_ring
 from phy124.generators.relief.shell import DRAWN_IN, Shell
-from phy124.generators.relief.shoulders import find_shoulder
+from phy124.generators.relief.shoulders import Shoulder, find_shoulder
 from phy124.generators.relief.sides import Box, check_back
 from phy124.generators.relief.solids import (
     apply_depth,
@@ -46,6 +46,7 @@ from phy124.generators.relief.solids import (
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 from phy124.generators.relief.table_fit import find_table
+from phy124.generators.relief.thin import find_thin
 from phy124.generators.relief.vessel import vessel_shell
 
 CARD = 0.12
@@ -142,17 +143,16 @@ def _inflated_shell(
     silhouette = Silhouette.of(work.alpha)
     joined = shoulder and shoulder.round_thickness(work.alpha)
     half = half_thickness(silhouette, work, WORK, shape, joined)
-    mapped = work.rgba.shape[2] > 4
+    mapped, thin, limited = work.rgba.shape[2] > 4, None, None
     if half is None:
         work = work.shorten()
         surface = make_slab(work, view, thickness)
     else:
+        thin = find_thin(work.object_mask) if shape == "auto" and not mapped else None
+        half = half if thin is None else thin.flatten(half)
         surface = inflate(half, silhouette, work, view, thickness)
-    limited = None
-    if half is not None and not mapped and shape != "round":
-        block = is_block(work) or (shoulder is not None and is_angular(work.rgba))
-        always = shape == "flat" or (shape == "auto" and block)
-        limited = flatten(half, surface, work, WORK, always=always)
+        if thin is None and not mapped and shape != "round":
+            limited = _flatten(half, surface, work, shoulder, shape)
     if limited is not None:
         surface = inflate(limited, silhouette, work, view, thickness)
     if shoulder is not None and half is not None:
@@ -169,7 +169,13 @@ def _inflated_shell(
         light = fit_light(front, surface, work.object_mask)
         unlit = unlight(front, surface, light)
         if look == "auto":
-            look = "plain" if half is None else choose_look(work.rgba)
+            look = (
+                "mirror"
+                if thin is not None
+                else "plain"
+                if half is None
+                else choose_look(work.rgba)
+            )
         imagined, reach = unlit, 0.0
         if look == "plain":
             reach = _reach_behind(surface, half is None, limited is not None)
@@ -193,6 +199,15 @@ def _inflated_shell(
         rgb = blend_pictures(drawn, turned, shown, view.distance)
     step(3)
     return Shell(drawn, turned, spacing, rgb)
+
+
+def _flatten(
+    half: Field, surface: Surface, work: Continued, shoulder: Shoulder | None, shape: Shape
+) -> Field | None:
+    """Return limited squared half thicknesses of a flat or angular object; None for a round one."""
+    block = is_block(work) or (shoulder is not None and is_angular(work.rgba))
+    always = shape == "flat" or (shape == "auto" and block)
+    return flatten(half, surface, work, WORK, always=always)
 
 
 def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) -> Shell | None:

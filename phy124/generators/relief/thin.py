@@ -1,0 +1,324 @@
+"""Recognises objects with parts that are thinner than they are wide: wings, fish, and wheels.
+
+Wings, pairs of lenses and pairs of hands are sheets. Their outline is symmetric, and has a notch in
+the middle of its upper edge and of its lower edge. The body of a fish becomes narrower towards a
+tail, whose fin is higher again. Bicycles stand on two discs, at their left and right ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.generators.relief.flat import limit_thickness, stands_on_feet
+
+Field = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+FEWEST = 16
+"""Smallest width and height of a silhouette that is examined [pixels]."""
+SYMMETRIC, LEANING = 0.85, 15.0
+"""Smallest overlap (IoU) of wings with their mirror image, and largest angle of the axis [degrees].
+"""
+NOTCH, NOTCHED = 0.045, 0.4
+"""Smallest mean depth of a notch, relative to the height of the wings.
+
+The second number is the width of the notch, relative to that of the wings.
+"""
+OUTER, OUTWARD, FILLED = 0.33, 0.5, 0.55
+"""Wings are farther from the axis than this fraction of half the width.
+
+The second number is the smallest fraction of the silhouette that is so far out. The third number is
+the smallest fraction of the convex hull that the silhouette fills.
+"""
+LOWEST, WIDE, COMPACT, RADIUS = 0.8, 1.5, (0.3, 0.85), 0.265
+"""Smallest ratio of width to height of wings, and the ratio from which wings are wide.
+
+The next numbers are limits of the mean height at the axis, relative to the height of the wings;
+wide wings may be lower. The last number is the largest radius of an inscribed disc, relative to the
+size of the object. Faces, buses and other compact objects exceed the limits.
+"""
+SHEET, BODY = 0.025, 0.06
+"""Half thickness of wings, and of the body between them, relative to the size of the object."""
+NARROW, FIN, FINNED = 0.6, 1.4, (0.25, 0.9)
+"""Largest height of the narrow part before the tail, relative to the body of the fish.
+
+The second number is the smallest height of the fin, relative to the narrow part. The others are
+limits of the height of the fin, relative to the body.
+"""
+FORE, TAIL = 0.53, (0.6, 0.93)
+"""Largest distance of a fish's highest part from its nose, relative to its length.
+
+The other numbers are limits of this distance for the narrow part before the tail.
+"""
+NOSE, KEEL, LONG, DEEP = 0.5, 0.4, 1.1, 0.5
+"""Largest height of a nose, relative to the body, and width of a keel, relative to the length.
+
+The other numbers are the smallest ratio of a fish's length to its height, and the smallest height
+of its body, relative to the height with fins.
+"""
+UNEVEN, OBLIQUE, HOLLOW = 0.08, 0.15, 0.15
+"""Largest increase of the height between body and tail, relative to the body.
+
+The second number is the largest distance between the middle of the body and that of the tail, and
+the third one the largest part of a column that is empty. A handle leaves more empty.
+"""
+FLATTENED = 0.6
+"""Thickness of a fish, relative to its height."""
+GROUND, ROUND, ARC, RADII = 0.08, 0.035, 0.75, (0.08, 0.36)
+"""Largest distance of a wheel from the ground, relative to the height of the object.
+
+The second number is the largest root mean square distance between the outline below a wheel and a
+circle; both this number and the width of the compared arc are relative to the radius. The last
+numbers are limits of radii, relative to the height and to the size of the object.
+"""
+AROUND, FREE = 1.12, 0.55
+"""Radius of the circle around a wheel that is examined, relative to the wheel's radius.
+
+The second number is the smallest fraction of this circle that is outside the silhouette.
+"""
+APART, LARGE, AT_ENDS = 1.25, 0.18, 0.08
+"""Smallest distance between two wheels, relative to the sum of their radii.
+
+The second number is the smallest radius of the larger one, relative to the height of the object,
+and the third one the largest distance of a wheel from the end, relative to the width.
+"""
+TYRE = 0.2
+"""Half thickness of a wheel, relative to its radius."""
+
+
+@dataclass(frozen=True)
+class Wings:
+    """Two sheets at both sides of a narrow body."""
+
+    axis: tuple[float, float]
+    """Column and row of a point of the axis."""
+    lean: float
+    """Angle between the axis and the vertical [radians]."""
+    size: int
+    """Longest side of the silhouette [pixels]."""
+    alike: ClassVar[bool] = True
+    """Whether front and back look alike."""
+
+    def flatten(self, half: Field) -> Field:
+        """Limit squared half thicknesses [H,W] to those of the sheets and the body."""
+        y, x = np.mgrid[: half.shape[0], : half.shape[1]]
+        away = (x - self.axis[0]) * np.cos(self.lean) + (y - self.axis[1]) * np.sin(self.lean)
+        bulge = (BODY - SHEET) * np.exp(-((away / (BODY * self.size)) ** 2))
+        return limit_thickness(half, self.size * (SHEET + bulge))
+
+
+@dataclass(frozen=True)
+class Fish:
+    """A fish that is seen from its side."""
+
+    alike: ClassVar[bool] = True
+
+    def flatten(self, half: Field) -> Field:
+        """Reduce squared half thicknesses [H,W]."""
+        return half * FLATTENED**2
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A disc that stands on the ground, in pixels."""
+
+    x: float
+    y: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """The two wheels of a bicycle."""
+
+    left: Wheel
+    right: Wheel
+    alike: ClassVar[bool] = True
+
+    def flatten(self, half: Field) -> Field:
+        """Limit squared half thicknesses [H,W] inside the wheels."""
+        y, x = np.mgrid[: half.shape[0], : half.shape[1]]
+        for wheel in (self.left, self.right):
+            beyond = np.hypot(x - wheel.x, y - wheel.y) - wheel.radius
+            half = limit_thickness(half, TYRE * wheel.radius + np.maximum(beyond, 0.0))
+        return half
+
+
+def find_thin(object_mask: Mask) -> Wings | Fish | Wheels | None:
+    """Return the thin parts that a silhouette [H,W] shows, or None."""
+    if min(_crop(object_mask).shape) < FEWEST:
+        return None
+    return find_wings(object_mask) or find_fish(object_mask) or find_wheels(object_mask)
+
+
+def find_wings(object_mask: Mask) -> Wings | None:
+    """Return the wings that a silhouette [H,W] shows, or None."""
+    folded = _fold(object_mask)
+    if folded is None:
+        return None
+    wings, solid = folded
+    height, width = solid.shape
+    away = np.abs(np.arange(width) - (width - 1) / 2) / (width / 2)
+    heights = solid.sum(axis=0)
+    middle = heights[away < 0.1].mean() / height
+    least = 0.0 if width >= WIDE * height else COMPACT[0]
+    radius = cv2.distanceTransform(np.pad(solid, 1).astype(np.uint8), cv2.DIST_L2, 5).max()
+    if (
+        width < LOWEST * height
+        or heights[away > OUTER].sum() < OUTWARD * heights.sum()
+        or not least <= middle <= COMPACT[1]
+        or radius > RADIUS * wings.size
+    ):
+        return None
+    places = np.argwhere(solid)[:, ::-1].astype(np.int32)
+    hull = cv2.fillConvexPoly(np.zeros(solid.shape, np.uint8), cv2.convexHull(places), 1) > 0
+    near = away < NOTCHED
+    notches = [
+        (part.argmax(axis=0) - whole.argmax(axis=0))[near & solid.any(axis=0)].mean() / height
+        for part, whole in ((solid, hull), (solid[::-1], hull[::-1]))
+    ]
+    filled = heights.sum() / np.count_nonzero(hull)
+    return wings if min(notches) > NOTCH and filled > FILLED else None
+
+
+def _fold(object_mask: Mask) -> tuple[Wings, Mask] | None:
+    """Return a symmetric silhouette [H,W] with a vertical axis in its middle; None if it has none.
+
+    A symmetric silhouette has its centroid and a principal axis on the axis of symmetry.
+    """
+    y, x = np.nonzero(object_mask)
+    middle = float(x.mean()), float(y.mean())
+    u, v = x - middle[0], y - middle[1]
+    angle = 0.5 * float(np.arctan2(2 * (u * v).mean(), (u**2).mean() - (v**2).mean()))
+    size = max(int(np.ptp(x)), int(np.ptp(y))) + 1
+    for lean in (0.0, angle) if abs(angle) < np.radians(LEANING) else (0.0,):
+        reach = int(np.hypot(*object_mask.shape)) // 2
+        cosine, sine = np.cos(lean), np.sin(lean)
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        back = np.column_stack([turn, middle - turn @ [reach, reach]])
+        turned = cv2.warpAffine(
+            object_mask.astype(np.uint8) * 255,
+            back,
+            (2 * reach + 1,) * 2,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        )
+        solid = turned > 127
+        both = np.count_nonzero(solid & solid[:, ::-1])
+        if both > SYMMETRIC * (2 * np.count_nonzero(solid) - both):
+            rows = np.flatnonzero(solid.any(axis=1))
+            columns = np.flatnonzero((solid | solid[:, ::-1]).any(axis=0))
+            box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            return Wings(middle, lean, size), solid[box]
+    return None
+
+
+def find_fish(object_mask: Mask) -> Fish | None:
+    """Return a fish if a silhouette [H,W] shows one, or None."""
+    solid = _crop(object_mask)
+    height, width = solid.shape
+    keel = np.count_nonzero(solid[-max(2, round(0.03 * height))])
+    if width < LONG * height or keel > KEEL * width or stands_on_feet(solid):
+        return None
+    return Fish() if _swims(solid) or _swims(solid[:, ::-1]) else None
+
+
+def _swims(solid: Mask) -> bool:
+    """Return whether a silhouette [H,W] without a border is that of a fish with a left nose."""
+    height, width = solid.shape
+    filled = solid.sum(axis=0)
+    heights = scipy.ndimage.uniform_filter1d(filled.astype(float), max(3, width // 60))
+    body, last = int(heights.argmax()), int(TAIL[1] * width)
+    first = int(TAIL[0] * width)
+    tail = first + int(heights[first:last].argmin())
+    narrow, fin, highest = heights[tail], heights[tail:].max(), heights[body]
+    if body > FORE * width or tail in (first, last - 1) or narrow <= 0:
+        return False
+    upper, lower = solid.argmax(axis=0), height - solid[::-1].argmax(axis=0)
+    middle, between = (upper + lower) / 2, heights[body : tail + 1]
+    rise = (np.maximum.accumulate(between[::-1])[::-1] - between).max()
+    return bool(
+        narrow < NARROW * highest
+        and fin > FIN * narrow
+        and FINNED[0] * highest < fin < FINNED[1] * highest
+        and heights[: max(1, round(0.05 * width))].mean() < NOSE * highest
+        and highest > DEEP * height
+        and rise < UNEVEN * highest
+        and abs(middle[tail] - middle[body]) < OBLIQUE * height
+        and (filled / (lower - upper))[[tail, body]].min() > 1 - HOLLOW
+    )
+
+
+def find_wheels(object_mask: Mask) -> Wheels | None:
+    """Return the two wheels of a bicycle that a silhouette [H,W] shows, or None."""
+    rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
+    height, (start, end) = np.ptp(rows) + 1, columns[[0, -1]]
+    wheels = _circles_on_ground(object_mask)
+    if len(wheels) < 2:
+        return None
+    left, right = wheels[0], wheels[-1]
+    inset = max(abs(left.x - left.radius - start), abs(right.x + right.radius - end))
+    apart = right.x - left.x > APART * (left.radius + right.radius)
+    large = max(left.radius, right.radius) > LARGE * height
+    return Wheels(left, right) if apart and large and inset < AT_ENDS * (end - start) else None
+
+
+def _circles_on_ground(object_mask: Mask) -> list[Wheel]:
+    """Return the discs on which a silhouette [H,W] stands, from left to right."""
+    solid, size = _crop(object_mask), max(_crop(object_mask).shape)
+    rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
+    pad, height = size // 4, len(solid)
+    solid = np.pad(solid, pad)
+    lowest = np.where(solid.any(axis=0), len(solid) - 1 - solid[::-1].argmax(axis=0), -1.0)
+    near = int(0.12 * size) | 1
+    ground = lowest >= lowest.max() - GROUND * height
+    touching = ground & (lowest == scipy.ndimage.maximum_filter1d(lowest, near))
+    parts, _ = scipy.ndimage.label(touching)  # pyright: ignore
+    turn = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    wheels = []
+    for (part,) in scipy.ndimage.find_objects(parts):  # pyright: ignore
+        x, y = (part.start + part.stop - 1) / 2, float(lowest[part.start])
+        radius = _radius_below(lowest, x, y, RADII[0] * height, RADII[1] * size)
+        if radius is None:
+            continue
+        across, down = (
+            x + AROUND * radius * np.cos(turn),
+            y - radius + AROUND * radius * np.sin(turn),
+        )
+        place = [
+            np.rint(v).astype(int).clip(0, n - 1)
+            for v, n in zip((down, across), solid.shape, strict=True)
+        ]
+        if 1 - solid[tuple(place)].mean() > FREE:
+            wheels.append(Wheel(x - pad + columns[0], y - radius - pad + rows[0], radius))
+    return wheels
+
+
+def _radius_below(lowest: Field, x: float, y: float, least: float, most: float) -> float | None:
+    """Return the radius of the largest disc above a lower outline [W]; None if there is no disc.
+
+    The disc's lowest point is at column x and row y.
+    """
+    largest = None
+    for radius in np.arange(least, most):
+        columns = np.arange(int(np.ceil(x - ARC * radius)), int(x + ARC * radius) + 1)
+        if columns[0] < 0 or columns[-1] >= len(lowest):
+            break
+        arc = y - radius + np.sqrt(radius**2 - (columns - x) ** 2)
+        if np.sqrt(np.mean((lowest[columns] - arc) ** 2)) < ROUND * radius:
+            largest = columns
+    if largest is None:
+        return None
+    outer = largest[np.abs(largest - x) > np.ptp(largest) / 4]
+    rise = np.maximum(y - lowest[outer], 1.0)
+    return float(np.median(((outer - x) ** 2 + rise**2) / (2 * rise)))
+
+
+def _crop(object_mask: Mask) -> Mask:
+    """Return a silhouette [H,W] without its border."""
+    rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
+    return object_mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
