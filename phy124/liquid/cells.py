@@ -49,7 +49,7 @@ class Region:
 
 
 class OverActive:
-    """A launch on the CPU with one thread for each cell of a worker that is active at that time.
+    """A launch on the CPU that has one thread per active cell of a worker.
 
     More threads would waste time, because an idle thread takes as long as the work of a cheap
     kernel on one cell.

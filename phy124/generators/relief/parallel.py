@@ -40,7 +40,8 @@ class Profile:
     """Whether the top is flat, and whether the bottom is flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return how near each row's thickest point and nearest edge are to the other camera.
+        """Return how near each row's thickest point and nearest edge are to the camera of the other
+        image.
 
         Args:
             y: Rows relative to the object's centre [N].

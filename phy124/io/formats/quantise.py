@@ -44,8 +44,8 @@ def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
 def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return a palette that approximates `vectors [N,D]`, and the palette index of each vector.
 
-    The palette has at most `most` entries, a power of 2. If there are no more vectors, it consists
-    of the vectors. If there are more, they are divided into cells. Each cell is split at the median
+    The palette has at most `most` entries, a power of 2. If at most `most` vectors are given, these
+    vectors are the palette. More vectors are divided into cells. Each cell is split at the median
     of its principal component with the largest variance, until there are `most` cells. The palette
     then consists of the means of the cells.
     """

@@ -1,20 +1,21 @@
 """Contact of surface points with a wall, by impulses on the nodes.
 
 A point at signed distance g from the wall must not approach the wall faster than g / dt. While a
-wall presses on a point that has penetrated it, the point moves out at the speed -restore g. The
-impulses of the last substep are applied first. Projected Gauss-Seidel then corrects the impulses,
-with Coulomb friction. The method visits the points in a fixed order, forwards and then backwards;
-consecutive points are about one cell apart (phy124/lattice/surface.py). An impulse J on a point
-changes the velocities of the point's nodes by w_i J / m_i, and the velocity of the point by (sum
-w_i^2 / m_i) J.
+wall presses on a point that has penetrated it, the point moves out at the speed -`restore` g, where
+`restore` is a rate [1/s]. The impulses of the last substep are applied first. Projected
+Gauss-Seidel then corrects the impulses, with Coulomb friction. The method visits the points in a
+fixed order, forwards and then backwards; consecutive points are about one cell apart
+(phy124/lattice/surface.py). An impulse J on a point changes the velocities of the point's nodes by
+w_i J / m_i, and the velocity of the point by (sum w_i^2 / m_i) J.
 
 Impulses that are applied again and then corrected neither create nor sustain vibrations. The pass
 over all points, forwards and backwards, is a symmetric positive operator E on velocities. With C =
 E^-1 - 1, the impulses of the last substep equal the impulses of implicitly integrated springs C /
 dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is stable without
-walls. A single pass, which is not symmetric, excites vibrations. `restore` [1/s] is an integral
-gain. A gain above omega^2 dt would excite the body's slowest vibration (angular frequency omega).
-A gain that grew as substeps become shorter would throw a body out when it is squeezed hard.
+walls. A single pass, which is not symmetric, excites vibrations. In this scheme, `restore` is the
+gain of an integral controller. A gain above omega^2 dt would excite the body's slowest vibration
+(angular frequency omega). A gain that grew as substeps become shorter would throw a body out when
+it is squeezed hard.
 
 The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """

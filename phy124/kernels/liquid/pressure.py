@@ -1,11 +1,11 @@
 """Assembles the pressure equation, and makes the velocities divergence-free by the pressure.
 
 The unknown is q = p dt / (rho dx) [m/s] with a reference density rho. The velocity at a face then
-changes by the difference of q across the face. This difference is divided by the density at the
-face relative to rho. Walls are represented by the open fractions of faces (Ng, Min and Gibou 2009).
-At the surface of the liquid, p is zero where phi crosses zero between two cells (ghost fluid:
-Enright et al. 2003; Gibou 2002). Each cell is slightly compressible, like water. Without
-compressibility, the equation would be singular in a closed volume of liquid without a surface.
+changes by the difference of q across the face, divided by the ratio of the density at the face to
+rho. Walls are represented by the open fractions of faces (Ng, Min and Gibou 2009). At the surface
+of the liquid, p is zero where phi crosses zero between two cells (ghost fluid: Enright et al. 2003;
+Gibou 2002). Each cell is slightly compressible, like water. Without compressibility, the equation
+would be singular in a closed volume of liquid without a surface.
 """
 
 from typing import Any
