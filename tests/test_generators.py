@@ -95,5 +95,5 @@ def test_ply_without_an_object_is_refused(tmp_path, rng):
     write_ply(tmp_path / "faint.ply", box(rng, opacity=0.001))
     with pytest.raises(InputError, match=r"below 0.005.*visible object"):
         PlyFile(str(tmp_path / "faint.ply"))()
-    with pytest.raises(InputError, match="at the same point"):
+    with pytest.raises(InputError, match="at a single point"):
         normalise_size(box(rng, 1))

@@ -135,7 +135,7 @@ class PlyFile:
 
         Raises:
             InputError: For the reasons listed at `read_gaussians`, or if all Gaussians are nearly
-                transparent or at the same point.
+                transparent, or nearly all opacity is at a single point.
         """
         del image_rgba, seed
         if self.reading.floor:
@@ -242,7 +242,7 @@ def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
     """Centre Gaussians on the origin and scale their longest side to 1 m; outliers are ignored.
 
     Raises:
-        InputError: If the centres of all Gaussians coincide.
+        InputError: If nearly all opacity is at a single point.
     """
     return gaussians.transform(*unit_transform(gaussians, name))
 
@@ -251,12 +251,12 @@ def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.f
     """Return the scale and offset [3] that `normalise_size` applies.
 
     Raises:
-        InputError: If the centres of all Gaussians coincide.
+        InputError: If nearly all opacity is at a single point.
     """
     low, high = robust_bounds(gaussians)
     size = float((high - low).max())
     if not size > 0:
-        limit = "All Gaussians of the file are at the same point."
+        limit = "Nearly all of its opacity is at a single point, so its object has no size."
         raise InputError("file", name, limit, "Give a file that contains an object.")
     return 1 / size, -(low + high) / 2 / size
 
