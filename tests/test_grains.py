@@ -23,6 +23,12 @@ def body() -> Gaussians:
     return ball(3000)
 
 
+@pytest.fixture(scope="module")
+def fine(body) -> Gaussians:
+    """The body with Gaussians so small that each shows a single grain."""
+    return replace(body, scales=body.scales / 10)
+
+
 def grained(body, material, binding="particles"):
     made = make_particles(body, density=1000, spacing=SPACING, binding=binding)
     return made, *add_grains(body, made, np.ones(len(body), bool), [material], SPACING)
@@ -59,20 +65,40 @@ def test_on_a_lattice_the_particles_carry_them_like_all_others(body):
     assert len(shown) > len(body) + 300 and particles is made
 
 
-def test_shades_differ_by_grain_and_are_those_of_the_seed(body):
-    amounts = np.where(np.arange(len(body)) < 1000, 0.15, 0.0)
-    sandy = vary_brightness(body, amounts, seed=3)
-    same = (body.rgb > 0.1).all(axis=1) & (body.rgb < 0.7).all(axis=1)
-    ratio = (sandy.rgb / body.rgb)[same]
+def test_shades_differ_by_grain_and_are_those_of_the_seed(fine):
+    amounts = np.where(np.arange(len(fine)) < 1000, 0.15, 0.0)
+    sandy = vary_brightness(fine, amounts, seed=3)
+    same = (fine.rgb > 0.1).all(axis=1) & (fine.rgb < 0.7).all(axis=1)
+    ratio = (sandy.rgb / fine.rgb)[same]
     np.testing.assert_allclose(ratio[:, 0], ratio[:, 2], rtol=1e-3, err_msg="only the brightness")
     assert 0.1 < ratio[amounts[same] > 0].std() < 0.2
     np.testing.assert_allclose(ratio[amounts[same] == 0], 1, rtol=1e-5)
-    np.testing.assert_array_equal(vary_brightness(body, amounts, seed=3).sh, sandy.sh)
-    assert (vary_brightness(body, amounts, seed=4).sh != sandy.sh).any()
+    np.testing.assert_array_equal(vary_brightness(fine, amounts, seed=3).sh, sandy.sh)
+    assert (vary_brightness(fine, amounts, seed=4).sh != sandy.sh).any()
 
 
-def test_surface_of_sand_is_rough_and_specked_and_its_inside_is_not(body):
+def test_large_gaussians_differ_less(body, fine):
+    amounts = np.full(len(body), 0.2)
+    spreads = [
+        (vary_brightness(each, amounts, seed=3).rgb / each.rgb).std()
+        for each in (fine, body, replace(body, scales=2 * body.scales))
+    ]
+    assert spreads[0] > 1.5 * spreads[1] and spreads[1] == pytest.approx(2 * spreads[2], rel=0.05)
+
+
+def test_a_shape_of_sand_has_small_gaussians():
+    box = {"name": "box", "shape": "box", "on": "object"}
+    sizes = []
+    for law in ("sand", "fluid"):
+        data = {**Scene.named("drop").data(), "objects": [{**box, "material": {"law": law}}]}
+        made = prepare(ball(600), Scene.from_data(data).replaced({**SAND, "grains": False}))
+        sizes.append(made.appearance.gaussians.of_object(1).scales.max())
+    assert sizes[0] < 0.65 * sizes[1]
+
+
+def test_surface_of_sand_is_rough_and_specked_and_its_inside_is_not():
     """The same surface at every accuracy: results of different accuracies are compared."""
+    body = ball(20_000)
     count, shifts = len(body), []
     for cells in (8, 12):
         scene = Scene.named("sand").replaced({"accuracy": {"cells": cells}})

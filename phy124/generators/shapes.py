@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 COUNT = 8000
-"""Approximate number of Gaussians of a shape."""
+"""Usual number of Gaussians of a shape, approximately."""
 TRIES = 6
 """Number of random candidates per point on triangles, from which an evenly spaced subset is
 kept."""
@@ -27,7 +27,12 @@ Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def make_shape(
-    name: str, sides: Sequence[float], colour: Sequence[float], *, patterned: bool = True
+    name: str,
+    sides: Sequence[float],
+    colour: Sequence[float],
+    *,
+    patterned: bool = True,
+    count: int | None = None,
 ) -> Gaussians:
     """Make the Gaussians of a simple shape that is centred on the origin.
 
@@ -37,9 +42,10 @@ def make_shape(
         sides: Lengths of the shape along x, y and z, m.
         colour: Red, green and blue, 0..1.
         patterned: Whether a checker pattern and a light from above make the motion visible.
+        count: Approximate number of Gaussians; None: `COUNT`.
     """
     half = np.asarray(sides, np.float64) / 2
-    x, normals = {"sphere": _sphere, "box": _box, "capsule": _capsule}[name](half)
+    x, normals = {"sphere": _sphere, "box": _box, "capsule": _capsule}[name](half, count or COUNT)
     squares = np.floor(CHECKS * x / (2 * half.max()) + 0.25).sum(axis=1) % 2
     width = 0.75 * float(np.sqrt(_area(half) / len(x)))
     bright = 1 - CONTRAST * squares if patterned else 1.0
@@ -120,14 +126,14 @@ def _area(half: NDArray) -> float:
     return float(2 * (a * b + b * c + c * a))
 
 
-def _sphere(half: NDArray) -> Surface:
-    directions = spread_directions(COUNT)
+def _sphere(half: NDArray, count: int) -> Surface:
+    directions = spread_directions(count)
     normals = directions / half
     return directions * half, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def _box(half: NDArray) -> Surface:
-    step = np.sqrt(_area(half) / COUNT)
+def _box(half: NDArray, count: int) -> Surface:
+    step = np.sqrt(_area(half) / count)
     points, normals = [], []
     for axis in range(3):
         others = [i for i in range(3) if i != axis]
@@ -145,18 +151,18 @@ def _box(half: NDArray) -> Surface:
     return np.concatenate(points), np.concatenate(normals)
 
 
-def _capsule(half: NDArray) -> Surface:
+def _capsule(half: NDArray, count: int) -> Surface:
     """Distribute points evenly over a cylinder that has a hemisphere at each end."""
     axis = int(np.argmax(half))
     across = np.delete(half, axis)
     radius, length = float(across.max()), float(half[axis] - across.max())
     # Archimedes' theorem: between two heights, a sphere has the same area as its circumscribed
     # cylinder.
-    height = (np.arange(COUNT) + 0.5) / COUNT * 2 - 1
+    height = (np.arange(count) + 0.5) / count * 2 - 1
     along = height * (length + radius)
     middle = along.clip(-length, length)
     out = (along - middle) / radius
-    angle = np.arange(COUNT) * np.pi * (3 - np.sqrt(5))
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
     ring = np.sqrt(1 - out**2)
     normals = np.stack([ring * np.cos(angle), ring * np.sin(angle), out], axis=1)
     points = radius * normals

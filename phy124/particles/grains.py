@@ -34,6 +34,9 @@ BRIGHTEST = 99.0
 """Percentile of the brightness after tinting that is at most white."""
 COARSEST = 0.005
 """Largest size of the grains that make a surface rough, relative to the object's longest side."""
+FINE = 0.006
+"""Standard deviation of the largest Gaussian that shows a single grain, relative to the object's
+longest side."""
 IDENTITY = (1, 0, 0, 0)
 
 
@@ -101,14 +104,19 @@ def make_grains(
 def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussians:
     """Change the brightness of each Gaussian at random.
 
+    A Gaussian that is larger than `FINE` shows the mean brightness of several grains, which varies
+    less. With full contrast it would look like a pebble.
+
     Args:
         gaussians: N Gaussians.
-        amounts: Standard deviation of each Gaussian's brightness change, relative to the brightness
+        amounts: Standard deviation of each grain's brightness change, relative to the brightness
             [N].
         seed: Seed of the random numbers.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
-    brighter = (1 + amounts * noise.clip(-2, 2))[:, None]
+    size = gaussians.scales.max(axis=1) / np.ptp(gaussians.means, axis=0).max()
+    contrast = amounts * np.minimum(FINE / size, 1)
+    brighter = (1 + contrast * noise.clip(-2, 2))[:, None]
     sh = gaussians.sh.copy()
     sh[:, 0] = ((0.5 + SH_C0 * sh[:, 0]) * brighter - 0.5) / SH_C0
     return replace(gaussians, sh=sh)

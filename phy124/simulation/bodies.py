@@ -45,6 +45,8 @@ from phy124.simulation.materials import assign_materials, vary_materials
 from phy124.simulation.overlap import refuse_objects
 from phy124.simulation.placing import mask_object, number_among_all, place, renumber_parts, stack
 
+GRAINY = 24_000
+"""Approximate number of Gaussians of a shape whose material has grains of different brightness."""
 FEWEST = 8
 """If an object is shorter than this number of cells, a note warns the user of a coarse grid."""
 PER_GAUSSIAN = ("max_stretch", "rounds", "flows", "holds", "kinds")
@@ -249,7 +251,8 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if body.shape is not None:
         # A pattern and a shade would move with drops and grains like a dye.
         patterned = not body.material.grains
-        return make_shape(body.shape, body.sides, body.colour, patterned=patterned)
+        count = GRAINY if body.material.shade else None
+        return make_shape(body.shape, body.sides, body.colour, patterned=patterned, count=count)
     if not body.waits:
         remedy = "Make the Gaussians with `phy124.pipeline.make_gaussians`, which reads the file."
         raise InputError("gaussians", "missing", "the object's file has not been read.", remedy)
