@@ -17,8 +17,8 @@ BALL = {"name": "ball", "shape": "sphere", "sides": [1.0, 1.0, 1.0], "motion": {
 WIND = {"kind": "wind", "v": [1.0, 0.0, 0.0]}
 SOFTENING = {"kind": "sine", "frequency": 1.0, "offset": 2.0}
 SLIPPERY = {"kind": "foot", "fraction": 0.2, "contact": "slip"}
-ELASTIC = ("drop", "bounce", "collide", "jelly", "press", "stack", "sway", "spin")
-OTHERS = ("wind", "sand", "snow", "water", "metal", "foam")
+ELASTIC = ("drop", "bounce", "collide", "jelly", "press", "stack", "sway", "spin", "wind")
+OTHERS = ("sand", "snow", "water", "metal", "foam")
 
 
 def scene(*objects, **changes):

@@ -55,8 +55,7 @@ Change = dict[str, Any]
 Row = dict[str, Any]
 COMPRESSIBLE: Change = {"material": {"law": "fluid"}, "accuracy.liquid": "compressible"}
 SCENES: dict[str, tuple[str, Change]] = {
-    **{name: (name, {}) for name in ("press", "drop", "sway", "spin", "bounce", "collide")},
-    "wind": ("wind", {"binding": "lattice"}),
+    **{name: (name, {}) for name in ("press", "drop", "sway", "spin", "bounce", "collide", "wind")},
     "pushed": ("drop", {"object.lift": 0.0, "forces": [{"kind": "gravity"}, PUSH]}),
     "plasticine press": ("press", {"material": {"law": "plasticine"}}),
     "sand drop": ("drop", {"material": {"law": "sand"}}),
@@ -98,7 +97,7 @@ VARIANTS: dict[str, tuple[str, Change]] = {
     "long sway": ("sway", {"time.frames": 41}),
     "long drop": ("drop", {"time.frames": 41}),
     "long spin": ("spin", {"time.frames": 41}),
-    "gusts": ("wind", {"binding": "lattice", "forces.0.v": (0, 10, 0)}),
+    "gusts": ("wind", {"forces.0.v": (0, 10, 0)}),
     "hard": ("bounce", {"material.nu": 0.45}),
     "pulled": forces("sway", HAND),
     "lifted": forces("drop", TOUCH, gravity=True),
@@ -122,7 +121,7 @@ VARIANTS: dict[str, tuple[str, Change]] = {
     "hencky drop": law("drop", "hencky"),
     "corotated sway": law("sway", "fixed_corotated"),
     "loose particles": ("drop", {"binding": "particles"}),
-    "wind particles": ("wind", {}),
+    "wind particles": ("wind", {"binding": "particles"}),
     "heap": ("sand", {}),
     "thrown snow": ("snow", {}),
     "dent": ("metal", {}),

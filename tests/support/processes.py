@@ -58,6 +58,9 @@ def killer(out: Path, every: float) -> Iterator[list[int]]:
 
     On a busy machine, it waits until a clip is made before the next kill.
     """
+    from phy124.studies.sweep.work import make_row
+
+    title = f"ray::{make_row.__name__}".encode()
     killed: list[int] = []
     done = threading.Event()
 
@@ -70,7 +73,7 @@ def killer(out: Path, every: float) -> Iterator[list[int]]:
             for entry in Path("/proc").glob("[0-9]*/cmdline"):
                 try:
                     worker = int(entry.parent.name)
-                    if entry.read_bytes().startswith(b"ray::row_of") and is_ours(worker):
+                    if entry.read_bytes().startswith(title) and is_ours(worker):
                         os.kill(worker, signal.SIGKILL)
                         killed.append(worker)
                         break
