@@ -5,8 +5,6 @@ move in substeps between the steps of the liquid. During these substeps, the liq
 on the particles at the bodies' surfaces. Momentum is conserved exactly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -21,6 +19,7 @@ from phy124.kernels.liquid import films, shapes
 from phy124.kernels.liquid.active import EMPTY
 from phy124.liquid.cells import Cells, Region
 from phy124.liquid.exchange import BodyWork
+from phy124.liquid.layers import weigh_layers
 from phy124.liquid.rigid import FreeSolids, Moments, Motion
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls
@@ -139,7 +138,6 @@ class Bodies:
             return model.launch(kernel, run.stop - run.start, inputs, outputs)
 
         def limit(start: float, end: float) -> float:
-            del start, end
             return self.limit
 
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
@@ -367,7 +365,7 @@ class Bodies:
         region = self._region(cells, self.numbers[index])
         count, box = int(np.prod(region.size)), region.box
         self._rims.zero_()
-        layers = self._weigh_layers(cells, region, densities)
+        layers = weigh_layers(self._model, cells, region, densities, self._pull)
         grid = [box, cells.lattice, cells.window, tracks.clock, tracks.values]
         surface = [cells.which, cells.liquid, cells.jumps, cells.pressure]
         inputs = [solid, *layers, *grid, *surface, self._contact]
@@ -391,34 +389,6 @@ class Bodies:
             return math.inf
         height = self._model.dx * volume / areas[dry].max()
         return 4 * float(height) / _wave_speed(self._model, body)
-
-    def _weigh_layers(
-        self, cells: Cells, region: Region, densities: wp.array | None
-    ) -> tuple[float, wp.array]:
-        """Return the height of the lowest liquid layer around a body, and the weight of each layer.
-
-        Heights are in cells. Weights are relative to the mean density. The list of weights is empty
-        if there is a single liquid.
-        """
-        model, strength = self._model, float(np.linalg.norm(self._pull))
-        if densities is None or strength == 0:
-            return 0.0, wp.zeros(0, dtype=model.real, device=model.device)
-        up = -self._pull / strength
-        corner = cells.origin / cells.dx + cells.low + np.asarray(region.box.numpy())[0]
-        low = float(corner @ up + np.minimum(up * region.size, 0).sum())
-        count = math.ceil(np.abs(up) @ region.size) + 1
-        layers = wp.zeros(count, dtype=wp.vec2d, device=model.device)
-        inputs = [types(model.real).vec3(*up), low, region.box, cells.lattice, cells.window]
-        inputs += [densities, cells.liquid]
-        kernel = films.make_layers(model.real)
-        self._launch(kernel, int(np.prod(region.size)), inputs, [layers])
-        totals = np.asarray(layers.numpy(), np.float64)
-        full = np.flatnonzero(totals[:, 1])
-        if len(full) == 0:
-            return 0.0, wp.zeros(0, dtype=model.real, device=model.device)
-        dense = np.interp(np.arange(count), full, totals[full, 0] / totals[full, 1])
-        heads = np.concatenate([[0.0], np.cumsum(dense)])
-        return low, model.array(heads, model.real)
 
     def push_out(self, cells: Cells, walls: Walls, model: Model, x: Any) -> wp.Launch | None:
         """Return the launch that moves particles of the liquid out of the bodies.

@@ -3,8 +3,6 @@
 All workers run a phase in parallel, and wait for each other between phases.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
@@ -22,7 +20,6 @@ from phy124.kernels.liquid import (
     spread,
     surface,
     transfer,
-    viscous,
 )
 from phy124.kernels.liquid.energies import AT_END, AT_PRESSURE
 from phy124.kernels.reduction import shared_out
@@ -35,6 +32,7 @@ from phy124.liquid.mixture import Mixture
 from phy124.liquid.projection import Projection
 from phy124.liquid.pushes import Pushes
 from phy124.liquid.solids import Solids
+from phy124.liquid.viscosity import Viscosity
 from phy124.liquid.walls import Walls, span
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
 from phy124.mpm.model import part_of
@@ -90,9 +88,8 @@ class Phases:
         """Extent of each worker's particles."""
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles that are not finite."""
-        self.carry = wp.ones(1, dtype=wp.float64, device=device)
-        """Factor on the last pressure, which gives the initial guess of the next pressure."""
         self._mixture = Mixture(model)
+        self.viscosity = Viscosity(model, cells, self._mixture)
         density = self._mixture.density
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
@@ -102,10 +99,6 @@ class Phases:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
         """Work on the liquid, by cause."""
-        self.viscosity = self._mixture.viscosity / (density * model.dx**2)
-        """Rate at which velocities diffuse to a neighbouring face [1/s] at the mean density."""
-        self.fastest_diffusion = self._mixture.viscosity / (self._mixture.lightest * model.dx**2)
-        """Upper bound of the rate at which velocities diffuse [1/s]."""
 
     @property
     def densities(self) -> wp.array | None:
@@ -131,6 +124,7 @@ class Phases:
         """
         self._tracks, self._walls, self._impulses_of_walls = tracks, walls, impulses_of_walls
         self._mixture.fit(self._cells.count)
+        self.viscosity.fit(walls, tracks, impulses_of_walls)
         in_cells = bool(walls.all) or self.energies.on
         between = self._bodies is not None and self._bodies.pushed
         self.pushes.fit(len(self._workers), pushes, in_cells=in_cells, between=between)
@@ -203,14 +197,16 @@ class Phases:
             yield "scatter", self._fill(worker, weights)
             yield "scatter", launches([self._sum_fills(worker)])
             yield "scatter", launches([self._mix(worker, mixed)])
-        if self.viscosity > 0:
+        viscosity = self.viscosity
+        if viscosity.rate > 0:
             cells = self._cells
-            yield "scatter", launches([self._anticipate(worker, -1.0)])
+            yield "scatter", launches([viscosity.anticipate(worker, -1.0)])
             start = [("viscosity", lambda: wp.copy(cells.other, cells.velocity))]
             yield "scatter", start if worker == 0 else []
-            yield "viscosity", launches([self._diffuse(worker, cells.other, cells.smooth)])
-            yield "viscosity", launches([self._diffuse(worker, cells.smooth, cells.other)])
-            yield "equation", launches([self._drag(worker), self._anticipate(worker, 1.0)])
+            yield "viscosity", launches([viscosity.diffuse(worker, cells.other, cells.smooth)])
+            yield "viscosity", launches([viscosity.diffuse(worker, cells.smooth, cells.other)])
+            drag = viscosity.drag(worker, self._copy(cells.sums, 0))
+            yield "equation", launches([drag, viscosity.anticipate(worker, 1.0)])
         for records in self._equation(worker):
             yield "equation", launches(records)
         if records := self.energies.before_pressure(worker):
@@ -237,7 +233,7 @@ class Phases:
         for turn in range(LAYERS):
             yield [self._spread(worker, turn, self._copy(self._cells.sums, 0))]
         slide = self._slide(worker, self._walls.motions, rubs=self._walls.rub)
-        yield [slide, *energies.of_faces(worker, self.viscosity)]
+        yield [slide, *energies.of_faces(worker, self.viscosity.rate)]
         stop = [*self._push_out(worker, stops=True), *energies.of_walls(AT_END, worker)]
         yield [self._gather(worker), *stop]
         yield self._respond(worker, pulled=False)
@@ -343,32 +339,6 @@ class Phases:
         first = self._solids.first(self._walls)
         return [cells.open, cells.shares, cells.distances, cells.owners, first]
 
-    def _viscous(self) -> list:
-        """Return the common arguments of the viscosity kernels."""
-        cells, walls = self._cells, self._walls
-        inputs = [self.viscosity, cells.lattice, cells.window, self._tracks.clock, cells.known]
-        inputs += [self._mixture.densities, self._mixture.viscosities, cells.open]
-        return [*inputs, cells.distances, cells.owners, walls.frictions, walls.motions]
-
-    def _anticipate(self, worker: int, factor: float) -> Recorded:
-        cells = self._cells
-        inputs = [factor, cells.window, cells.open, self._mixture.densities]
-        inputs += [cells.phi, cells.liquid, self.carry, cells.pressure]
-        kernel = pressure.make_anticipate(self._model.real)
-        return self._over_cells(worker, "viscosity", kernel, inputs, [cells.velocity])
-
-    def _diffuse(self, worker: int, before: wp.array, after: wp.array) -> Recorded:
-        inputs = [*self._viscous(), self._cells.velocity, before]
-        kernel = viscous.make_diffuse(self._model.real)
-        return self._over_cells(worker, "viscosity", kernel, inputs, [after])
-
-    def _drag(self, worker: int) -> Recorded:
-        cells = self._cells
-        inputs = [*self._viscous(), self._copy(cells.sums, 0), cells.other]
-        outputs = [cells.velocity, self._impulses_of_walls.rows(worker)]
-        kernel = viscous.make_drag(self._model.real)
-        return self._over_cells(worker, "viscosity", kernel, inputs, outputs)
-
     def _assemble(self, worker: int, densities: wp.array) -> Recorded:
         cells = self._cells
         inputs = [cells.window, cells.open, densities, cells.phi, cells.liquid]
@@ -379,7 +349,8 @@ class Phases:
     def _divergence(self, worker: int) -> Recorded:
         cells, walls = self._cells, self._walls
         inputs = [int(walls.move), cells.lattice, cells.window, walls.motions, cells.open]
-        inputs += [cells.distances, cells.owners, cells.liquid, self.carry, cells.velocity]
+        inputs += [cells.distances, cells.owners, cells.liquid]
+        inputs += [self.viscosity.carry, cells.velocity]
         kernel = pressure.make_divergence(self._model.real)
         outputs = [cells.right, cells.pressure]
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
@@ -441,7 +412,7 @@ class Phases:
         """Record the extrapolation to a layer of faces; `sums` is empty for displacements."""
         cells = self._cells
         known = [cells.known, cells.also]
-        inputs = [self.viscosity, cells.window, self._tracks.clock, known[turn % 2]]
+        inputs = [self.viscosity.rate, cells.window, self._tracks.clock, known[turn % 2]]
         inputs += [self._mixture.densities, self._mixture.viscosities]
         inputs += [sums, cells.open, cells.owners, self._solids.first(self._walls)]
         outputs = [cells.velocity, known[1 - turn % 2]]
@@ -450,7 +421,7 @@ class Phases:
 
     def _slide(self, worker: int, motions: wp.array, *, rubs: bool) -> Recorded:
         cells, walls, dx = self._cells, self._walls, self._model.dx
-        mode = 2 if rubs and self.viscosity > 0 else int(rubs)
+        mode = 2 if rubs and self.viscosity.rate > 0 else int(rubs)
         inputs = [mode, self._mixture.density * dx**3, cells.lattice, cells.window, motions]
         inputs += [walls.frictions, cells.open, cells.shares, cells.distances, cells.owners]
         inputs += [self._mixture.densities, cells.liquid, cells.known]

@@ -4,8 +4,6 @@ The solver has the interface of `phy124.mpm.Solver`, so that runs, observers, pa
 changes need not distinguish solvers. All particles of the run are liquid.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -132,7 +130,7 @@ class LiquidSolver:
             bodies,
         )
         self.runner = Runner(self.workers)
-        self.clock.diffuse(self._phases.fastest_diffusion)
+        self.clock.diffuse(self._phases.viscosity.fastest)
         self.kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self.follower: Callable[[], None] | None = None
@@ -234,7 +232,6 @@ class LiquidSolver:
         Raises:
             Unstable: A value is not finite, or a particle is too far away.
         """
-        del each
         self._fit()
         started, named = time.perf_counter(), self._seconds()
         self._begin(until)
@@ -269,7 +266,7 @@ class LiquidSolver:
             self.runner.join()
             pull = np.asarray(self.tracks.values.numpy()[0, :3], np.float64)
             self._bodies.plan(kick, pull)
-        if self._phases.viscosity > 0:
+        if self._phases.viscosity.rate > 0:
             for _ in range(self.clock.sweeps(kick)):
                 self._group("viscosity")
         self._group("equation")
@@ -392,7 +389,7 @@ class LiquidSolver:
             kick: Time over which the step changes the velocities [s].
         """
         scale = kick / self.kick if self.kick > 0 else 0.0
-        self._phases.carry.fill_(scale)
+        self._phases.viscosity.carry.fill_(scale)
         self.kick = kick
 
     def _solve(self, name: str, tolerance: float) -> None:
