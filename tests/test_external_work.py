@@ -112,7 +112,7 @@ def test_a_wall_at_rest_takes_momentum_and_does_no_work():
 
 def test_nothing_outside_gives_nothing_and_measures_nothing():
     external = ExternalWork()
-    assert external.wrap_forces([]) == [] and external.wrap_walls([]) == []
+    assert external.wrap_forces([]) == [] and external.wrap_walls([], []) == []
     _, _, exchanged, _ = run(v=(1, 2, 3))
     assert (
         not exchanged.impulse.any() and exchanged.work == exchanged.moved == exchanged.turned == 0

@@ -71,14 +71,14 @@ def test_bodies_apart_launch_nothing_and_move_as_if_alone():
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_body_that_is_held_takes_what_it_is_given(threads):
-    external = ExternalWork()
+    external, walls = ExternalWork(), [Ground(height=0.0)]
     forces = external.wrap_forces([Gravity(g=(1.0, 0, -1.0)), ZoneForce()])
     s = two(
         0.01,
         held=[1],
         threads=threads,
         forces=forces,
-        boundaries=external.wrap_walls([Ground(height=0.0)]),
+        boundaries=external.wrap_walls(walls, walls),
         accumulators=[external],
     )
     dog, start = watch_run(s, external), momentum(s, 0)

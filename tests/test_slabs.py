@@ -49,7 +49,7 @@ def solver(threads: int, *, materials=None, material=None, external=None, **opti
         dx=DX,
         material=material,
         forces=external.wrap_forces(forces),
-        boundaries=external.wrap_walls(walls),
+        boundaries=external.wrap_walls(walls, walls),
         accumulators=[external],
         threads=threads,
         **options,

@@ -37,7 +37,7 @@ def followed(forces=(), boundaries=(), **options) -> tuple[Solver, Watchdog]:
         [options.pop("material", NeoHookean(E=1e4))],
         dx=0.125,
         forces=external.wrap_forces(forces),
-        boundaries=external.wrap_walls(boundaries),
+        boundaries=external.wrap_walls(boundaries, boundaries),
         accumulators=[external],
         **options,
     )
@@ -192,7 +192,7 @@ def test_a_few_particles_thrown_apart_at_mach_1_add_up(law, nu, seed, count):
     """Particles fly beyond the domain and back, thin out to 1:1e5, and spin, without a
     violation."""
     rng, dx = np.random.default_rng(seed), 0.1
-    material, external = law(E=1e5, nu=nu), ExternalWork()
+    material, external, walls = law(E=1e5, nu=nu), ExternalWork(), [Ground(contact="slip")]
     x = rng.uniform(-0.15, 0.15, (count, 3)) + [0, 0, 0.35]
     spin = rng.normal(size=(3, 3)) * material.wave_speed() / dx
     v = (x - x.mean(axis=0)) @ (spin - spin.T).T + [0, 0, -material.wave_speed()]
@@ -203,7 +203,7 @@ def test_a_few_particles_thrown_apart_at_mach_1_add_up(law, nu, seed, count):
         dx=dx,
         v=v,
         C=np.tile(spin - spin.T, (count, 1, 1)),
-        boundaries=external.wrap_walls([Ground(contact="slip")]),
+        boundaries=external.wrap_walls(walls, walls),
         accumulators=[external],
     )
     watch = watch_run(s, external)

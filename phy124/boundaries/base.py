@@ -185,7 +185,6 @@ class Boundary(Section):
         The depth is negative outside the solid, and -inf if the boundary is not a solid (such as a
         clamp).
         """
-        del model
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

@@ -129,16 +129,13 @@ class Part(NamedTuple):
         real, (count, *parted) = model.real, shared_out(len(self.chosen), model.device)
 
         def forget(grid: Grid) -> wp.Launch | None:
-            del grid
             return model.launch(kernels.forget, 1, [], [self.means, self.second])
 
         def centre(grid: Grid) -> wp.Launch | None:
-            del grid
             read = [*parted, self.chosen, self.share, slot, tracks.values, state.x, state.v]
             return model.launch(kernels.make_centre(real), count, read, [self.means])
 
         def second(grid: Grid) -> wp.Launch | None:
-            del grid
             read = [*parted, self.chosen, self.share, slot, tracks.values, state.x, self.means]
             return model.launch(kernels.make_second(real), count, read, [self.second])
 
@@ -215,7 +212,6 @@ class Grab(Force):
         kernel = kernels.make_draw(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:
-            del grid
             inputs = [part.chosen, part.per_force, spring, slot]
             inputs += [tracks.clock, tracks.values, tracks.rates, part.means]
             return model.launch(kernel, len(part.chosen), inputs, [state.v])
@@ -272,7 +268,6 @@ class WrenchForce(Force):
         turned, kernel = any(self.torque), kernels.make_wrench(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:
-            del grid
             inputs = [part.chosen, part.per_force, wp.float64(part.mass), push, turn]
             inputs += [tracks.clock, tracks.values, state.x, part.means, part.second]
             return model.launch(kernel, len(part.chosen), inputs, [state.v])

@@ -137,7 +137,6 @@ class PlyFile:
             InputError: For the reasons listed at `read_gaussians`, or if all Gaussians are nearly
                 transparent, or nearly all opacity is at a single point.
         """
-        del image_rgba, seed
         if self.reading.floor:
             limit = (
                 "A floor becomes a part of the scene, but this function can return only Gaussians."

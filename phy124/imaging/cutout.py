@@ -401,7 +401,6 @@ def _check_fraction(alpha: Alpha, method: str, frames: int) -> None:
 
 
 def _keep_alpha(image: Image.Image, deadline: isolated.Deadline) -> Alpha:
-    del deadline
     if not has_alpha(image):
         limit = "The picture has no transparency from which an object could be separated."
         remedy = 'Choose "auto", or save the cut-out object as PNG.'

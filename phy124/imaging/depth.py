@@ -44,7 +44,6 @@ STEEPEST = 4.0
 
 def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
     """Estimate the depth [H,W] with Depth Anything V2; larger values are nearer."""
-    del solid
     (depth,) = OnnxNetwork(path, ["pixel_values"], ["predicted_depth"])(prepare_patches(rgb))
     # As in the original program, the centres of the corner pixels are aligned.
     rows, columns = (

@@ -95,7 +95,6 @@ NETWORKS: dict[str, Salient] = {
 
 def is_available(name: str, image: Image.Image | None = None) -> bool:
     """Whether the weights of a network and onnxruntime are present, and enough memory is free."""
-    del image
     weights = NETWORKS[name].weights
     complete = find_spec("onnxruntime") is not None and is_complete(weights)
     return complete and ABOUT[weights].memory < SPARE * free_memory()

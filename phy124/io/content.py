@@ -345,8 +345,8 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
     origin = np.zeros(3)
     if blurred and extent > 0:
         # The origin is a multiple of a power of two, so that float32 centres stay exact.
-        normalise_quats = 2.0 ** np.ceil(np.log2(extent))
-        origin = np.rint(middle / normalise_quats) * normalise_quats
+        unit = 2.0 ** np.ceil(np.log2(extent))
+        origin = np.rint(middle / unit) * unit
     with np.errstate(over="ignore", invalid="ignore"):
         near = means.astype(np.float64) - origin if origin.any() else means
         return near.astype(np.float32, copy=False), origin

@@ -269,7 +269,6 @@ class LatticeSolver:
         Raises:
             Unstable: A value is not finite.
         """
-        del each
         self.rejection.begin(self.clock.time, until)
         self.clock.interval = min(self.clock.interval, self.limits.interval())
         if len(self.workers) > 1:

@@ -1,7 +1,5 @@
 """Cells: arrays of a liquid in a window of the staggered grid that follows the particles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

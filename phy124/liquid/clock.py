@@ -6,8 +6,6 @@ limits a step only if the liquid is so viscous that the iterations of one long s
 time than several shorter steps.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -89,7 +87,6 @@ class LiquidClock(Clock):
             power: Power of the stress [W]; not used, since a projected liquid has none.
             momentum: Momentum of all particles [3], kg m/s.
         """
-        del power
         return self.uniform_work(momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:

@@ -1,7 +1,5 @@
 """Energies: sums the work on a liquid in every step, for each cause separately."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
 

@@ -84,7 +84,6 @@ class LatticeBodyWork(BodyWork):
         """Add the work of the substeps since `begin`; the arguments are not used, because the
         lattices store the forces.
         """
-        del pushes, turns, drift
         if not self.on:
             return
         crew, nodes, kernel = self._solver.crew, self._solver.nodes_state, make_node_work

@@ -5,8 +5,6 @@ step, and are then restored to their previous state. The step of the liquid uses
 the prediction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -233,7 +231,6 @@ class ImmersedSolver:
         Raises:
             Unstable: A value is not finite, or a particle is too far away.
         """
-        del each
         self._after = after
         self.lattice.pairs.begin()
         self.liquid.clock.time = self.clock.time
@@ -350,7 +347,6 @@ class _OfAll:
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that compute the sums."""
-        del model, state
         return self._item.attach(self._model, self._state, tracks)
 
     def snapshot(self) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """Lists the kernels of a liquid's steps, so that they can be compiled before a run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ The rigid motions of the bodies are part of the liquid's pressure equation. Afte
 liquid, the bodies take substeps under the pressure, until the end of the step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any

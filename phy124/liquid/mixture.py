@@ -1,7 +1,5 @@
 """Mixture: computes density and viscosity at each face if there are several liquids."""
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray

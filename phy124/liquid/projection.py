@@ -1,7 +1,5 @@
 """Projection: solves equations on the cells of liquid by conjugate gradients, in parallel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 

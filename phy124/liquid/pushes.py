@@ -9,8 +9,6 @@ In a scene with only liquids, forces act at the start of a step. In a scene with
 forces act in the substeps of these materials, between two steps of the liquid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, cast

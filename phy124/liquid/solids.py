@@ -1,7 +1,5 @@
 """Records the launches that couple the motion of solids in a liquid to the pressure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

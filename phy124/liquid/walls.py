@@ -1,7 +1,5 @@
 """Represents the boundaries of a scene as shapes with motion and friction, for a liquid."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

@@ -112,7 +112,6 @@ class Material(Section):
                 the strain.
             stiffness: A / rho of the stiffest particle [m^2/s^2].
         """
-        del stiffness
         return math.log((1 + math.sqrt(1 + 8 * growth)) / 4) / math.sqrt(3)
 
     def theta(self) -> tuple[float, ...]:
@@ -123,7 +122,6 @@ class Material(Section):
         """Return the law's parameters for grid spacing `dx` [m] and substeps of `cfl` times the
         elastic limit.
         """
-        del dx, cfl
         return self.theta()
 
     @property
@@ -153,7 +151,6 @@ class Material(Section):
         """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
         [m].
         """
-        del dx
         return math.inf
 
     def cheaper(self, field: str) -> str:
@@ -168,7 +165,6 @@ class Material(Section):
 
     def notes_at(self, speed: float) -> list[str]:
         """Return notes for the user about a run in which the largest speed was `speed` [m/s]."""
-        del speed
         return []
 
 
@@ -242,5 +238,4 @@ class Logarithmic(Elastic):
         If the strain changes by e, the difference of two principal strains changes by at most
         sqrt(2) e.
         """
-        del stiffness
         return (growth - 1) / math.sqrt(2)

@@ -72,7 +72,6 @@ class Fluid(Material):
 
         The stiffness varies as J^-(1 + gamma), and ln J is at most sqrt(3) times the strain.
         """
-        del stiffness
         return math.log(growth) / (math.sqrt(3) * (1 + self.gamma))
 
     def theta(self) -> tuple[float, ...]:

@@ -73,10 +73,10 @@ class Contacts(Observer):
         return contacts
 
     def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> list[Attachable]:
         """Return the walls with measuring stages before and after each wall."""
-        pairs = zip(walls, walls if inner is None else inner, strict=True)
+        pairs = zip(walls, inner, strict=True)
         return [Measured([wrapped], partial(self._measure, wall)) for wall, wrapped in pairs]
 
     def before_attempt(self, *, closely: bool = False) -> None:
@@ -132,7 +132,6 @@ class Contacts(Observer):
 
         The wall itself acts in `stages`, between the first and the second of the returned stages.
         """
-        del stages
         near = NodesNear([wall], model)
         copy, changed, share = contact_kernels(model.real)
         corners: list[wp.array] = []
@@ -145,7 +144,6 @@ class Contacts(Observer):
             return model.launch(copy, near.threads, near.read, [near.copy, *corners])
 
         def between(grid: Grid) -> wp.Launch | None:
-            del grid
             return model.launch(changed, near.threads, near.read, [near.copy, *corners])
 
         def after(grid: Grid) -> wp.Launch | None:

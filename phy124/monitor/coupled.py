@@ -83,7 +83,7 @@ class CoupledWrenches(Wrenches):
     """Measures the wrenches of lattices and particles on walls, and wrenches between bodies."""
 
     def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
         """Return the walls with measuring stages; store the names of the walls."""
         self._parts = simple_wall_names(walls)

@@ -26,17 +26,11 @@ class LatticeCrossing(Observer):
         """Assume that no point is inside a wall."""
         self._deepest, self._between = 0.0, ("", "")
 
-    def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
-    ) -> Any:
+    def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
         """Return the walls unchanged, and store the name of each simple wall."""
         named = zip(wall_names(walls), walls, strict=True)
         self._names = [name for name, wall in named if not wall.holds for _ in wall.parts()]
-        return walls if inner is None else inner
-
-    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; its walls measure the depth."""
-        self._solver = solver
+        return inner
 
     def after_attempt(self) -> Violation | None:
         """Measure the depth; a large depth is not a violation."""

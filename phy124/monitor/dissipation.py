@@ -121,7 +121,6 @@ class Dissipation(Observer):
             change: Change of the energy.
             stored: Change of the elastic energy.
         """
-        del loss, change, stored
         return {}
 
     def false_gain(self) -> float:

@@ -132,17 +132,13 @@ class ExternalWork(Observer):
         return [Measured(forces, self._attach_push)] if forces else []
 
     def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> list[Attachable]:
         """Combine all walls; measure the nodes before and after the walls act."""
-        if not walls:
-            return []
-        inner = walls if inner is None else inner
-        return [Measured(inner, partial(self._attach_walls, walls))]
+        return [Measured(inner, partial(self._attach_walls, walls))] if walls else []
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that ends each substep; none if the uniform acceleration is constant."""
-        del state
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
             wp.zeros(count, dtype=wp.float64, device=model.device) for count in (3, 6)
@@ -333,7 +329,6 @@ class ExternalWork(Observer):
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
         """Return stages before and after the `stages` of walls."""
-        del stages, state
         near, kernel = NodesNear(walls, model), kernels.make_wall_sums(model.real)
 
         def after(grid: Grid) -> wp.Launch | None:
@@ -353,14 +348,11 @@ class MeanWork(ExternalWork):
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield nothing, because measuring walls needs no kernels."""
-        del subject, real
         yield from ()
 
-    def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
-    ) -> Any:
+    def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
         """Return the walls unchanged."""
-        return walls if inner is None else inner
+        return inner
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
         """Return the forces unchanged."""

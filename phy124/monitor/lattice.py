@@ -84,7 +84,6 @@ class LatticeWatchdog(Watchdog):
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield nothing, because the sums are part of the kernels of lattices."""
-        del subject, real
         yield from ()
 
     def totals_of(self, solver: Any) -> Totals:
@@ -161,7 +160,6 @@ class LatticeWrenches(Wrenches):
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield nothing, because measuring walls needs no kernels."""
-        del subject, real
         yield from ()
 
     @property
@@ -169,12 +167,10 @@ class LatticeWrenches(Wrenches):
         """Names of the simple walls, in the order of the scene."""
         return self._names if self._of_walls else ()
 
-    def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
-    ) -> Any:
+    def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
         """Return the walls unchanged, and store the names of the walls."""
         self._names = tuple(simple_wall_names(walls))
-        return walls if inner is None else inner
+        return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver; its walls contain the sums."""
@@ -223,11 +219,9 @@ class LatticeContacts(Contacts):
         """
         return super().effect(subject)._replace(cost=Cost())
 
-    def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
-    ) -> Any:
+    def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
         """Return the walls unchanged."""
-        return walls if inner is None else inner
+        return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Start to sum the impulses of the solver's walls."""
@@ -296,7 +290,6 @@ class LatticeShock(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report before a run."""
-        del subject
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
@@ -321,12 +314,7 @@ class LatticePairs(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report before a run."""
-        del subject
         return Effect("contact of surface points between objects")
-
-    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to report its contact pairs."""
-        self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:
         """Return the row of the effects report after a run."""
@@ -344,12 +332,7 @@ class LatticeSelfContact(Observer):
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
         """Return the row of the effects report before a run."""
-        del subject
         return Effect("self-contact, if parts come near each other", cost=cls.LOOKING)
-
-    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to report its contact pairs."""
-        self._solver = solver
 
     def finished_effect(self, subject: Subject) -> Effect:
         """Return the row of the effects report after a run."""

@@ -26,7 +26,6 @@ class LatticeDissipation(LiquidDissipation):
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernels that sum the work of each cause."""
-        del subject
         yield from (make_node_work(real), make_contact_work(real))
 
     @classmethod

@@ -30,7 +30,6 @@ class LiquidDissipation(Dissipation):
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernels that sum the work of each cause."""
-        del subject
         yield from energy_kernels(real)
 
     @classmethod
@@ -60,7 +59,6 @@ class LiquidDissipation(Dissipation):
             rubbed: Minus the work of walls, which includes friction.
             stored: Elastic energy, which is zero for a liquid.
         """
-        del stored
         works = self._energies.read()
         lost = rubbed + works.walls - gained
         if self._external is not None and self._external.by_momentum:
@@ -77,7 +75,6 @@ class LiquidDissipation(Dissipation):
             change: Change of the kinetic energy.
             stored: Elastic energy, which is zero for a liquid.
         """
-        del stored
         works = self._energies.read()
         return {
             "kinetic": change,

@@ -2,8 +2,8 @@
 
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
 requires; all other observers cost no time and no memory. A run compiles, binds, calls, pauses,
-resumes and reports its observers in loops, in the order of the list. Every method has a default
-that does nothing, so a new observer overrides only the methods that it needs.
+resumes and reports its observers in loops, in the order of the list. By default, an observer keeps
+its solver and does nothing else, so a new observer overrides only the methods that it needs.
 """
 
 from __future__ import annotations
@@ -138,25 +138,21 @@ class Observer:
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
         """Return whether a run needs this observer."""
-        del subject
         return True
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernels to compile before the run, in the precision `real`."""
-        del subject, real
         yield from ()
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
         """Return the row of the effects report before a run; None if there is no row."""
-        del subject
         return None
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
         """Create the observer of a run; the run's solver does not exist yet."""
-        del setup
         return cls()
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> Sequence[Attachable]:
@@ -172,12 +168,10 @@ class Observer:
             walls: The boundaries of the scene.
             inner: The boundaries in `walls`, wrapped by earlier observers.
         """
-        del walls
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the observer's stages at the end of each substep (if `in_substeps`)."""
-        del model, state, tracks
         return []
 
     def allocate(self, model: Model, workers: int) -> None:
@@ -199,13 +193,13 @@ class Observer:
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer]) -> None:
         """Bind to the solver, and to the other observers whose results this observer reads."""
+        self._solver: Any = solver
 
     def change(self, scene: Scene) -> None:
         """Continue under the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
         """Return the time [s] of the frame if the frame needs no substeps, otherwise None."""
-        del index
 
     def before_frame(self, time: float) -> None:
         """Prepare the frame that starts at `time` [s]."""
@@ -245,7 +239,6 @@ class Observer:
         Args:
             frames: All frames if they are kept, otherwise none.
         """
-        del frames
         return {}
 
     def snapshot(self) -> dict[str, Any]:

@@ -119,7 +119,6 @@ class PoolDissipation(LiquidDissipation):
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
         """Return the work of moving walls on bodies, and the bodies' losses by cause [J]."""
-        del stored
         return {"walls": 0.0, "material": 0.0, "contact": 0.0}
 
     def _names(self) -> list[str]:
@@ -243,7 +242,6 @@ class ImmersedDissipation(PoolDissipation):
         self._solver.lattice.energies.clear()
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        del stored
         works = self._solver.lattice.energies.read()
         return {
             "walls": works.walls + works.held,

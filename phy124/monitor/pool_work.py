@@ -51,7 +51,6 @@ class PoolWork(ExternalWork):
 
     def begin(self, momentum: NDArray[np.float64]) -> None:
         """Start a frame: measure the liquid and the bodies."""
-        del momentum
         if self.by_momentum:
             self._before = self._measure()
 

@@ -168,7 +168,6 @@ class Sleep(Observer):
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
         """Return the first skipped frame, and the numbers of skipped frames and saved substeps."""
-        del frames
         if self.since is None:
             return {"sleep": None}
         sleep = {"since": self.since, "frames": self.skipped, "substeps": self.saved}

@@ -87,7 +87,6 @@ class Tearing(Observer):
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
         """Yield the kernel that measures the stretch."""
-        del subject
         yield make_apart(real)
 
     @classmethod
@@ -195,7 +194,6 @@ class Tearing(Observer):
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
         """Return the section of this observer in the report."""
-        del frames
         tearing = {"apart": self.count, "stretch": self.stretch, "loose": self.loose}
         return {"balance": {"tearing": {**tearing, "likely": self.likely}}}
 

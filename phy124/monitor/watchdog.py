@@ -292,7 +292,6 @@ class Watchdog(Observer):
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
         """Return the report sections about the balance and, if requested, the lost energy."""
-        del frames
         balanced = self.external is not None
         balance = {
             "energy_gain": self.balance.energy_gain if balanced else None,

@@ -92,10 +92,9 @@ class Wrenches(Observer):
         return (*self.walls, *pair_names(self._solver))
 
     def wrap_walls(
-        self, walls: Sequence[Boundary], inner: Sequence[Attachable] | None = None
+        self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
         """Return the boundaries with measuring stages before and after each wall."""
-        inner = walls if inner is None else inner
         if not self._of_walls:
             return inner
         named = zip(wall_names(walls), walls, inner, strict=True)

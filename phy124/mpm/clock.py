@@ -82,7 +82,6 @@ class Clock:
             power: Power of the stress [W].
             momentum: Momentum of all particles [3], kg m/s; not used here.
         """
-        del momentum
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
@@ -91,7 +90,6 @@ class Clock:
         Args:
             momentum: Momentum of all particles after the last kick [3], kg m/s.
         """
-        del momentum
         return 0.0
 
     def expire(self) -> None:

@@ -1,7 +1,5 @@
 """Copies a device's arrays to the host while the device continues to work."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -10,8 +10,6 @@ are joined into patches, and planes are fitted to neighbouring patches. The ligh
 patches and interpolated between them.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

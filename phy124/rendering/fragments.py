@@ -7,8 +7,6 @@ matching (Mueller et al. 2005). A fragment that would be stretched keeps its sha
 open around it. Whole and packed material is drawn as it is.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Renders frames with several threads, and yields the images in the order of the frames."""
 
-from __future__ import annotations
-
 import itertools
 import operator
 from collections import deque

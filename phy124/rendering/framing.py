@@ -1,7 +1,5 @@
 """Places the cameras of a clip, and checks whether they show the whole motion."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass

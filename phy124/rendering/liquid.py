@@ -12,8 +12,6 @@ than at rest becomes foam: its discs are white, and some of its Gaussians are sm
 steps for single Gaussians are kernels (`phy124.kernels.splat.discs`).
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -8,8 +8,6 @@ lamp lights surfaces that face it. Hollows receive less light, because the mater
 hides the sky (ambient occlusion).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product

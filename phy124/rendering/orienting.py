@@ -1,7 +1,5 @@
 """Renders Gaussians from a file with unknown axes in each possible orientation."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

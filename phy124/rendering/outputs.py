@@ -9,8 +9,6 @@ Forces are distributed over the pixels instead of averaged, so that the sum of t
 total force.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Mapping, Sequence

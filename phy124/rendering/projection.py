@@ -1,7 +1,5 @@
 """Describes to the kernels how a camera projects Gaussians onto the screen."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

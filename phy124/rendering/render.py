@@ -7,8 +7,6 @@ at most 0.99, and contributions below 1/255 are skipped. Every splat extends to 
 its contribution is 1/255, so that no cut-off is visible.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator

@@ -8,8 +8,6 @@ the colour of the metal. Only the surface of a liquid is drawn (`phy124.renderin
 normals of metal are the shortest axes of its Gaussians.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import replace

@@ -154,7 +154,6 @@ class DollyCamera(_Circling):
             length: Length of the clip [s]. It is not used.
             usual: Poses of the view, for values that this camera does not set.
         """
-        del length
         end = float(times[-1]) or 1.0
         return usual.replace(
             azimuth=self.azimuth,
@@ -227,7 +226,6 @@ class PathCamera(Section):
             length: Length of the clip [s]. It is not used.
             usual: Poses of the view, for values that this camera does not set.
         """
-        del length
         values = {}
         for name in Poses._fields:
             keys = [(key.time, getattr(key, name)) for key in self.keys]

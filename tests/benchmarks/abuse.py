@@ -50,13 +50,14 @@ def cube(per_axis: int = 8, height: float = 0.3) -> Array:
 def watched(x: Array, material: Material = JELLY, **options: Any) -> tuple[Solver, Watchdog]:
     """Return a solver with its watchdog, as in a simulation."""
     external, count = ExternalWork(), options.pop("filled", len(x))
+    walls = options.pop("boundaries", ())
     s = make_solver(
         x,
         np.full(len(x), SIZE**3 / count),
         [material],
         dx=2 * SIZE / round(count ** (1 / 3)),
         forces=external.wrap_forces(options.pop("forces", ())),
-        boundaries=external.wrap_walls(options.pop("boundaries", ())),
+        boundaries=external.wrap_walls(walls, walls),
         accumulators=[external],
         **options,
     )

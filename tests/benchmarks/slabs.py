@@ -62,7 +62,7 @@ def body(name: str, threads: int, *, ball: bool = False) -> Solver:
         [NeoHookean(E=1e5)],
         dx=1 / cells,
         forces=[Gravity()],
-        boundaries=work.wrap_walls([wall]),
+        boundaries=work.wrap_walls([wall], [wall]),
         accumulators=[work],
         threads=threads,
     )

@@ -101,6 +101,7 @@ def thrown_block(
     """
     x, external = block(middle=(0, 0, 0.5)), ExternalWork()
     observers = [external] if observer is None else [external, observer]
+    inner = walls if observer is None else observer.wrap_walls(walls, walls)
     solver = make_solver(
         x,
         np.full(len(x), 1e-4),
@@ -109,7 +110,7 @@ def thrown_block(
         v=np.tile(v, (len(x), 1)),
         threads=threads,
         forces=external.wrap_forces(forces),
-        boundaries=external.wrap_walls(walls, *(o.wrap_walls(walls) for o in observers[1:])),
+        boundaries=external.wrap_walls(walls, inner),
         accumulators=observers,
         precision="float64",
     )

@@ -7,8 +7,6 @@ side, the depth follows from this image (`phy124.generators.relief.hull`). docs/
 compares the results with objects whose shape is known from all sides.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -5,8 +5,6 @@ two ends of a solid of revolution, however, few edges are horizontal, and light 
 brightness from one side to the other.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import scipy

@@ -8,8 +8,6 @@ between the colours near the rim. Fine texture is copied from parts of the front
 colours and no strong edges.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import cv2

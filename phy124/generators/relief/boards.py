@@ -4,8 +4,6 @@ A board is a convex solid, such as the seat or a leg of a chair. The view rays a
 the boards, so that rounded corners, and holes in a backrest, follow the image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

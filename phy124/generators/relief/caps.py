@@ -1,7 +1,5 @@
 """Closes the flat ends of an object, and colours the end faces, which no image shows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

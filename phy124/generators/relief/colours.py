@@ -1,7 +1,5 @@
 """Colours an object from its images and from a guess of how its back looks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Upright coordinates are pixels: x right, y down, z horizontally towards the came
 the raised camera, the points do not move.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -7,8 +7,6 @@ surface lacks. On a grey surface, highlights and paint cannot be distinguished, 
 left unchanged.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

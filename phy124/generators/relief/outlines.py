@@ -1,7 +1,5 @@
 """Measures the outline of a silhouette."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

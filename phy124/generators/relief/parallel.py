@@ -6,8 +6,6 @@ side camera. The distance is measured where the row is thickest or, at a flat en
 nearer to the camera.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

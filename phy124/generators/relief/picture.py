@@ -1,7 +1,5 @@
 """Resamples the object in an image to the resolution that `relief` uses."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image

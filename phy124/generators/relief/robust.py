@@ -1,7 +1,5 @@
 """Fits linear models to most of the data, ignoring outliers such as letters and frames."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Builds the shell of an object from one image of its front and one image of its side."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal
 

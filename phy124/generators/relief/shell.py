@@ -1,7 +1,5 @@
 """Converts points on the object's surface to a closed shell of flat Gaussians."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

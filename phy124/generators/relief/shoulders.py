@@ -7,8 +7,6 @@ other parts are extended downwards. Body and parts are inflated separately, and 
 by a horizontal plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

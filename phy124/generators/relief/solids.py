@@ -8,8 +8,6 @@ shape with straight edges and without shading is assumed to be a flat slab. If t
 it replaces the guessed shape of the front.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import scipy

@@ -1,7 +1,5 @@
 """Builds the shell, including handles, of a vessel or a drum that was photographed from above."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

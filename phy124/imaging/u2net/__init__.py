@@ -45,7 +45,6 @@ def weights_file() -> Path | None:
 
 def is_available(image: Image.Image | None = None) -> bool:
     """Whether the full network and the package that runs it are installed."""
-    del image
     path = weights_file()
     return path is not None and (path.suffix == ".onnx" or find_spec("torch") is not None)
 

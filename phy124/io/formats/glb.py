@@ -123,7 +123,6 @@ def read(path: Path) -> Content:
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
     """Return the bytes of a GLB file; the extension has no field for `antialiased`."""
-    del antialiased
     arrays = _attributes(gaussians)
     body, views, accessors = bytearray(), [], []
     for name, array in arrays.items():

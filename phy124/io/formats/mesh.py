@@ -183,6 +183,5 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False, kind: str = "glb"
     Raises:
         InputError: For the reasons listed at `find_surface`.
     """
-    del antialiased
     data = to_trimesh(find_surface(gaussians), linear=kind == "glb").export(file_type=kind)
     return data.encode() if isinstance(data, str) else data

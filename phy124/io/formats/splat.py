@@ -61,7 +61,6 @@ def read(path: Path) -> Content:
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
     """Return the bytes of a `.splat` file; the format cannot store `antialiased`."""
-    del antialiased
     rows = np.empty(len(gaussians), ROW)
     rows["centre"], rows["scale"] = gaussians.means, gaussians.scales
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)

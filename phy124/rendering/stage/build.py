@@ -1,7 +1,5 @@
 """Builds the stage of a clip: the surroundings of the object in each frame."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

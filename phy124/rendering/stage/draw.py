@@ -1,7 +1,5 @@
 """Uploads a stage for the kernels, and renders it."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 from weakref import WeakKeyDictionary

@@ -1,7 +1,5 @@
 """Describes the scenery of a frame as plain data that both the renderer and the player draw."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -13,8 +13,6 @@ The blur and the weighted coverage are convolutions. A map therefore takes one F
 layer, and one inverse transform.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Converts the scene's boundaries to visible solids: plates, walls, boxes and balls."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

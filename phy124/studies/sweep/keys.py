@@ -78,7 +78,7 @@ def digest(address: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    del stamp  # a changed file has a new stamp
+    """Return the digest of a file's content; a changed file has a new stamp."""
     with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 

@@ -210,7 +210,6 @@ def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Ro
     """
 
     def progress(stage: str, done: int, total: int) -> None:
-        del stage, done, total
         beat()
 
     last: tuple[object, Made] | None = None

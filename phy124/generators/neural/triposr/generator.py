@@ -141,14 +141,12 @@ def _onnx_field(triplane: NDArray[np.float32], decode: OnnxNetwork) -> Field:
     if decode.inputs == ["features"]:
 
         def decode_features(points: NDArray, features: NDArray) -> tuple[NDArray, NDArray]:
-            del points
             density, colour = decode(features)
             return density, colour
 
         return Field(planes, decode_features)
 
     def decode_points(points: NDArray, features: NDArray) -> tuple[NDArray, NDArray]:
-        del features
         density, colour = decode(triplane, points[None])
         return density[0], colour[0]
 
@@ -173,7 +171,6 @@ def load_torch(path: Path) -> Any:
             triplane = network(torch.from_numpy(image))[0].numpy()
 
         def decode(points: NDArray, features: NDArray) -> tuple[NDArray, NDArray]:
-            del points
             with torch.inference_mode():
                 density, colour = network.decoder(torch.from_numpy(features))
             return density.numpy(), colour.numpy()

@@ -185,7 +185,6 @@ class Vortex:
         kernel = make_vortex(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:
-            del grid
             inputs = [ring, tracks.clock, state.x]
             return model.launch(kernel, len(model), inputs, [state.v])
 

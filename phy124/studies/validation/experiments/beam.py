@@ -111,7 +111,6 @@ def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
 
 def load_all(width: float, profile: Keyframes, end: Region) -> Force:
     """Return gravity on the whole beam, in units of `E I / (rho A L^3)`."""
-    del width, end
     unit = STIFFNESS / (DENSITY * THICKNESS * LENGTH**3)
     return Gravity(g=(0, 0, -unit), profile=profile)
 

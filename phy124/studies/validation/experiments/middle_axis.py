@@ -54,7 +54,6 @@ def exact() -> Values:
     a, b, c = moments(EDGES)
 
     def rates(time: float, w: list[float]) -> list[float]:
-        del time
         return [(b - c) / a * w[1] * w[2], (c - a) / b * w[2] * w[0], (a - b) / c * w[0] * w[1]]
 
     times = np.linspace(0, DURATION, 20 * SAMPLES)

@@ -103,8 +103,9 @@ def hold_plates(
         The solver, and the first plate's mean force along z [N] in the second half of `resting`.
     """
     wrenches = Wrenches()
-    walls = wrenches.wrap_walls([*plates, *mirrors(0, 1, 2)])
-    solver = Solver(model, boundaries=walls, accumulators=[wrenches], threads=1)
+    walls = [*plates, *mirrors(0, 1, 2)]
+    measured = wrenches.wrap_walls(walls, walls)
+    solver = Solver(model, boundaries=measured, accumulators=[wrenches], threads=1)
     solver.advance(moving + resting / 2)
     wrenches.before_attempt()
     solver.advance(moving + resting)

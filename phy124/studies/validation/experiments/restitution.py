@@ -87,7 +87,6 @@ def solve_theory(loss: float, depth: float, law: Law) -> Bounce:
     v, late = speed(depth), loss * duration(depth)
 
     def rates(time: float, y: list[float]) -> list[float]:
-        del time
         way = max(y[0] / RADIUS, 0.0)
         force = law.force(way) + late * law.slope(way) * y[1] / RADIUS
         return [y[1], -max(force, 0.0) * E * RADIUS**2 / mass]
