@@ -280,7 +280,7 @@ def test_particles_that_crossed_too_much_are_named():
             s.step(1e-3, 1e-3)
     problem = watch.diagnose(str(error.value))
     assert re.search(r"the fastest is particle \d+ of law neo_hookean, at .+ m/s", problem.what)
-    assert problem.causes == ("solver", "cells", "push", "damping")
+    assert problem.causes == ("solver", "cells", "push")
 
 
 def test_numbers_lost_in_a_substep_are_named():
