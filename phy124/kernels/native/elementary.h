@@ -2,15 +2,18 @@
 // Python version: wp.exp and wp.log.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
 
+// Returns 2^rest for numbers or vectors |rest| <= 1/2, by a Taylor series.
+const auto power_near_0 = [](auto rest) {
+    return 1.0f + rest * (0.693147181f + rest * (0.240226507f
+        + rest * (0.0555041087f + rest * (0.00961812911f + rest * 0.00133335581f))));
+};
 // Returns 2^power for -126 < power < 127. Adding 1.5 2^23 rounds to the nearest integer; its bits
-// are then added to the exponent. The polynomial is a Taylor series, with |rest| <= 1/2.
-const auto power_of_2 = [](float power) {
+// are then added to the exponent.
+const auto power_of_2 = [&](float power) {
     const float shifted = power + 12582912.0f;
-    const float rest = power - (shifted - 12582912.0f);
     union { float value; int bits; } whole, result;
     whole.value = shifted;
-    result.value = 1.0f + rest * (0.693147181f + rest * (0.240226507f
-        + rest * (0.0555041087f + rest * (0.00961812911f + rest * 0.00133335581f))));
+    result.value = power_near_0(power - (shifted - 12582912.0f));
     result.bits += whole.bits << 23;
     return result.value;
 };

@@ -1,5 +1,5 @@
 // A tile of 16 x 16 pixels, with three numbers R, G, B for each pixel. A row of a tile is 16
-// floats: one AVX-512, two AVX2 or four NEON registers. The loop over a row has no branch; a
+// floats: one AVX-512, two AVX2 or four NEON registers. The code for a row has no branch; a
 // finished pixel (T < 0) and a skipped splat contribute with weight zero instead.
 // Python version: `blend_tiles` of splat/blend.py.
 // Test: tests/test_render.py, test_the_forms_agree_with_each_other.
@@ -18,21 +18,30 @@ for (int j = 0; j < 256; ++j) {
 
 //: light
 #define ON_SPLAT const float red = splat.colour[0], green = splat.colour[1], blue = splat.colour[2];
-#define ON_ROW float *__restrict Rr = R + at, *__restrict Gr = G + at, *__restrict Br = B + at;
-#define ON_PIXEL Rr[x] += weight * red; Gr[x] += weight * green; Br[x] += weight * blue;
+#define ON_ROW ((Row*)R)[y] += weight * red; ((Row*)G)[y] += weight * green; \
+    ((Row*)B)[y] += weight * blue;
 #define AFTER_SPLAT
 
 //: splats
 // Loops over the splats from front to back, until all pixels are finished. Macros define what is
-// done: ON_SPLAT for splat `index`; ON_ROW for each row within the splat's reach, with first pixel
-// `at`; ON_PIXEL for each pixel `x` of the row, with the splat's `weight`; AFTER_SPLAT after the
-// splat.
+// done: ON_SPLAT for splat `index`; ON_ROW for each row `y` within the splat's reach, with the
+// splat's `weight` at the row's pixels; AFTER_SPLAT after the splat.
 {
-    alignas(64) float centres[16];
-    for (int j = 0; j < 16; ++j) centres[j] = (float)(left + j) + 0.5f;
-    const float nearest = centres[0], farthest = centres[15];
+    typedef float Row __attribute__((vector_size(64)));
+    typedef bool Flags __attribute__((ext_vector_type(16)));
+    Row centres, lines;
+    for (int j = 0; j < 16; ++j) {
+        centres[j] = (float)(left + j) + 0.5f;
+        lines[j] = (float)(top + j) + 0.5f;
+    }
+    const Row none = {0.0f}, nearest = none + centres[0], farthest = none + centres[15];
     const float HALF_LOG2_E = 0.72134752f;
-    int open = 0xffff;  // one bit for each row that has unfinished pixels
+    const auto power_of_2_for_row = [&](Row power) {
+        typedef int Bits __attribute__((vector_size(64)));
+        const Row shifted = power + 12582912.0f;
+        return (Row)((Bits)power_near_0(power - (shifted - 12582912.0f)) + ((Bits)shifted << 23));
+    };
+    unsigned open = 0xffff;  // one bit for each row that has unfinished pixels
     const int begin = starts.data[tile], end = ends.data[tile];
 
     for (int k = begin; k < end; ++k) {
@@ -41,43 +50,36 @@ for (int j = 0; j < 256; ++j) {
         if (k + 6 < end) __builtin_prefetch(&splats.data[pairs.data[k + 6]]);
         const int index = pairs.data[k];
         const auto& splat = splats.data[index];
-        const int y0 = splat.box[1] > top ? splat.box[1] : top;
-        const int y1 = splat.box[3] < top + 16 ? splat.box[3] : top + 16;
         const float cx = -HALF_LOG2_E * splat.precision_x;
         const float cy = -HALF_LOG2_E * splat.precision_y;
         const float opacity = splat.opacity, least = splat.least - 0.01f;
+        // All rows at once: the splat's middle, and the exponent there. Rows whose nearest pixel is
+        // out of reach are not changed.
+        const Row dy = lines - splat.mean[1];
+        const Row middles = splat.mean[0] + splat.shear * dy, powers = cy * dy * dy;
+        Row aside = middles < nearest ? nearest : middles;
+        aside = (aside > farthest ? farthest : aside) - middles;
+        const Flags reached = __builtin_convertvector(cx * aside * aside + powers >= least, Flags);
+        unsigned short bits;  // one for each row
+        __builtin_memcpy(&bits, &reached, 2);
         ON_SPLAT
-        for (int y = y0; y < y1; ++y) {
-            if (!(open >> (y - top) & 1)) continue;
-            const float dy = (float)y + 0.5f - splat.mean[1];
-            const float middle = splat.mean[0] + splat.shear * dy, row = cy * dy * dy;
-            // A row whose nearest pixel is out of reach is not changed.
-            const float inside =
-                middle < nearest ? nearest : middle > farthest ? farthest : middle;
-            if (cx * (inside - middle) * (inside - middle) + row < least) continue;
-            const int at = (y - top) * 16;
-            float* __restrict Tr = T + at;
+        for (unsigned rest = bits & open; rest; rest &= rest - 1) {
+            const int y = __builtin_ctz(rest);
+            const Row dx = centres - middles[y];
+            const Row power = cx * dx * dx + powers[y];      // exponent of 2, never positive
+            Row alpha = opacity * power_of_2_for_row(power > -30.0f ? power : none - 30.0f);  // also if NaN
+            alpha = alpha < MAX_ALPHA ? alpha : none + MAX_ALPHA;
+            const Row t = ((Row*)T)[y], left_over = t * (1.0f - alpha);
+            const auto hit = (alpha >= MIN_ALPHA) & (t > 0.0f);
+            const auto counts = hit & (left_over >= MIN_TRANSMITTANCE);
+            const Row weight = counts ? alpha * t : none;
+            ((Row*)T)[y] = counts ? left_over : (hit ? -t : t);
             ON_ROW
-            #pragma clang loop vectorize(enable) interleave(disable) unroll(disable)
-            for (int x = 0; x < 16; ++x) {
-                const float dx = centres[x] - middle;
-                float power = cx * dx * dx + row;            // exponent of 2, never positive
-                power = power > -30.0f ? power : -30.0f;     // also where it is NaN
-                float alpha = opacity * power_of_2(power);
-                alpha = alpha < MAX_ALPHA ? alpha : MAX_ALPHA;
-                const float t = Tr[x], left_over = t * (1.0f - alpha);
-                const bool hit = alpha >= MIN_ALPHA && t > 0.0f;
-                const bool counts = hit && left_over >= MIN_TRANSMITTANCE;
-                const float weight = counts ? alpha * t : 0.0f;
-                Tr[x] = counts ? left_over : (hit ? -t : t);
-                ON_PIXEL
-            }
         }
         AFTER_SPLAT
         if ((k - begin) % 8 == 7) {
-            typedef float Row __attribute__((vector_size(64)));
             for (int r = 0; r < 16; ++r)
-                if (!__builtin_reduce_or(((const Row*)T)[r] > 0.0f)) open &= ~(1 << r);
+                if (!__builtin_reduce_or(((const Row*)T)[r] > 0.0f)) open &= ~(1u << r);
             if (!open) break;
         }
     }
@@ -119,26 +121,19 @@ for (int y = 0; y < rows; ++y)
         G[16 * y + x] = value[1];
         B[16 * y + x] = value[2];
     }
-alignas(64) float red[16], green[16], blue[16], all[16];
-const auto add = [&](int index) {
-    auto& sums = sums_out.data[index];
+typedef float Row __attribute__((vector_size(64)));
+Row red, green, blue, all;
+const auto total = [](Row values) {
     for (int x = 8; x > 0; x /= 2)
-        for (int j = 0; j < x; ++j) {
-            red[j] += red[j + x];
-            green[j] += green[j + x];
-            blue[j] += blue[j + x];
-            all[j] += all[j + x];
-        }
-    sums[0] += red[0];
-    sums[1] += green[0];
-    sums[2] += blue[0];
-    weights_out.data[index] += all[0];
+        for (int j = 0; j < x; ++j) values[j] += values[j + x];
+    return values[0];
 };
-#define ON_SPLAT for (int x = 0; x < 16; ++x) red[x] = green[x] = blue[x] = all[x] = 0.0f;
-#define ON_ROW const float *Rr = R + at, *Gr = G + at, *Br = B + at;
-#define ON_PIXEL red[x] += weight * Rr[x]; green[x] += weight * Gr[x]; \
-    blue[x] += weight * Br[x]; all[x] += weight;
-#define AFTER_SPLAT add(index);
+#define ON_SPLAT red = green = blue = all = none;
+#define ON_ROW red += weight * ((const Row*)R)[y]; green += weight * ((const Row*)G)[y]; \
+    blue += weight * ((const Row*)B)[y]; all += weight;
+#define AFTER_SPLAT sums_out.data[index][0] += total(red); \
+    sums_out.data[index][1] += total(green); sums_out.data[index][2] += total(blue); \
+    weights_out.data[index] += total(all);
 
 //: bin
 // Appends every splat, front to back, to the lists of the tiles that it touches.
