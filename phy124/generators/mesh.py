@@ -176,13 +176,14 @@ def _kind(path: Path) -> str:
     """Return the format of a file, from its first bytes if possible, otherwise from its extension.
 
     Raises:
-        InputError: If an STL file contains fewer triangles than its header states.
+        InputError: If an STL or PLY file contains fewer triangles or rows than its header states.
     """
     with open(path, "rb") as file:
         head = file.read(STL_HEAD)
     if head[:4] == b"glTF":
         return "glb"
     if head[:4] in (b"ply\n", b"ply\r"):
+        _check_rows(path)
         return "ply"
     stated, there = int.from_bytes(head[80:], "little"), path.stat().st_size - STL_HEAD
     if head[:6].lower() == b"solid " or there == STL_ROW * stated:
@@ -196,6 +197,22 @@ def _kind(path: Path) -> str:
         )
         raise _unusable(path, limit, AGAIN)
     return kind
+
+
+def _check_rows(path: Path) -> None:
+    """Check that a PLY file of text contains all rows that its header states; one line is one row.
+
+    Raises:
+        InputError: If the file ends too early.
+    """
+    head, _, body = path.read_bytes().partition(b"end_header")
+    if not re.search(rb"^format ascii\b", head, re.MULTILINE):
+        return
+    stated = sum(int(count) for count in re.findall(rb"^element \S+ (\d+)", head, re.MULTILINE))
+    present = sum(bool(line.strip()) for line in body.splitlines())
+    if present < stated:
+        limit = f"it is cut short: only {present:,} of {stated:,} rows are present."
+        raise _unusable(path, limit, AGAIN)
 
 
 def _refuse(path: Path) -> None:
@@ -273,8 +290,8 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
             "it cannot be read as a mesh: the file is damaged or of another kind."
         ) from error
     if not triangles:
-        remedy = "For a file of Gaussians or points, use the generator `file`."
-        raise ValueError(f"it has no triangles.; {remedy}")
+        points = "For a file of Gaussians or points, use the generator `file`."
+        raise ValueError(f"it has no triangles.; {points if kind == 'ply' else AGAIN}")
     if triangles > MOST_TRIANGLES:
         limit = f"it has {triangles:,} triangles, but at most {MOST_TRIANGLES:,} are allowed."
         raise ValueError(f"{limit}; Simplify the mesh in the program that made it.")
@@ -331,8 +348,13 @@ def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[n
     corners = np.concatenate([piece.triangles.reshape(-1, 3) for piece in pieces])
     side = float(np.ptp(corners, axis=0).max())
     areas = np.concatenate([piece.area_faces for piece in pieces])
-    if not areas.sum() > SMALLEST * side * side > 0:
+    if not areas.sum() > 0:
         raise ValueError("its triangles have no surface area.")
+    if areas.sum() <= SMALLEST * side * side:
+        raise ValueError(
+            f"its longest side is {side:.3g}, but its surface area is only {areas.sum():.3g}. A "
+            "vertex may be far from all others."
+        )
     return corners, areas
 
 
