@@ -63,7 +63,8 @@ class Player:
         Raises:
             InputError: There are no frames, the times do not increase, or a number is out of range.
         """
-        self.times = np.asarray(times, dtype=np.float64)
+        # Copied, since the times of a clip are read from its file, which may be cut while it plays.
+        self.times = np.array(times, dtype=np.float64)
         if not len(self.times) or not (np.diff(self.times) > 0).all():
             limit = "The times of the frames must ascend, and there must be at least one."
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")

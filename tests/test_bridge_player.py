@@ -59,6 +59,13 @@ def test_loop_stamps_go_on_growing():
     np.testing.assert_allclose([when for when, *_ in shown], np.arange(30) / 10, atol=0.011)
 
 
+def test_player_keeps_its_times_if_those_of_the_clip_change():
+    times = TIMES.copy()
+    player = Player(times, loop=True)
+    times[:] = 0.0
+    assert len(run(player, 1.95)) == 20
+
+
 def test_long_stall_is_not_raced_through():
     player = Player(TIMES, loop=True, lateness=0)
     player.due(0.0)

@@ -66,4 +66,7 @@ def test_a_file_of_one_point_is_named_in_the_refusal(tmp_path, capsys):
     )
     write_ply(tmp_path / "point.ply", point)
     assert main(["orient", str(tmp_path / "point.ply"), "--device", "cpu"]) == 2
-    assert f"file = {tmp_path / 'point.ply'}: All Gaussians of the file" in capsys.readouterr().err
+    assert (
+        f"file = {tmp_path / 'point.ply'}: Nearly all of its opacity is at a single point"
+        in capsys.readouterr().err
+    )
