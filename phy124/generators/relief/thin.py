@@ -21,72 +21,82 @@ Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FEWEST = 16
 """Smallest width and height of a silhouette that is examined [pixels]."""
-SYMMETRIC, LEANING = 0.85, 15.0
-"""Smallest overlap (IoU) of wings with their mirror image, and largest angle of the axis [degrees].
+SYMMETRIC = 0.85
+"""Smallest overlap (IoU) of wings with their mirror image."""
+LEANING = 15.0
+"""Largest angle between the axis of wings and the vertical [degrees]."""
+NOTCH = 0.045
+"""Smallest mean depth of a notch, relative to the height of the wings."""
+NOTCHED = 0.4
+"""Width of a notch, relative to that of the wings."""
+OUTER = 0.33
+"""Distance from the axis beyond which a pixel belongs to a wing, relative to the whole width."""
+OUTWARD = 0.5
+"""Smallest fraction of the silhouette that belongs to wings."""
+FILLED = 0.55
+"""Smallest fraction of the convex hull that a silhouette with wings fills."""
+LOWEST = 0.8
+"""Smallest ratio of width to height of wings."""
+WIDE = 1.5
+"""Ratio of width to height from which wings are wide."""
+COMPACT = (0.3, 0.85)
+"""Limits of the mean height at the axis, relative to the height of the wings; wide wings may be
+lower. Faces, buses and other compact objects are higher.
 """
-NOTCH, NOTCHED = 0.045, 0.4
-"""Smallest mean depth of a notch, relative to the height of the wings.
-
-The second number is the width of the notch, relative to that of the wings.
-"""
-OUTER, OUTWARD, FILLED = 0.33, 0.5, 0.55
-"""Wings are farther from the axis than this fraction of half the width.
-
-The second number is the smallest fraction of the silhouette that is so far out. The third number is
-the smallest fraction of the convex hull that the silhouette fills.
-"""
-LOWEST, WIDE, COMPACT, RADIUS = 0.8, 1.5, (0.3, 0.85), 0.265
-"""Smallest ratio of width to height of wings, and the ratio from which wings are wide.
-
-The next numbers are limits of the mean height at the axis, relative to the height of the wings;
-wide wings may be lower. The last number is the largest radius of an inscribed disc, relative to the
-size of the object. Faces, buses and other compact objects exceed the limits.
-"""
-SHEET, BODY = 0.025, 0.06
-"""Half thickness of wings, and of the body between them, relative to the size of the object."""
-NARROW, FIN, FINNED = 0.6, 1.4, (0.25, 0.9)
-"""Largest height of the narrow part before the tail, relative to the body of the fish.
-
-The second number is the smallest height of the fin, relative to the narrow part. The others are
-limits of the height of the fin, relative to the body.
-"""
-FORE, TAIL = 0.53, (0.6, 0.93)
-"""Largest distance of a fish's highest part from its nose, relative to its length.
-
-The other numbers are limits of this distance for the narrow part before the tail.
-"""
-NOSE, KEEL, LONG, DEEP = 0.5, 0.4, 1.1, 0.5
-"""Largest height of a nose, relative to the body, and width of a keel, relative to the length.
-
-The other numbers are the smallest ratio of a fish's length to its height, and the smallest height
-of its body, relative to the height with fins.
-"""
-UNEVEN, OBLIQUE, HOLLOW = 0.08, 0.15, 0.15
-"""Largest increase of the height between body and tail, relative to the body.
-
-The second number is the largest distance between the middle of the body and that of the tail, and
-the third one the largest part of a column that is empty. A handle leaves more empty.
-"""
+RADIUS = 0.265
+"""Largest radius of a disc inside wings, relative to the size of the object."""
+SHEET = 0.025
+"""Half thickness of wings, relative to the size of the object."""
+BODY = 0.06
+"""Half thickness of the body between wings, relative to the size of the object."""
+NARROW = 0.6
+"""Largest height of the narrow part before the tail of a fish, relative to the fish's body."""
+FIN = 1.4
+"""Smallest height of the tail's fin, relative to the narrow part."""
+FINNED = (0.25, 0.9)
+"""Limits of the height of the tail's fin, relative to the body."""
+FORE = 0.53
+"""Largest distance of a fish's highest part from its nose, relative to its length."""
+TAIL = (0.6, 0.93)
+"""Limits of the distance of the narrow part from the nose, relative to the fish's length."""
+NOSE = 0.5
+"""Largest height of a fish's nose, relative to the body."""
+KEEL = 0.4
+"""Largest width of a fish's lowest rows, relative to its length."""
+LONG = 1.1
+"""Smallest ratio of a fish's length to its height."""
+DEEP = 0.5
+"""Smallest height of a fish's body, relative to the height with fins."""
+UNEVEN = 0.08
+"""Largest increase of the height between body and tail, relative to the body."""
+OBLIQUE = 0.15
+"""Largest height of the tail's middle above or below the body's, relative to the fish's height."""
+HOLLOW = 0.15
+"""Largest part of a fish's column that is empty. A handle leaves more empty."""
 FLATTENED = 0.6
 """Thickness of a fish, relative to its height."""
-GROUND, ROUND, ARC, RADII = 0.08, 0.035, 0.75, (0.08, 0.36)
-"""Largest distance of a wheel from the ground, relative to the height of the object.
-
-The second number is the largest root mean square distance between the outline below a wheel and a
-circle; both this number and the width of the compared arc are relative to the radius. The last
-numbers are limits of radii, relative to the height and to the size of the object.
+GROUND = 0.08
+"""Largest distance of a wheel from the ground, relative to the height of the object."""
+ROUND = 0.035
+"""Largest root mean square distance between the outline below a wheel and a circle, relative to the
+radius.
 """
-AROUND, FREE = 1.12, 0.55
-"""Radius of the circle around a wheel that is examined, relative to the wheel's radius.
-
-The second number is the smallest fraction of this circle that is outside the silhouette.
+ARC = 0.75
+"""Width of the arc that is compared with a circle, relative to the radius."""
+RADII = (0.08, 0.36)
+"""Smallest radius of a wheel relative to the height, and largest one relative to the size of the
+object.
 """
-APART, LARGE, AT_ENDS = 1.25, 0.18, 0.08
-"""Smallest distance between two wheels, relative to the sum of their radii.
-
-The second number is the smallest radius of the larger one, relative to the height of the object,
-and the third one the largest distance of a wheel from the end, relative to the width.
-"""
+AROUND = 1.12
+"""Radius of the circle around a wheel that is examined, relative to the wheel's radius."""
+FREE = 0.55
+"""Smallest fraction of this circle that is outside the silhouette."""
+APART = 1.25
+"""Smallest distance between two wheels, relative to the sum of their radii."""
+LARGE = 0.18
+"""Smallest radius of the larger wheel, relative to the height of the object."""
+AT_ENDS = 0.08
+"""Largest distance of a wheel from the end of the object, relative to the object's width."""
 TYRE = 0.2
 """Half thickness of a wheel, relative to its radius."""
 
