@@ -16,6 +16,7 @@ from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.io.clip import Clip
 from phy124.io.ply import write_ply
 from phy124.pipeline import recording, run_folder
+from phy124.runtime.context import RunContext
 from support.processes import until
 from support.runs import RESULTS, SCENE, WITH, copied_at, names, same
 from support.shapes import ball
@@ -160,3 +161,10 @@ def test_kill_9_leaves_the_frames_and_the_command_goes_on(tmp_path):
     assert main([*command[3:], "--out", str(out), "--resume"]) == 0
     assert main([*command[3:], "--out", str(tmp_path / "whole")]) == 0
     same(tmp_path / "whole", out)
+
+
+def test_frames_of_a_killed_run_without_a_state_are_removed(tmp_path):
+    (tmp_path / "pause-1.frames").write_bytes(b"1")
+    run, begun = recording.take_up(tmp_path, RunContext())
+    assert run is None and not begun.saved
+    assert not names(tmp_path) - {".lock"}

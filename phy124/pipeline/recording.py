@@ -208,13 +208,16 @@ class Recording:
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
     """Return the interrupted run in a folder and the run's recording, if the run can be continued.
 
+    Frame files of killed runs without a saved state are removed.
+
     Args:
         out: The folder; None: nothing is written.
         context: Device, threads, progress and stopwatch.
     """
+    if out is not None:
+        sweep(out)
     if out is None or not (out / PAUSE).is_file():
         return None, Recording(out, {})
-    sweep(out)
     frames = None
     try:
         saved = resume.read_about(out / PAUSE)["frames"]
