@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from phy124.generators.shapes import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
-from phy124.kernels.splat import discs, shadow, stage
+from phy124.kernels.splat import discs, fields, shadow, stage
 from phy124.kernels.splat.arrange import arrange
 from phy124.kernels.voxels import fill_voxels
 from phy124.rendering.render import Renderer
@@ -23,7 +23,7 @@ STAGE = {
 """One kernel from each module that draws a stage; compiling one kernel compiles its whole
 module.
 """
-HOST = (INFLATED.project, HULL.project, push, fill_voxels, discs.fill)
+HOST = (INFLATED.project, HULL.project, push, fill_voxels, fields.fill, discs.find_surface)
 """One kernel from each module that always runs on the CPU: of the generator `relief`, of the set-up
 of lattices, and of the surfaces of liquids.
 """

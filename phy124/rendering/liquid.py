@@ -9,7 +9,7 @@ the wall. The opacity of a disc follows from the thickness of the liquid behind 
 (Beer-Lambert). Each face of a layer has half of the layer's optical depth, divided by the number of
 overlapping discs. A thin film on a wall has only one face. Fast liquid in the air that is thinner
 than at rest becomes foam: its discs are white, and some of its Gaussians are small white balls. The
-steps for single Gaussians are kernels (`phy124.kernels.splat.discs`).
+steps for single Gaussians are kernels (`phy124.kernels.splat.fields` and `discs`).
 """
 
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0, Gaussians
-from phy124.kernels.splat import discs
+from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
@@ -85,7 +85,7 @@ class Field:
         self.size: Any = tuple(int(side) + 1 for side in np.ceil(extent / cell))
         self.x = np.ascontiguousarray(x, np.float32)
         corner = np.asarray(low - spare, np.float32)
-        self.grid = discs.Grid()
+        self.grid = fields.Grid()
         self.grid.corner, self.grid.cell = wp.vec3(*corner.tolist()), cell
         self.grid.size = wp.vec3i(*self.size)
         self.open, self._room = self._before(planes, corner)
@@ -128,13 +128,13 @@ class Field:
     def add(self, volumes: NDArray) -> NDArray[np.float32]:
         """Return the fraction of each cell that points of volumes [N] m^3 fill, not smoothed."""
         filled = np.zeros(self.size, np.float32)
-        self.launch(discs.fill, len(self.x), [self.x, volumes], [filled])
+        self.launch(fields.fill, len(self.x), [self.x, volumes], [filled])
         return filled
 
     def sample(self, field: NDArray) -> NDArray[np.float32]:
         """Interpolate a field linearly at the points; return the values [N]."""
         values = np.empty(len(self.x), np.float32)
-        self.launch(discs.sample, len(self.x), [self.x, field], [values])
+        self.launch(fields.sample, len(self.x), [self.x, field], [values])
         return values
 
     def spread(self, phi: NDArray) -> NDArray[np.float32]:
@@ -147,7 +147,7 @@ class Field:
     def slopes(self, phi: NDArray) -> NDArray[np.float32]:
         """Return the gradient of phi in each cell [cells,3]; the unit of length is a cell."""
         slopes = np.empty((phi.size, 3), np.float32)
-        self.launch(discs.differentiate, phi.size, [phi], [slopes])
+        self.launch(fields.differentiate, phi.size, [phi], [slopes])
         return slopes
 
     def lengths(self, filled: NDArray) -> NDArray[np.float32]:
@@ -158,7 +158,7 @@ class Field:
         return lengths
 
     def launch(self, kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
-        """Launch a kernel of `discs` on the CPU.
+        """Launch a kernel of `fields` or `discs` on the CPU.
 
         Args:
             kernel: The kernel, whose first argument is the grid.
@@ -174,7 +174,7 @@ class Field:
 
 
 def _wrap(array: NDArray) -> wp.array:
-    """Convert a NumPy array for a kernel of `discs`, without a copy if possible."""
+    """Convert a NumPy array for a kernel of `fields` or `discs`, without a copy if possible."""
     if array.dtype.kind == "i":
         return wp.array(array, dtype=wp.int32, device="cpu", copy=False)
     kinds: dict[int, Any] = {3: wp.vec3, 4: wp.vec4}

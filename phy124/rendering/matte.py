@@ -21,7 +21,7 @@ from phy124.gaussians import SH_C0
 
 SMOOTH, WIDE, SPARE = 1.4, 3.0, 6
 """Standard deviations of two filters [cells]: for the normals, and for the occlusion (applied after
-the first filter);  and width of the empty margin around the grains.
+the first filter); and width of the empty margin around the grains.
 """
 TAILS = 2.5
 """Distance at which the filters are cut off [standard deviations]."""

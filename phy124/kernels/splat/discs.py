@@ -1,14 +1,13 @@
 """Computes the shapes of a liquid's Gaussians: discs on its surface, balls of spray and foam.
 
-`phy124.rendering.liquid` describes the method. A field has one value per cell of a grid, and is
-stored as a flat array. Positions and lengths are in cells of this grid, unless stated otherwise.
+`phy124.rendering.liquid` describes the method. Positions and lengths are in cells of the grid of
+`phy124.kernels.splat.fields`, unless stated otherwise.
 """
-
-from typing import Any
 
 import warp as wp
 
 from phy124.kernels.build import kernel
+from phy124.kernels.splat.fields import Grid, interpolate, nearest
 
 HIDDEN = wp.constant(0)
 """Kind of a Gaussian that is not drawn."""
@@ -131,18 +130,6 @@ FAR = wp.constant(1.0e9)
 
 
 @wp.struct
-class Grid:
-    """Position and size of the grid of a field."""
-
-    corner: wp.vec3
-    """Centre of the first cell, m."""
-    cell: float
-    """Edge of a cell, m."""
-    size: wp.vec3i
-    """Number of cells along each axis."""
-
-
-@wp.struct
 class Shape:
     """Result of `find_surface` for a Gaussian."""
 
@@ -168,116 +155,6 @@ def smoothstep(x: float, ends: wp.vec2) -> float:
     """Return a smooth cubic step that rises from 0 at the first end to 1 at the second."""
     t = wp.clamp((x - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
-
-
-@wp.func
-def index_of(cells: Grid, i: int, j: int, k: int) -> int:
-    """Return the index of a cell in a flat array."""
-    return (i * cells.size[1] + j) * cells.size[2] + k
-
-
-@wp.func
-def nearest(cells: Grid, at: wp.vec3) -> int:
-    """Return the index of the cell whose centre is nearest to a position."""
-    i = int(wp.clamp(wp.rint(at[0]), 0.0, float(cells.size[0] - 1)))
-    j = int(wp.clamp(wp.rint(at[1]), 0.0, float(cells.size[1] - 1)))
-    k = int(wp.clamp(wp.rint(at[2]), 0.0, float(cells.size[2] - 1)))
-    return index_of(cells, i, j, k)
-
-
-@wp.func
-def inside(cells: Grid, at: wp.vec3) -> wp.vec3:
-    """Return the position inside the grid that is nearest to a position."""
-    return wp.vec3(
-        wp.clamp(at[0], 0.0, float(cells.size[0] - 1)),
-        wp.clamp(at[1], 0.0, float(cells.size[1] - 1)),
-        wp.clamp(at[2], 0.0, float(cells.size[2] - 1)),
-    )
-
-
-@wp.func
-def lowest(cells: Grid, at: wp.vec3) -> wp.vec3i:
-    """Return the lowest of the eight cells around a position inside the grid."""
-    return wp.vec3i(
-        wp.min(int(at[0]), cells.size[0] - 2),
-        wp.min(int(at[1]), cells.size[1] - 2),
-        wp.min(int(at[2]), cells.size[2] - 2),
-    )
-
-
-@wp.func
-def weight(corner: int, upper: wp.vec3) -> float:
-    """Return the weight of one of eight cells; `upper` has the weights of the upper cells."""
-    w = float(1.0)
-    for axis in range(3):
-        if (corner >> axis) & 1 == 1:
-            w *= upper[axis]
-        else:
-            w *= 1.0 - upper[axis]
-    return w
-
-
-@wp.func
-def interpolate(cells: Grid, field: wp.array(dtype=Any), position: wp.vec3):
-    """Interpolate a field linearly; outside the grid, the values at its boundary are used."""
-    at = inside(cells, position)
-    low = lowest(cells, at)
-    upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    first = index_of(cells, low[0], low[1], low[2])
-    total = weight(0, upper) * field[first]
-    for corner in range(1, 8):
-        step = index_of(cells, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
-        total += weight(corner, upper) * field[first + step]
-    return total
-
-
-@kernel("phy124_discs", seconds=1.5)
-def fill(
-    cells: Grid,
-    means: wp.array(dtype=wp.vec3),  # m
-    volumes: wp.array(dtype=float),  # m^3
-    # fractions of the cells, in which the volumes are added up
-    filled_out: wp.array(dtype=float),
-):
-    """Distribute the volume of each Gaussian among the eight cells around it."""
-    n = wp.tid()
-    at = inside(cells, (means[n] - cells.corner) / cells.cell)
-    low = lowest(cells, at)
-    upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))
-    first = index_of(cells, low[0], low[1], low[2])
-    share = volumes[n] / (cells.cell * cells.cell * cells.cell)
-    for corner in range(8):
-        step = index_of(cells, corner & 1, (corner >> 1) & 1, (corner >> 2) & 1)
-        wp.atomic_add(filled_out, first + step, weight(corner, upper) * share)
-
-
-@kernel("phy124_discs", seconds=1.5)
-def sample(
-    cells: Grid,
-    means: wp.array(dtype=wp.vec3),  # m
-    field: wp.array(dtype=float),
-    values_out: wp.array(dtype=float),
-):
-    """Interpolate a field at each Gaussian."""
-    n = wp.tid()
-    values_out[n] = interpolate(cells, field, (means[n] - cells.corner) / cells.cell)
-
-
-@kernel("phy124_discs", seconds=1.5)
-def differentiate(cells: Grid, field: wp.array(dtype=float), slopes_out: wp.array(dtype=wp.vec3)):
-    """Compute the gradient of a field by central differences, one-sided at the grid's boundary."""
-    n = wp.tid()
-    at = wp.vec3i(
-        n // (cells.size[1] * cells.size[2]), n // cells.size[2] % cells.size[1], n % cells.size[2]
-    )
-    stride = wp.vec3i(cells.size[1] * cells.size[2], cells.size[2], 1)
-    slope = wp.vec3()
-    for axis in range(3):
-        before = wp.min(at[axis], 1)
-        after = wp.min(cells.size[axis] - 1 - at[axis], 1)
-        rise = field[n + after * stride[axis]] - field[n - before * stride[axis]]
-        slope[axis] = rise / float(before + after)
-    slopes_out[n] = slope
 
 
 @kernel("phy124_discs", seconds=1.5)
