@@ -29,7 +29,8 @@ def wait_for_topics(acknowledged: Callable[[str, float], bool], topics: Iterable
     """Wait for up to `FAREWELL` in total until the last messages of all topics have arrived.
 
     Args:
-        acknowledged: Function that waits up to a number of seconds for the messages of a topic.
+        acknowledged: Function that waits until the messages of a topic are acknowledged, at most
+            for a number of seconds.
         topics: Names of the topics.
     """
     until = time.monotonic() + FAREWELL
@@ -51,8 +52,9 @@ class Delivery:
         """Prepare the count; no frame has been sent yet.
 
         Args:
-            acknowledged: Function that waits up to a number of seconds and returns whether all
-                frames are acknowledged; true if there are no reliable subscribers.
+            acknowledged: Function that waits until all frames are acknowledged, at most for a
+                number of seconds, and returns whether they are; true if there are no reliable
+                subscribers.
             depth: Number of frames that the writer keeps.
             meanwhile: Function that is called repeatedly while waiting.
             patient: Whether a frame waits before it replaces another frame.

@@ -11,7 +11,7 @@ so nothing is rotated.
 - `small`, 10 bytes: x y z as int16, r g b a as uint8. After its last point the row has 16 more
   bytes: four float32 with the centre x y z [m] and the quantisation step [m]. A position is
   centre + step * (x, y, z); -32768 encodes NaN.
-- `splats` is not a PointCloud2, see `splats`.
+- `splats` is not a PointCloud2 but a message of its own, which the function `splats` describes.
 - `ply`, 68 bytes or more: names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
   viewers read. Colours are harmonics, opacities are logits, scales are logarithms, and rot_0 is w.
 """

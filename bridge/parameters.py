@@ -139,7 +139,7 @@ def declare(
     Args:
         node: The node that gets the parameters.
         parameters: The parameters by name.
-        fixed: Whether parameters that cannot be changed while the node runs are read-only.
+        fixed: Whether parameters that cannot change while the node runs are declared as read-only.
     """
     from rcl_interfaces.msg import ParameterDescriptor
     from rclpy.parameter import Parameter as RosParameter

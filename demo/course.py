@@ -16,8 +16,9 @@ started. At the third, the run fails.
 SOFT, FEW = 1e4, 8
 """Stiffness [Pa] and number of frames below which no reduction is suggested."""
 SURE = 0.1
-"""Fraction of the time limit during which frames are simulated before they predict the time of the
-other frames."""
+"""After this fraction of the time limit, the frames simulated so far predict the time of the other
+frames.
+"""
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ class Job:
             self._changed.notify_all()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the job to end for up to `seconds`; return whether it has ended."""
+        """Wait up to `seconds` for the job to end; return whether it has ended."""
         with self._changed:
             self._changed.wait_for(lambda: self.over, seconds)
             return self.over

@@ -65,7 +65,7 @@ class Learned:
 
         Args:
             rates: The rates to use.
-            work: Work of a usual run.
+            work: Amount of work in a typical run.
         """
         with self._lock:
             self.now = self.measured = rates

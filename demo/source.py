@@ -127,8 +127,7 @@ def open_gaussians(path: Path, out: Path, count: int, deadline: Deadline) -> Gau
 
     Args:
         path: The file to read.
-        out: The folder to create for the Gaussians that are kept and the pictures of the
-            orientations.
+        out: The folder to create for the kept Gaussians and for the pictures of the orientations.
         count: Largest number of Gaussians to keep.
         deadline: Time at which reading is stopped.
 

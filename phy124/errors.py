@@ -9,7 +9,7 @@ DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQ
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
 """Error codes of a machine that lacks disk space, memory or file descriptors.
 
-The file that an error names is then not the cause.
+In this case, the file that the error names is not the cause.
 """
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 """Escape sequences for control characters, which could change a terminal's colours or title."""

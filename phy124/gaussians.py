@@ -67,7 +67,7 @@ class Gaussians:
     sh: Array
     """Spherical-harmonic colours [N,K,3], K in 1, 4, 9, 16."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the object of each Gaussian [N]; None if there is a single object."""
+    """Object index of each Gaussian [N]; None if there is a single object."""
 
     def __post_init__(self) -> None:
         for name in ("means", "quats", "scales", "opacities", "sh"):
@@ -252,11 +252,11 @@ class Particles:
     density: NDArray[np.float64]
     """Densities [P], kg/m^3."""
     material: NDArray[np.int32]
-    """Index of the material of each particle [P]."""
+    """Material index of each particle [P]."""
     gaussian: NDArray[np.int32]
     """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
     body: NDArray[np.int32] | None = None
-    """Index of the object of each particle [P]; None if there is a single object."""
+    """Object index of each particle [P]; None if there is a single object."""
     surface: NDArray[np.float64] | None = None
     """Surface points [m], outward normals and object indices [S,7] of bodies on lattices. None if
     there are no bodies on lattices.

@@ -59,8 +59,8 @@ class Clients:
         """Record that a viewer will publish on a topic.
 
         Args:
-            client: Number of the viewer.
-            channel: Number that the viewer uses for the topic.
+            client: Identifier of the viewer.
+            channel: Identifier that the viewer uses for the topic.
             topic: Name of the topic.
             encoding: Encoding of the messages.
         """

@@ -44,7 +44,7 @@ def answer_change(change: Any, html: str | None) -> dict[str, Any]:
     """Return the value of the forecast panel; the panel ignores answers to earlier changes.
 
     Args:
-        change: Number of the change of the scene, counted by the page.
+        change: Serial number of the scene's change, counted by the page.
         html: The forecast as HTML; None if there is no picture.
     """
     return {"change": change, "html": html}

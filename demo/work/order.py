@@ -1,5 +1,5 @@
-"""Orders: an order is the request for a run that a click on the page starts, with the run's
-files.
+"""Orders: an order is a request for a run, with the run's files; a click on the page sends the
+request.
 """
 
 from __future__ import annotations

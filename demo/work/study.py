@@ -20,7 +20,7 @@ from .others import with_crops
 
 
 def measure(order: Order, limits: Limits) -> Measured:
-    """Simulate the scene that a visitor ordered on several grids, and store the errors.
+    """Simulate a visitor's scene on several grids, and store the errors.
 
     Raises:
         InputError: Too few grids were finished within the time limit.

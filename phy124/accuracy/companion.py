@@ -102,8 +102,8 @@ FACTORS = {
 the factors of the kind of motion are used.
 """
 USUAL_CELLS = 16
-"""Cells across the object in the companion run for which the factors hold. On finer and coarser
-grids, the factors are larger.
+"""Number of cells across the object in a companion run at which the factors hold. On finer and
+coarser grids, the factors are larger.
 """
 FLOOR = 2e-4
 """Error that is always added to the bound, as a fraction of the object's size."""

@@ -86,9 +86,9 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
-        apart: Distances between the levels' results [L,L].
-        agree: Largest distance between equal levels. If all levels are equal, the error is the
-            largest distance between them.
+        apart: Distance between the results of each pair of levels [L,L].
+        agree: Levels count as equal if the distance between them is at most this value. If all
+            levels are equal, the error is the largest distance between them.
     """
     h, levels = np.array(spacings), len(spacings)
     if levels < 3:

@@ -24,11 +24,15 @@ class Difference:
     """
 
     metres: float
-    """RMS distance over all Gaussians and frames [m]."""
+    """RMS distance between the two clips over all Gaussians and frames [m]."""
     relative: float
-    """RMS distance over all Gaussians and frames, as a fraction of the object's size at rest."""
+    """RMS distance between the two clips over all Gaussians and frames, as a fraction of the
+    object's size at rest.
+    """
     pixels: float
-    """RMS distance of the Gaussians' centres in the image of the first view [pixels]."""
+    """RMS distance between the centres of the Gaussians in the two clips, in the image of the first
+    view [pixels].
+    """
     worst_frame: int
     """Index of the frame with the largest RMS distance."""
     worst: float
@@ -75,8 +79,8 @@ def difference(clip: Clip, reference: Clip, view: View, *, device: str = "cpu") 
 
 
 def pixel_distance(clip: Clip, reference: Clip, view: View) -> float:
-    """Return the RMS distance of the Gaussians' centres in the image of the first view, over all
-    frames [pixels].
+    """Return the RMS distance [pixels] between the centres of the Gaussians in the two clips, in
+    the image of the first view and over all frames.
     """
     clip, reference, squares = clip.surface, reference.surface, []
     for index, camera in enumerate(cameras(reference, view, view.sides[0])):

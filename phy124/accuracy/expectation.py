@@ -127,7 +127,7 @@ def properties(scene: Scene, proportions: Proportions) -> dict[str, float]:
 
     Args:
         scene: The scene.
-        proportions: Proportions of its object.
+        proportions: Proportions of the scene's object.
     """
     cells, thickness = scene.resolution.cells, proportions.thickness
     return {

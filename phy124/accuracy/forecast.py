@@ -63,7 +63,7 @@ class Forecast:
     """Mean number of grid nodes over the run."""
     substeps: int
     limiters: dict[str, float]
-    """Fraction of the substeps whose length is determined by each limit."""
+    """For each limit, the fraction of the substeps whose length it determines."""
     rates: SubstepCost
     memory: float = 0.0
     """Estimated memory of the run (`phy124.budget.limits`) [bytes]."""
@@ -248,8 +248,7 @@ class Forecaster:
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
-            error: Whether this run will estimate its error; this requires `error` of the
-                forecaster.
+            error: Whether this run will estimate its error; the forecaster must have `error` set.
             load: Load by other programs; if None, the load is measured.
         """
         scene = simulation.scene

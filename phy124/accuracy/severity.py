@@ -13,7 +13,9 @@ from phy124.scene.energies import duration, energy
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
 """Fields of a material that `severity`, `yielding`, `damping` or `poisson` account for."""
 MEASURED = {"repose_angle": (30.0, 36.0), "hardening": (3.0, 10.0), "extension": (0.004, 0.0075)}
-"""Ranges in which other fields of a material have the same errors as with the default value."""
+"""For other fields of a material, the ranges in which errors are the same as with the default
+value.
+"""
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
 

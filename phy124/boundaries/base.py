@@ -34,8 +34,8 @@ MARGIN = 2.0
 wall.
 """
 SWEEPS = 2
-"""Number of passes per substep over columns that cross near a wall. In each pass, the columns see
-the velocities that the other columns changed in the pass before.
+"""Number of passes per substep over columns that cross near a wall. In each pass, a column uses the
+velocities that the other columns computed in the previous pass.
 """
 THINNEST = 1.0
 """Smallest half thickness of a solid [cells]; a thinner solid may contain no nodes, which stop

@@ -22,7 +22,9 @@ from phy124.scene.liquids import reason_for_compressible
 NODE = 1.8
 """Time to clear and update one grid node [ns]."""
 SPLINE = 157
-"""Time per particle to compute the gradients of the interpolation weights, not vectorised [ns]."""
+"""Time per particle to compute the gradients of the interpolation weights, in code that is not
+vectorised [ns].
+"""
 STATIC = "static Gaussians"
 """Name of the effect for the static parts of the scene."""
 DENSE = 100**3

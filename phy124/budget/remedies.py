@@ -12,7 +12,7 @@ from phy124.forces import SetVelocity
 from phy124.scene import Scene
 
 SURE = "solver", "law"
-"""Keys of the only `REMEDIES` that are proposed if particles can replace lattices.
+"""If particles can replace lattices, only the `REMEDIES` with these keys are proposed.
 
 When undamped bodies were pressed to a fifth of their height, another solver and another law helped
 in 7 of 7 stopped runs. Half the speeds and forces, and damping, helped in 5 of 7. In stopped random
@@ -204,7 +204,8 @@ REMEDIES: dict[str, Callable[[Scene], Remedy | None]] = {
     "friction": _reduce_viscosity,
     "ceiling": _raise_ceiling,
 }
-"""Functions that return the remedy for a scene, or None if it is not possible, by cause of a stop.
+"""For each cause of a stop, a function that returns the remedy for a scene, or None if there is
+none.
 """
 
 

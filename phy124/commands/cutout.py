@@ -107,7 +107,7 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe, from `Cutout.data()`, how an object was cut out and its part of the picture."""
+    """Describe how an object was cut out, and its part of the picture, from `Cutout.data()`."""
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 

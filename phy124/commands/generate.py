@@ -276,7 +276,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Test the video encoder, whose result is stored, and import SciPy at the same time."""
+    """Test the video encoder, store the result, and import SciPy at the same time."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)

@@ -47,7 +47,9 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""Name of the option that takes each command's file, and the kind of this file."""
+"""For each command, the name of the option that takes the command's file, and the kind of this
+file.
+"""
 TAKES_MESHES = ("generate", "simulate", "orient")
 """Names of the commands that also take a mesh."""
 USES = {
@@ -61,7 +63,7 @@ USES = {
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
-    """Refuse a file of a kind that only another command takes.
+    """Refuse a file if only another command takes files of this kind.
 
     Raises:
         InputError: The file is meant for another command.

@@ -163,7 +163,7 @@ class SceneOptions:
 
         Args:
             sources: Pictures or files of the scene's objects.
-            making: Values, by name, of options for making the Gaussians that differ from their
+            making: Options for making the Gaussians, by name; only options that differ from their
                 defaults.
         """
         timed = self.frames is not None or self.seconds is not None
@@ -191,7 +191,7 @@ def accuracy_command(
         scene: Preset or file.
         sources: Pictures or files of the scene's objects, if there are any.
         options: Values of further options by name; None: the option is not set.
-        changes: Values of the scene, as --set takes them.
+        changes: Changes to the scene, in the form that --set takes.
     """
     words = [PACKAGE, "accuracy", scene]
     inputs = {"image": sources[:1] or None, "more": sources[1:] or None}

@@ -131,7 +131,7 @@ class Force(Section):
     def in_part(self, part: Model, whole: Model) -> Force | None:
         """Return the force for a part of a model, or None if the force does not act in this part.
 
-        The part gets a share of each sum over particles: its mass divided by the mass of the model.
+        The part's share of each sum over particles is the part's mass divided by the model's mass.
         """
         total = self.mass_in(whole)
         share = self.mass_in(part) / total if total > 0 else 1.0
@@ -229,7 +229,7 @@ def stage(
 
     Args:
         force: The force, with its region.
-        name: Name of the stage in the times that reports list.
+        name: Name of the stage in a report's list of times.
         kernel: Kernel with the arguments: chosen particles, slot of the track, `inputs`, clock,
             values of the tracks, `read`.
         track: The strength over time.
@@ -254,6 +254,6 @@ def stage(
 
 
 def within(chosen: wp.array, run: slice) -> wp.array:
-    """Return the particle indices in a sorted list that are within a range."""
+    """Return the entries of a sorted list of particle indices that are within a range."""
     first, last = np.searchsorted(chosen.numpy(), [run.start, run.stop]).tolist()
     return cast("wp.array", chosen[first:last])

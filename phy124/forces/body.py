@@ -55,8 +55,8 @@ class TotalForce(Force):
 
 
 class Impulse(Force):
-    """An impact that transfers a momentum to a region, whatever the substeps and the profile
-    are.
+    """An impact that transfers a momentum to a region, independent of the substeps and of the
+    profile.
     """
 
     kind: Literal["impulse"] = "impulse"

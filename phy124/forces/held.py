@@ -27,7 +27,7 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
     Args:
         rest: Positions at rest [P,3], m.
         point: Centre of the part at rest [m]; None: the whole body.
-        radius: Distance from the point beyond which weights are zero [m].
+        radius: Radius around the point, outside which weights are zero [m].
     """
     if point is None:
         return np.ones(len(rest))
@@ -119,7 +119,7 @@ class Part(NamedTuple):
         """Yield the stages that compute a part's centre and its second moments about the centre.
 
         Args:
-            name: Name of the stages in the times that reports list.
+            name: Name of the stages in a report's list of times.
             slot: Slot of the track; nothing is computed while the track is inactive.
             model: The constants of the run.
             state: The particles' positions and velocities.
@@ -190,7 +190,7 @@ class Grab(Force):
         return self
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return the weight of each particle in the part that is pulled [P]."""
+        """Return each particle's weight in the part that is pulled [P]."""
         return weights(rest, self.point, self.radius)
 
     @property
@@ -257,7 +257,7 @@ class WrenchForce(Force):
         return self
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return the weight of each particle in the part that is pushed [P]."""
+        """Return each particle's weight in the part that is pushed [P]."""
         return weights(rest, self.point, self.radius)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

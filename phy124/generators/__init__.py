@@ -99,7 +99,8 @@ def make(
     """Create a generator from a name, a file of Gaussians, or a command (`cmd: ...`).
 
     Args:
-        chosen: Name of a generator in `GENERATORS`, path of a file, command, or a generator itself.
+        chosen: Name of a generator in `GENERATORS`, path of a file, a command, or a generator
+            object.
         reading: Options for reading a file of Gaussians; if None, the conventions of the file's
             format apply.
         options: Options of the generator.

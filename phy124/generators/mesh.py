@@ -43,7 +43,8 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh file."""
 COUNT, OBJECT_COUNT = 24_000, 50_000
-"""Approximate numbers of Gaussians of a mesh that is a further or the first object of a scene.
+"""Approximate numbers of Gaussians of a mesh: as a further object of a scene, and as the first
+object.
 
 With the smaller number, edges just look straight.
 """

@@ -32,7 +32,7 @@ MIN_OPACITY = 0.005
 TAIL = 0.005
 """Fraction of the total opacity outside the object's core, at each end of each axis."""
 MARGIN = 0.5
-"""Largest distance from the core of a Gaussian of the object, relative to the core's size."""
+"""Largest distance of the object's Gaussians from the core, relative to the core's size."""
 
 
 class Reading(Section):

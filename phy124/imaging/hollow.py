@@ -31,7 +31,8 @@ ASPECTS = (0.08, 0.6)
 The ratio is 0 if the rim is seen from the side, and 1 if it is seen from above.
 """
 FIT = 0.025
-"""Largest mean distance of the outline from the rim's back half, relative to half its width."""
+"""Largest mean distance of the outline from the rim's back half, relative to half the rim's width.
+"""
 FRONT = 0.95
 """Smallest fraction of the rim's front half along which the image must have an edge."""
 EDGE = 2.0
@@ -39,7 +40,7 @@ EDGE = 2.0
 ACROSS = np.linspace(-0.85, 0.85, 41)
 """Positions of the samples across a rim, relative to half the rim's width, without the ends."""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Ratios of the heights of front half and back half that are tried.
+"""Ratios of the front half's height to the back half's height that are tried.
 
 Perspective enlarges the front half.
 """

@@ -167,7 +167,7 @@ def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDA
 
     Args:
         image: Image [H,W,3] or [H,W,4], uint8 or float in 0..1.
-        mask: Mask [H,W], which is not zero where the object is.
+        mask: Mask [H,W], nonzero on the object.
         border_ratio: Fraction of the square's side that stays free.
 
     Returns:

@@ -33,7 +33,7 @@ class Objects(NamedTuple):
     """The objects of an alpha channel, numbered from 1."""
 
     nearest: NDArray[np.int32]
-    """Number of the object that is nearest to each pixel [H,W]."""
+    """For each pixel, the index of the nearest object [H,W]."""
     areas: NDArray[np.int_]
     """Area of each object [pixels]; index 0 is unused."""
 

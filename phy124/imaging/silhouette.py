@@ -13,7 +13,8 @@ Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
 """Smallest area of a piece that is counted, as a fraction of the object's area."""
 NEAR = 0.035
-"""Largest distance of an object that touches an image edge, relative to the image's shorter side.
+"""Largest distance at which an object counts as near an image edge, relative to the image's shorter
+side.
 
 The masks of GrabCut are at least 0.03 away from the edges.
 """

@@ -6,7 +6,9 @@ from PIL import Image
 REAL = 0.005
 """Smallest fractions of opaque and of transparent pixels in an alpha that separates an object."""
 FAINTEST = 8
-"""Smallest maximum of alpha (0 to 255) in an image that is half transparent everywhere."""
+"""If even the most opaque pixel of an image has an alpha (0 to 255) below this value, the image
+counts as empty.
+"""
 
 
 def has_alpha(image: Image.Image) -> bool:

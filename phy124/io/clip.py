@@ -86,7 +86,7 @@ class Clip:
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
-    """Index of the object of each Gaussian [N]; None if there is only one object."""
+    """Object index of each Gaussian [N]; None if there is only one object."""
     objects: tuple[str, ...] = ()
     """Names of the objects, if there is more than one."""
     motion: Motion | None = None

@@ -262,7 +262,7 @@ def content_of(
     Args:
         kind: Name of the format.
         path: The file.
-        raw: Columns, whose names are the field names of `Gaussians`. `means` has the file's full
+        raw: Columns by name; the names are the fields of `Gaussians`. `means` has the file's full
             precision; `object_id` may be NaN or negative.
         axes: Up and front directions of the file.
         antialiased: Whether the file requests Mip-Splatting's filter.
@@ -315,14 +315,18 @@ def assign_objects(
 
 
 FAR = 4
-"""Largest ratio of an object's distance from 0 to its size for which float32 is precise enough.
+"""float32 is precise enough if an object's distance from the origin, divided by the object's size,
+is at most this value.
 
 If the ratio is larger, centres are stored relative to an origin, which has double precision.
 """
 FINE = 20_000
-"""Centres are also stored relative to an origin if fewer float32 increments span the object."""
+"""Centres are also stored relative to an origin if the object spans fewer float32 increments than
+this number.
+"""
 COARSE = 4000
-"""Smallest number of increments of the file's positions across an object without a warning."""
+"""There is a warning if the object spans fewer increments of the file's positions than this number.
+"""
 ENOUGH = 100_000
 """Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38

@@ -41,7 +41,7 @@ class Axes(NamedTuple):
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:
-    """Return the most likely axes of a file, if its reader assumed these `axes`.
+    """Return the most likely axes of a file whose reader assumed `axes`.
 
     Raises:
         InputError: If the file is missing or its format is not supported.

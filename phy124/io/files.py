@@ -162,7 +162,8 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
     Args:
         out: The folder to fill.
         keeps: Whether complete files are moved into `out` even if the block fails.
-        alone: Whether to refuse if another `alone` block is filling `out`, in any process.
+        alone: Whether to raise an error if another `alone` block, in this or in another process, is
+            filling `out`.
 
     Raises:
         InputError: If `out` is a file, cannot be written, or is being filled by another run.

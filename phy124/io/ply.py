@@ -48,8 +48,8 @@ from phy124.io.plyheader import Header, read_header, refusal
 BLOCK = 1 << 16
 """Number of Gaussians that are written at once."""
 PLAIN, WIDER, TEXT = 68, 3, 70
-"""Size of a row of degree 0 [bytes]; memory for reading [bytes] per additional byte of a row, and
-per value of an ascii row.
+"""Three sizes that determine the memory for reading [bytes]: a row of degree 0, the memory per
+additional byte of a row, and the memory per value of an ascii row.
 """
 FILTER = "filter_3D"
 """Column with the width of Mip-Splatting's filter, in the file's unit (Yu et al. 2023, eq. 7)."""
@@ -277,7 +277,7 @@ def read_ply(
     Args:
         path: The file.
         up: Direction in the file that points up, in the notation of `phy124.io.axes.orientation`.
-        front: Direction in the file that the object faces.
+        front: Direction of the object's front, in the file's axes.
         dialect: The program that wrote the file, used if `up` is None. If `up` and `dialect` are
             None, the axes are those stated in the file's comments or, if there are none, the usual
             axes.

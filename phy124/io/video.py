@@ -50,7 +50,9 @@ FILMS = {
     ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
     ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
 }
-"""Pixel formats by number of channels, and encoder, by the extension of transparent videos."""
+"""For each extension of transparent videos: the pixel formats by number of channels, and the
+encoder.
+"""
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
 """Smallest alpha of the pixels of a GIF that are drawn; GIF has no half-transparent pixels."""

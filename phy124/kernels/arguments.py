@@ -61,7 +61,8 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     """Return a dictionary from the name of each kernel argument to its type.
 
     Args:
-        real: wp.float32 or wp.float64; None, if a kernel states all types: an empty dictionary.
+        real: wp.float32 or wp.float64; None: the kernel declares all types itself, and the
+            dictionary is empty.
         width: Number of parameters of the constitutive law.
     """
     if real is None:

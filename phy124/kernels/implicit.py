@@ -13,7 +13,8 @@ Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
 """Distance up to which neighbours repel each other, relative to the target spacing."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""Fraction of the missing distance by which neighbours that are too close move apart in one round.
+"""Neighbours that are too close move apart in each round. The distance of this move is this
+fraction of the distance that is missing to the target spacing.
 """
 SAME_SIDE = wp.constant(wp.float64(0.3))
 """Points count as neighbours if the cosine between their normals is at least this value; otherwise,

@@ -50,7 +50,7 @@ def record(
 
     Args:
         kernel: The Warp kernel.
-        dim: Number of threads, or of threads along each axis.
+        dim: Number of threads, or the number of threads along each axis.
         inputs: Arguments that the kernel reads.
         outputs: Arguments that the kernel writes, passed after the inputs.
         device: Name of the device.

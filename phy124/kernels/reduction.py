@@ -100,7 +100,7 @@ def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
 
 @wp.func_native(code("reduction:raise_all"))
 def raise_all(maxima: wp.array(dtype=Any), values: Any):
-    """Raise component-wise maxima over all threads to this thread's vector.
+    """Raise the component-wise maxima over all threads to at least this thread's vector.
 
     On a GPU, all threads of a block must call this function, so the number of threads is a multiple
     of `BLOCK`.

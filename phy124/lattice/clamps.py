@@ -171,8 +171,8 @@ def pins(
 
     Args:
         lattice: The lattice at rest.
-        far: Normal and distance of each node from the clamp [N,4].
-        affected: Whether the clamp acts on the body of each node [N].
+        far: Normal of the clamp at each node, and distance of the node from the clamp [N,4].
+        affected: For each node, whether the clamp acts on the body of the node [N].
     """
     axis = np.argmax(np.abs(far[:, :3]), axis=1)
     lean = np.take_along_axis(far[:, :3], axis[:, None], axis=1)[:, 0]

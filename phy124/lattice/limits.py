@@ -25,9 +25,9 @@ from phy124.mpm.workers import run_timed
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN, WAY = 0.25, 0.25
-"""`STRAIN`: largest strain between two measurements of the largest frequency; twice as large while
-the frequency is steady. `WAY`: largest displacement of a point [cells] between two measurements of
-its distance from walls.
+"""`STRAIN`: the largest vibration frequency is measured again after this strain, or after twice
+this strain while the frequency is steady. `WAY`: largest displacement of a point [cells] between
+two measurements of its distance from walls.
 """
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""

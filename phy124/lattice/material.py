@@ -77,7 +77,8 @@ class Material:
         Args:
             grid: The grid of the particles.
             clock: The clock of the substeps.
-            recovery: Gain of the speed at which points inside the material are moved out [1/s].
+            recovery: Speed at which points inside the material are moved out, divided by their
+                depth [1/s].
         """
         model, nodes, rows = self._model, self._nodes, self._nodes.rows
         on_grid = [grid.lattice, grid.window, grid.nodes]

@@ -92,10 +92,9 @@ class Partners:
             points: Indices of the points among which to search [K].
             between: Whether the points belong to two bodies.
 
-        Returns:
-            `a` and `b`, the indices of the points and of their partners [M]; `normal`, the
-            direction from the partner to the point [M,3]; and `back`, which maps displacements
-            along the surface at the partner to the body at rest [M,3,3].
+        Returns: `a` and `b`, the indices of the points and of their partners [M]; `normal`, the
+            direction from the partner to the point [M,3]; and `back`, which converts displacements
+            of the partner along the surface to the body at rest [M,3,3].
         """
         results, count = self._results, len(points)
         self._learn(points)

@@ -95,7 +95,8 @@ class Solids(FreeBodies):
 
         Args:
             tracks: The tracks of the run, with the clock.
-            recovery: Gain of the speed at which points inside a solid are moved out [1/s].
+            recovery: Speed at which points inside a solid are moved out, divided by their depth
+                [1/s].
         """
         self.recovery, forces, sides = recovery, self._forces(), self._sides()
         self._touches = [

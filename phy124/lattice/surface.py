@@ -155,7 +155,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     """Return the surface points with enough weight on the nodes of the lattice.
 
     Args:
-        points: Positions [m], outward normals and indices of bodies [S,7].
+        points: Surface points: position [m], outward normal and body index [S,7].
         lattice: The lattices at rest.
     """
     tips = points_in_tips(points, lattice)

@@ -24,9 +24,10 @@ least the mass `GIVING`. Both values are relative to the mass of a node inside t
 nodes would vibrate too fast in squeezed parts of the body.
 """
 BENT, THIN = 3.0, 0.6
-"""`BENT`: importance of the products of two coordinates, which the weights of donors reproduce as
-well as possible in thin parts. In these parts, each donor has less than `THIN` of the mass of a
-node inside the body. Without the products, the outer nodes of a bent plate would not follow its
+"""`BENT`: weight of the products of two coordinates in the fit of the donors' weights; in thin
+parts, these weights reproduce such products as well as possible. In these parts, each donor has
+less than `THIN` of the mass of a node inside the body. Without the products, the outer nodes of a
+bent plate would not follow its
 curvature: a plate with a thickness of 0.3 cells on the border of two layers of cells would be 20 %
 too stiff.
 """

@@ -27,7 +27,7 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
     """Return the indices of the integration points in sharp parts with tied nodes [K].
 
     Args:
-        points: Positions [m], outward normals and indices of bodies of surface points [S,7].
+        points: Surface points: position [m], outward normal and body index [S,7].
         lattice: The lattices at rest.
     """
     light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]

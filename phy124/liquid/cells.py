@@ -225,7 +225,9 @@ class Cells:
 
     @property
     def still(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Distances, nearest walls of cells, and open fractions of faces, for the fixed walls."""
+        """For the fixed walls: each cell's distance from the nearest wall, the index of this wall,
+        and each face's open fraction.
+        """
         distances, owners, _, fractions, _ = self._kept
         return distances, owners, fractions
 

@@ -150,8 +150,8 @@ class ImmersedSolver:
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density that lasted for two frames, relative to the
-        rest density.
+        """Largest mean excess of the liquid's density, relative to the rest density; the excess
+        must last for two frames.
         """
         return self.liquid.crowding
 

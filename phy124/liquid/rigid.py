@@ -130,7 +130,8 @@ class FreeSolids:
         """Compute the solids' accelerations by the pressure of a step.
 
         Args:
-            impulses: Impulse and moment about the origin of the liquid on each solid [F,2,3].
+            impulses: For each solid, the impulse of the liquid on it, and the moment of the impulse
+                about the origin [F,2,3].
             centres: Centre of each solid [F,3], m.
             kick: Duration over which the pressure caused the impulses [s].
             drift: Duration over which the pressure acts on the solids [s].

@@ -368,7 +368,8 @@ class Live:
         Args:
             name: Name of the object.
             motion: New position and orientation, and new velocities.
-            twist: Whether velocities are set; otherwise they rotate with the object.
+            twist: Whether to set the velocities; if not, the current velocities are rotated with
+                the object.
 
         Raises:
             InputError: There is no such object, it never moves, or it has no particles.

@@ -44,7 +44,7 @@ def find_material(
         run: The live run.
         field: Name of the position in error messages.
         place: The position [m].
-        radius: Largest distance of the particle [m].
+        radius: Largest distance between the position and the particle [m].
         name: Name of the particle's object; None: any object that can move.
 
     Raises:
@@ -138,7 +138,8 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         run: The run.
         name: Name of the object.
         motion: New position and orientation, and new velocities.
-        twist: Whether velocities are set; otherwise they rotate with the object.
+        twist: Whether to set the velocities; if not, the current velocities are rotated with the
+            object.
 
     Raises:
         InputError: There is no such object, it never moves, it has no particles, or the scene

@@ -108,8 +108,8 @@ class Material(Section):
         the strain.
 
         Args:
-            growth: Largest ratio (above 1) of the stiffest particle's stiffness after and before
-                the strain.
+            growth: Largest allowed factor (above 1) by which the strain changes the stiffness of
+                the stiffest particle.
             stiffness: A / rho of the stiffest particle [m^2/s^2].
         """
         return math.log((1 + math.sqrt(1 + 8 * growth)) / 4) / math.sqrt(3)
@@ -169,7 +169,7 @@ class Material(Section):
 
 
 def viscous_substep(density: float, viscosity: float, dx: float) -> float:
-    """Return the substep [s] that lets viscosity just stop a particle's strain: rho dx^2 / (8 eta).
+    """Return the substep [s] in which viscosity just stops a particle's strain: rho dx^2 / (8 eta).
 
     The formula is for an isolated particle; twice the substep would be unstable. If elastic stress
     acts as well, the limit is smaller by the factor `timestep.beside_elastic`.

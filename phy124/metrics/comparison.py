@@ -37,9 +37,13 @@ class Comparison:
     size: float
     """Longest side of the first clip's object at rest [m]."""
     position_rms: float
-    """RMS distance over all Gaussians and frames, relative to the object's size."""
+    """RMS distance between the Gaussians of the two clips over all frames, relative to the object's
+    size.
+    """
     position_max: float
-    """Largest distance of any Gaussian in any frame, relative to the object's size."""
+    """Largest distance between a Gaussian's positions in the two clips at the same time, relative
+    to the object's size.
+    """
     worst_frame: int
     """Index of the frame with the largest RMS distance; the first frame has index 0."""
     colour_rms: float

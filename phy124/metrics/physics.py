@@ -22,7 +22,8 @@ class Physics:
     """Largest total volume of the Gaussians over time, relative to their volume in the first
     frame."""
     momentum_residual: float | None
-    """Mean difference between the velocity and the rate of change of the position of the centre.
+    """Mean difference between the centre's velocity and the rate of change of the centre's
+    position.
 
     The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
     speed. x and v are means over all Gaussians. If all velocities are zero, the residual is this

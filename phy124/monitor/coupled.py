@@ -66,9 +66,7 @@ class CoupledWork(ExternalWork):
     """Sums external impulse and work on lattices and particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to read also the solver's sums for walls that touch
-        lattices.
-        """
+        """Bind to the solver, which also sums the impulses of walls on lattices."""
         self._solver = solver
         super().bind(solver, observers)
 

@@ -50,8 +50,8 @@ class Diagnostics:
     elastic: float
     """Elastic energy [J]."""
     lag: float
-    """Change of the kinetic energy [J] between the time of the velocities and of the elastic
-    energy.
+    """Change of the kinetic energy [J] between the time of the velocities and the time of the
+    elastic energy.
     """
     middle: NDArray[np.float64]
     """Sum of mass times position [3], kg m."""

@@ -100,8 +100,8 @@ class Dissipation(Observer):
         """Return the energy [J] lost to the material, to the walls and to the grid.
 
         Args:
-            gained: Current energy of the body minus the initial energy and the work of all forces
-                and walls [J].
+            gained: Current energy of the body minus its initial energy, minus the work of all
+                forces and walls [J].
             rubbed: Energy lost to friction at walls [J].
             stored: Current elastic energy minus the initial elastic energy [J].
         """

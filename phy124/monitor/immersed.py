@@ -30,7 +30,7 @@ class ImmersedWork(PoolWork, MeanWork):
     """
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to read the sums of walls on the liquid and on lattices."""
+        """Bind to the solver, which sums the impulses of walls on the liquid and on lattices."""
         self._solver = self._liquid = solver
         counts = [len(each.workers) for each in (solver.lattice, solver.liquid)]
         sums = wp.zeros((sum(counts), ROOM), dtype=wp.float64, device=solver.model.device)

@@ -122,7 +122,7 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, in order to read also the sums of the solver's walls."""
+        """Bind to the solver, whose walls also contain sums."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)

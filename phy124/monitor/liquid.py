@@ -54,8 +54,8 @@ class LiquidDissipation(Dissipation):
         """Return the energy [J] lost to viscosity, to friction at walls, and to numerical errors.
 
         Args:
-            gained: Current energy of the liquid minus the initial energy and the work of all forces
-                and walls.
+            gained: Current energy of the liquid minus its initial energy, minus the work of all
+                forces and walls.
             rubbed: Minus the work of walls, which includes friction.
             stored: Elastic energy, which is zero for a liquid.
         """

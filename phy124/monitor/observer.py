@@ -53,7 +53,7 @@ class Effect(NamedTuple):
     name: str
     called_for: bool = True
     why: str = ""
-    """Reason why the effect is omitted; empty if it is not."""
+    """Reason why the effect is omitted; empty if the effect is included."""
     cost: Cost = UNKNOWN
     """Cost of the effect, if active."""
 
@@ -196,7 +196,7 @@ class Observer:
         self._solver: Any = solver
 
     def change(self, scene: Scene) -> None:
-        """Continue under the forces, boundaries and stiffness of another scene."""
+        """Continue with the forces, boundaries and stiffness of another scene."""
 
     def skip_to(self, index: int) -> float | None:
         """Return the time [s] of the frame if the frame needs no substeps, otherwise None."""

@@ -63,7 +63,8 @@ class PoolDissipation(LiquidDissipation):
         """Return the energy [J] that the exchange between liquid and bodies has created.
 
         Where a light body rises, the displacements that restore the density fill its wake. The
-        potential energy that they take from the liquid then pays for the work on the body.
+        potential energy that these displacements take from the liquid then pays for the work on the
+        body.
         """
         projection = self._projection()
         return max(0.0, min(-projection, -projection - self._energies.read().density))
@@ -72,8 +73,8 @@ class PoolDissipation(LiquidDissipation):
         """Return the energy [J] lost to the materials, to contact, and to numerical errors.
 
         Args:
-            gained: Energy of liquid and bodies minus the initial energy and the work of all forces
-                and walls.
+            gained: Energy of liquid and bodies, minus their initial energy, minus the work of all
+                forces and walls.
             rubbed: Minus the work of walls, which includes friction.
             stored: Change of the elastic energy.
         """

@@ -48,8 +48,8 @@ LOOSE, FLAKE = 2e-3, 8
 `FLAKE` particles.
 """
 ALONE, STURDY = 1.0, 1e9
-"""`ALONE`: a particle with a larger spacing at rest [cells] has no neighbours. `STURDY`: stretch
-that no particle reaches.
+"""`ALONE`: a particle has no neighbours if its spacing at rest is larger than this [cells].
+`STURDY`: stretch that no particle reaches.
 """
 FAR = 4096
 """Number of cubes along an axis above which empty space is removed before pieces are labelled."""
@@ -199,7 +199,7 @@ class Tearing(Observer):
 
 
 class Pieces:
-    """Pieces: groups of connected particles at rest.
+    """Pieces: groups of particles that are connected at rest.
 
     Space is divided into cubes. Particles in one cube, or in cubes that touch, are connected; an
     empty layer of cubes separates two pieces. Particles of different objects never belong to one

@@ -47,9 +47,9 @@ Of 6,500 random scenes, 1 % reached 0.7 %. The worst scene, with two particles w
 in every substep, reached 13 %. An unstable run exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
-"""Energy created by the exchange between a liquid and bodies, relative to the largest supplied
-energy, above which a note says so; computed if `checks.energy` is on. In 14 scenes, the largest
-value is 15 %; in 3 scenes with foam or very light bodies, it is 77 to 148 %
+"""There is a note if the exchange between a liquid and bodies creates more than this fraction of
+the largest supplied energy; the created energy is computed only if `checks.energy` is on. In 14
+scenes, the largest value is 15 %; in 3 scenes with foam or very light bodies, it is 77 to 148 %
 (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}

@@ -53,8 +53,8 @@ class Exposed:
             row: Arrays of M Gaussians by name; a hidden Gaussian has the values of the Gaussian
                 above it.
             index: Index of the frame.
-            grains: For each of the M Gaussians, the index among the G Gaussians; -1 if it is not
-                one of them.
+            grains: For each of the M Gaussians, its index among the G grains; -1 if it is not a
+                grain.
         """
         means, scales = row["means"].copy(), row["scales"].copy()
         rows = np.flatnonzero(grains >= 0)

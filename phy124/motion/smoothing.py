@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from phy124.gaussians import Particles
 
 REACH = 1.25
-"""Distance from which particles have no weight [cells]."""
+"""Distance beyond which particles have no weight [cells]."""
 NEIGHBOURS = 64
 """Largest number of particles with weight."""
 LARGEST = 0.25

@@ -129,12 +129,12 @@ class Model:
             volume: Volumes at rest [P], m^3.
             materials: The materials of the particles.
             dx: Grid spacing [m].
-            material: Index into `materials` for each particle [P]; particles of one law must be
-                consecutive. None: all particles have the first material.
+            material: For each particle, its index into `materials` [P]; particles of one law must
+                be consecutive. None: all particles have the first material.
             stiffness: Factors on Young's modulus E [P]; None: 1.
             body: Index of each particle's body [P], counted from 0 and increasing; particles of one
                 law must be consecutive in each body. None: all particles are one body.
-            held: Bodies that never move; for other bodies, they act like walls.
+            held: Bodies that never move; they act like walls on the other bodies.
             wet: Bodies of liquid, which another solver moves.
             names: Names of the bodies, in the order of the indices.
             tops: Height of the surface of each body on a lattice and of each free solid, by name
@@ -260,7 +260,7 @@ class Model:
 
         Args:
             kernel: The Warp kernel.
-            dim: Number of threads, or of threads along each axis.
+            dim: Number of threads, or the number of threads along each axis.
             inputs: Arguments that the kernel reads.
             outputs: Arguments that the kernel writes, passed after the inputs.
         """
@@ -366,7 +366,7 @@ def parameters(
 
     Args:
         materials: All materials.
-        material: Index into `materials` of each particle [P].
+        material: For each particle, its index into `materials` [P].
         stiffness: Factors [P] on the parameters that are proportional to E, or None.
         dx: Grid spacing [m].
         cfl: Fraction of the elastic limit of the substep.

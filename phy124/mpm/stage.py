@@ -14,7 +14,7 @@ class Stage(NamedTuple):
     """A launch that a force, a boundary or an accumulator adds to a substep."""
 
     name: str
-    """Name of the stage in the times that reports list."""
+    """Name of the stage in a report's list of times."""
     record: Callable[[Grid], wp.Launch | None]
     """Function that records the launch for the grid's current window; returns None if no launch is
     needed.

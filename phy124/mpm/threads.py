@@ -22,8 +22,8 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS, NAP = 20, 5e-5
-"""Number of spins at a barrier that only yield the core; then, duration of the sleep between spins
-[s].
+"""Number of spins at a barrier that only yield the core, and duration of the sleep between the
+later spins [s].
 """
 SPINS = 100_000
 """Number of checks of the barrier per spin if every thread has a core; otherwise one check."""

@@ -42,9 +42,9 @@ SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "foll
 the functions that are called after each substep (progress, budget and observers).
 """
 NODES, GROWN = 16, 1.25
-"""Thresholds for dividing the particles again. `NODES`: number of nodes in slabs per particle,
-which also limits the memory. `GROWN`: growth, since the last division, of the ratio of the slabs'
-nodes to the window's nodes.
+"""Thresholds for dividing the particles again. `NODES`: the slabs have more than this number of
+nodes per particle, which also limits the memory. `GROWN`: the ratio of the slabs' nodes to the
+window's nodes has grown by this factor since the last division.
 """
 GAP, LINE = 1, 4
 """`GAP`: gap between two slabs [nodes], because SIMD code reads one additional node. `LINE`: nodes

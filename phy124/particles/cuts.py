@@ -19,14 +19,14 @@ SIGNS = np.prod(-2 * CORNERS, axis=1)
 HALVINGS = 16
 """Number of bisection steps for the distance of two planes."""
 LEAST = 1e-9
-"""Filled fractions are kept at this distance from 0 and 1. It is also the smallest divisor of a
-division by a volume.
+"""Filled fractions are limited to the range from this value to 1 minus this value. Divisions by a
+volume use at least this value as the divisor.
 """
 
 
 def below(normal: NDArray, height: NDArray, side: float = 1, order: int = 0) -> NDArray[np.float64]:
-    """Return the volume of a cube below a plane [K], or its first or second derivative by the
-    height: the area of the cut and the rate at which this area grows.
+    """Return the volume of a cube below a plane [K], or its first or second derivative with respect
+    to the height: the area of the cut, or the rate at which this area grows.
 
     Args:
         normal: Unit normals of the planes [K,3].
@@ -48,7 +48,8 @@ def between(
 
     Args:
         normal: Unit normals of the planes [K,3].
-        height: Distances of the middle between both planes from the middle of the cube [K].
+        height: Distance from the middle of each cube to the point midway between its two planes
+            [K].
         thick: Distances between the planes [K].
         side: Side of the cubes.
     """
@@ -67,7 +68,8 @@ def fill_between(
     Args:
         fraction: Filled fractions [K].
         normal: Unit normals of the planes [K,3].
-        height: Distances of the middle between both planes from the middle of the voxel [K].
+        height: Distance from the middle of each voxel to the point midway between its two planes
+            [K].
     """
     fraction = np.clip(fraction, LEAST, 1 - LEAST)
     low = np.zeros(len(fraction))

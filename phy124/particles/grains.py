@@ -31,7 +31,7 @@ PATCH, CELLS = 0.06, 48
 """Standard deviation of the filter that averages the brightness around a Gaussian, relative to the
 object's size; number of cells per axis of the filter's grid."""
 BRIGHTEST = 99.0
-"""Percentile of the brightness after tinting that is at most white."""
+"""After tinting, this percentile of the brightness is at most white."""
 COARSEST = 0.005
 """Largest size of the grains that make a surface rough, relative to the object's longest side."""
 FINE = 0.006

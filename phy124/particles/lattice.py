@@ -159,7 +159,9 @@ class _Cells(NamedTuple):
     part: NDArray[np.float64]
     """Filled volume of each voxel, relative to a cell [V]."""
     number: NDArray[np.int64]
-    """Number of each voxel's cell after slivers are merged [V]; the x index varies slowest."""
+    """For each voxel, the index of its cell after slivers are merged [V]; the x coordinate varies
+    slowest.
+    """
     clear: NDArray[np.bool_]
     """Voxels with more than a trace of material [X,Y,Z]."""
 

@@ -24,10 +24,10 @@ AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).
 LEAST = 0.08
 """Filled fraction below which a separate sliver stays a separate piece. If the sliver were merged
 with a neighbouring cell, it would spread the points of this cell. With a value of 0.03, a thin disc
-that was pushed turned inside out.
+turned inside out when it was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""Whether two of these 27 steps lead to neighbours or to one place [27,27]."""
+"""Whether two of these 27 steps lead to neighbours or to the same place [27,27]."""
 
 
 class Pieces(NamedTuple):
@@ -56,8 +56,8 @@ def find_pieces(
     Args:
         index: Indices of the voxels that are not empty [V,3].
         place: Indices of the cells in which the voxels lie [V,3].
-        cell: Number of each voxel's cell, which may be a neighbour of the cell in which the voxel
-            lies [V]. Pieces are sorted by this number.
+        cell: For each voxel, the index of its cell [V]; this cell may be a neighbour of the cell in
+            which the voxel lies. Pieces are sorted by this number.
         part: Volume of each voxel, relative to a cell [V].
         clear: Whether each voxel connects its neighbours [V]; voxels with only a trace of material
             do not.
@@ -113,7 +113,7 @@ def find_copies(
 
     Args:
         pieces: The E pieces.
-        cell: Indices of the cells whose nodes the pieces use [E,3].
+        cell: For each piece, the indices of the cell whose nodes the piece uses [E,3].
         place: Indices of the cells in which the voxels lie [V,3]. For slivers that were merged with
             another cell, these cells differ from the cells of the pieces.
         volume: Volumes of the voxels [V]. The largest connected piece in the support of a node

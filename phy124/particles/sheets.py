@@ -6,8 +6,8 @@ in turn, so planes are found by iteration. The middle takes account of two effec
 bends away from its tangential plane, and a cube around a voxel cuts more of a sheet on the side
 nearer to the middle of the cube.
 
-A voxel at the rim of a sheet is as thick as the voxels next to it, but covers only a part of the
-voxel's length.
+At the rim of a sheet, the material is as thick as in the neighbouring voxels, but crosses only a
+part of the voxel.
 """
 
 from __future__ import annotations
@@ -72,10 +72,10 @@ def fill_sheets(
     Args:
         padded: Filled fractions, padded by 2 voxels [X+4,Y+4,Z+4].
         index: Indices of all voxels that are not empty [V,3].
-        chosen: Numbers of the K voxels that belong to sheets [K].
+        chosen: Indices of the K voxels that belong to sheets [K].
         planes: First approximations of the middle planes of these K voxels.
-        thick: Thicknesses of the material around all voxels, and a zero [V+1]. This function sets
-            the values of sheets.
+        thick: Thickness of the material around each voxel, followed by a zero [V+1]. This function
+            sets the values of sheets.
         shift: Centres of the filled parts [V,3]. This function sets the values of sheets; the
             others must be set before.
         spread: Second moments of the filled parts [V,3,3].

@@ -32,7 +32,7 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness, relative to the longest side, exceeded in nine tenths of the volume."""
+    """Local thickness that nine tenths of the volume exceed, relative to the longest side."""
     compliance: float
     """Mean deflection if the object's weight acts sideways, relative to the object's size L and to
     rho g L / E."""
@@ -91,7 +91,7 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=4)
 def local_thickness(shape: Solid) -> float:
-    """Return the largest thickness [m] for which at most `FRACTION` of the volume is thinner.
+    """Return the largest thickness [m] such that at most `FRACTION` of the volume is thinner.
 
     Parts that are thinner than a voxel count as one voxel thick.
     """

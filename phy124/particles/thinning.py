@@ -14,7 +14,8 @@ from phy124.io.content import MOST_KEPT
 
 FEWEST, MOST = 100, MOST_KEPT
 GIANT = 1e4
-"""A Gaussian counts as part of a background or as an error above this area, relative to the median.
+"""A Gaussian counts as part of a background or as an error if its area, relative to the median
+area, exceeds this value.
 """
 BITS = 16
 """Bits per coordinate along the space-filling curve."""

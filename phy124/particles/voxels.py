@@ -28,13 +28,14 @@ THIN = 1.2
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
 NOISE, VEIL = 1e-4, 0.15
-"""Voxels of sheets with a smaller filled fraction than `NOISE`, and of sheets thinner than `VEIL`
-[voxels], are filled only once. Resampling leaves many such voxels around a body.
+"""Voxels of sheets are filled only once, without refinement, if their filled fraction is at most
+`NOISE` or the sheet is at most `VEIL` thick [voxels]. Resampling leaves many such voxels around a
+body.
 """
 ROUND, WIDE, LONG = 3.5, 0.45, 2.5
-"""`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment, perpendicular
-to the rod, of the filled fractions of the surrounding 125 voxels [voxels^2]. `LONG`: smallest ratio
-of the second moment along the rod to the second moment perpendicular to it.
+"""`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment perpendicular
+to the rod [voxels^2], computed from the filled fractions of the surrounding 125 voxels. `LONG`:
+smallest ratio of the second moment along the rod to the second moment perpendicular to it.
 """
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
@@ -133,7 +134,7 @@ class _Parts:
         # 1 / sqrt(3). A rod crosses three layers of voxels, or more if it is slanted.
         most = max(math.sqrt(3) * THIN, math.sqrt(3) * ROUND / 3)
         self.number = np.flatnonzero((layers < most) | no_normal)
-        """Numbers of the K voxels among the V voxels [K]."""
+        """Indices of the K voxels among the V voxels [K]."""
         self.around, self.total = around[self.number], total[self.number]
         self.layers, self.no_normal = layers[self.number], no_normal[self.number]
         # With only two layers of voxels, a sheet's normal could not be distinguished from a

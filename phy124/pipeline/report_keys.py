@@ -48,7 +48,7 @@ class Substep(TypedDict):
     split: bool
     """Whether the substeps are shorter than `asked`."""
     fractions: dict[str, float]
-    """Fraction of the substeps whose length was determined by each limit."""
+    """For each limit, the fraction of the substeps whose length it determined."""
     rejected: int
     """Number of substeps that were repeated with a shorter length."""
     retried: list[int]
@@ -165,7 +165,7 @@ class Goal(TypedDict):
     met: bool
     """Whether the target is met."""
     why_not: str
-    """Reason why the target is not met; empty if it is."""
+    """Reason why the target is not met; empty if the target is met."""
     torn: list[int]
     """Cells across the object for grids that were ignored because the material may have torn."""
     particles_per_axis: float
@@ -188,7 +188,7 @@ class Forecast(TypedDict):
     substeps: int
     """Predicted number of substeps."""
     limiters: dict[str, int]
-    """Predicted number of substeps whose length is determined by each limit."""
+    """For each limit, the predicted number of substeps whose length it determines."""
     caveat: str | None
     """Reason why the prediction may be wrong."""
 
@@ -296,8 +296,8 @@ class Report(TypedDict):
     mass: float
     """Mass of all particles [kg]."""
     thickness: float | None
-    """Local thickness, relative to the object's size, that is exceeded in nine tenths of the
-    object's volume.
+    """Local thickness that nine tenths of the object's volume exceed, relative to the object's
+    size.
     """
     compliance: float | None
     """Deflection of the object, modelled as a beam under its weight (docs/lab/own-error.md)."""
@@ -352,8 +352,8 @@ class Report(TypedDict):
     threads: int
     """Number of CPU threads. Runs with the same number of threads are equal bit for bit."""
     limiters: dict[str, int]
-    """Number of substeps whose length was determined by each limit (elastic, speed, gradient,
-    viscous, user).
+    """For each limit (elastic, speed, gradient, viscous, user), the number of substeps whose length
+    it determined.
     """
     substep: Substep
     """Length of the substeps."""

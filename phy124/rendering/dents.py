@@ -23,7 +23,7 @@ PATCH, LARGEST = 0.7, 1 / 48
 coarse grids, patches of the first size would be thicker than horns and ears.
 """
 SIDE = 0.7
-"""Difference of two unit normals that separates as much as a whole patch."""
+"""Two points are as far apart as the size of a patch if their unit normals differ by this value."""
 NEAR = 12
 """Number of patches to which a plane is fitted, and between which light is interpolated."""
 FLOOR = 0.5

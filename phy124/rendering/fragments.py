@@ -24,7 +24,8 @@ WHOLE, BROKEN = 1.06, 1.3
 keeps its shape.
 """
 SMALLEST = 0.7
-"""Lower bound of the size of a broken fragment, relative to the size at rest, if it was packed."""
+"""If a fragment was packed before it broke, its size is at least this fraction of its size at rest.
+"""
 NEWTON = 6
 """Number of Newton steps for a rotation; enough for stretches that differ by a factor of 10."""
 FLAT = 1e-3

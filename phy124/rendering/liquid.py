@@ -24,8 +24,8 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Two standard deviations of the smoothing, in cells: the filter's, together with that of the
-distribution of each point among the eight cells around it.
+"""Combined standard deviation [cells] of the filter, and of the distribution of each point among
+the eight cells around it.
 """
 MOST = 4_000_000
 """Largest number of cells. If the liquid is too scattered for this number, the cells are larger."""
@@ -118,7 +118,8 @@ class Field:
         return np.asarray(self.blur(values) / self._room, np.float32)
 
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
-        """Return the smoothed fraction phi of each cell that points of volumes [N] m^3 fill.
+        """Return phi, the smoothed fraction of each cell that is filled by the points; `volumes`
+        [N] are the points' volumes [m^3].
 
         Each point is distributed among 8 cells. The fraction is limited to 1, because the points of
         a compressed liquid lie too close together.
@@ -126,7 +127,9 @@ class Field:
         return self.smooth(np.minimum(self.add(volumes), 1))
 
     def add(self, volumes: NDArray) -> NDArray[np.float32]:
-        """Return the fraction of each cell that points of volumes [N] m^3 fill, not smoothed."""
+        """Return the fraction of each cell that is filled by the points, before smoothing;
+        `volumes` [N] are the points' volumes [m^3].
+        """
         filled = np.zeros(self.size, np.float32)
         self.launch(fields.fill, len(self.x), [self.x, volumes], [filled])
         return filled

@@ -29,7 +29,8 @@ MOST = 2_000_000
 """Largest number of cells; cells are larger if the grains are too scattered for it."""
 SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
-"""Light from the sky and, on surfaces that face it, from the lamp: red, green and blue."""
+"""Light from the sky, and light from the lamp on surfaces that face the lamp: red, green and blue.
+"""
 CERTAIN = 0.03
 """Gradient of phi per cell above which the normal is certain. In sparse spray the normal is less
 certain, and the light is closer to `EVEN`.
@@ -113,8 +114,8 @@ def illuminate(sh: NDArray, light: NDArray) -> NDArray:
 def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.float64], tuple[int, int, int]]:
     """Return the cell size [m], the places of points [3,n], and the number of cells per axis.
 
-    The centres of cells are at whole numbers. Points far away from all others are placed near the
-    boundary. The outermost cells are empty.
+    The centres of cells have integer coordinates. Points far away from all others are placed near
+    the boundary. The outermost cells are empty.
     """
     low, high = np.percentile(x[:: 1 + len(x) // 8192], [0.1, 99.9], axis=0)
     cell = max(cell, float(np.prod(high - low + 2 * SPARE * cell) / MOST) ** (1 / 3))
@@ -126,7 +127,7 @@ def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.float64], tuple[i
 
 
 def number(place: NDArray[np.float64], size: tuple[int, int, int]) -> NDArray[np.intp]:
-    """Return the numbers of the cells [n] at places [3,n] that are whole numbers."""
+    """Return the indices of the cells [n] at places [3,n] with integer coordinates."""
     return ((place[0] * size[1] + place[1]) * size[2] + place[2]).astype(np.intp)
 
 
@@ -141,12 +142,12 @@ def interpolate(
     """Return values at points [n], interpolated linearly between the eight cells around each point.
 
     Args:
-        values: Values of some cells [m].
-        cells: Numbers of these cells [m].
+        values: Values of m of the cells [m].
+        cells: Indices of these m cells [m].
         count: Number of all cells.
-        corner: Number of the lowest of the eight cells [n].
-        shares: Distance from the centre of this cell along each axis [3,n], in cells.
-        steps: Difference of the numbers of neighbouring cells along each axis.
+        corner: For each point, the index of the lowest of the eight cells [n].
+        shares: Distance of the point from the centre of this cell along each axis [3,n], in cells.
+        steps: Along each axis, the difference between the indices of neighbouring cells.
     """
     every = np.zeros(count, np.float32)
     every[cells] = values

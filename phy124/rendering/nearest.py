@@ -50,8 +50,8 @@ DEPTHS = 1.5
 CLOSE, TRIES = 0.98, 8
 """Two conditions that end the search for a zoom.
 
-`CLOSE` is a smallest distance of the camera, relative to the smallest allowed distance. `TRIES` is
-a number of trials.
+`CLOSE`: the camera is nearly at the smallest allowed distance, or farther away; the value is a
+fraction of this distance. `TRIES`: the search has made this number of trials.
 """
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
@@ -229,9 +229,9 @@ def place_along(
         sample: The object in motion.
         cameras: A camera for each frame. The camera defines the orientation and the field of view.
             If the cameras turn during the clip, it also defines the target.
-        still: The nearest positions that show the whole motion. The zoom of these positions is used
-            and, if the cameras turn, also the target.
-        window: Number of frames before and after a frame that the frame's camera also shows.
+        still: The nearest camera positions that show the whole motion. The zoom of these positions
+            is used and, if the cameras turn, also the target.
+        window: Each frame's camera also shows this number of frames before and after the frame.
 
     Returns:
         Distances of the cameras from the targets [T], m, and displacements of the targets [T,3], m.
@@ -279,7 +279,9 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; if the cameras turn, the largest in a frame."""
+        """Extent of the motion along the view [m]; if the cameras turn, the largest extent in any
+        frame.
+        """
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
             return float((ahead[1] - ahead[0]).max())

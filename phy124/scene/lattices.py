@@ -22,8 +22,8 @@ E = 10 kPa, the cube did not.
 """
 
 FARTHEST_DRIVEN = 0.5
-"""Largest displacement by prescribed velocities, relative to the object's size, for which `auto`
-chooses lattices if the object is held. The limit comes from a test in which the upper third of a
+"""If the object is held, `auto` chooses lattices only up to this displacement by prescribed
+velocities, relative to the object's size. The limit comes from a test in which the upper third of a
 ball is driven into the held foot of the ball. The distance between the two is half the ball's size.
 The run on a lattice stops early; the run with MPM does not.
 """

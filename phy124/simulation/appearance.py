@@ -17,7 +17,7 @@ from phy124.particles.grains import add_grains, roughen, tint, vary_brightness
 from phy124.scene import Scene
 
 SEEN = {"visibility", "viscosity"}
-"""Properties of a liquid that its appearance depends on."""
+"""Properties of a liquid that determine its appearance."""
 BLOCK = 1 << 15
 """Number of Gaussians that are measured at a time, so that their data stay in the cache."""
 

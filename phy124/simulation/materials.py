@@ -38,7 +38,8 @@ def assign(
         gaussian: Index of each particle's Gaussian [P]; -1: the nearest Gaussian is used.
         parts: The scene's parts.
         crop: Position of the object in the picture on which the masks were painted.
-        means: Centres of the Gaussians [N,3], m, if no particle represents a single Gaussian.
+        means: Centres of the Gaussians [N,3], m; needed only if the particles are not bound to
+            single Gaussians.
 
     Raises:
         InputError: A mask cannot be read, or a part contains no particle.

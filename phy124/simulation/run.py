@@ -245,7 +245,7 @@ class Simulation:
 
         Args:
             clip: The clip.
-            every: Whether to compute frames of a light run that have not been read.
+            every: Whether a light run also computes the frames that have not been read.
         """
         look, materials = self.setup.appearance, self.setup.materials
         if self._recorded is None:

@@ -45,7 +45,9 @@ class Setup:
     scene: Scene
     """The scene, with the solver that the device uses for elastic objects."""
     no_lattice: str
-    """Reason why no object is simulated on a lattice; empty if elastic objects are."""
+    """Reason why no object is simulated on a lattice; empty if elastic objects are simulated on
+    lattices.
+    """
     solid_scene: Scene
     """The scene, in which objects on a path are also walls."""
     cleaned_scene: Scene
@@ -69,7 +71,7 @@ class Setup:
     free: tuple[FreeBody, ...]
     """Props (objects without deformation) that are freely moving rigid solids."""
     scenery: Scenery
-    """All Gaussians at rest, with the props and parts that the solver does not move."""
+    """All Gaussians at rest, including the props and parts that the solver does not move."""
     estimate: Estimate
     """Rough estimate of the time and memory that the run needs."""
     context: RunContext

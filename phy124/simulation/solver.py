@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 FLOOR_NODE = 0.75
-"""Distance of the first layer of nodes below the floor from the floor [cells]."""
+"""Distance between the floor and the first layer of nodes below the floor [cells]."""
 
 
 def make_solver(setup: Setup, observers: Sequence[Observer]) -> AnySolver:
@@ -138,7 +138,7 @@ def find_tops(
 
     Args:
         names: Names of the bodies.
-        surface: Surface points and indices of bodies [S,7]; None: no body is on a lattice.
+        surface: Surface points with normals and body indices [S,7]; None: no body is on a lattice.
         free: The rigid solids that move freely.
     """
     up = np.array([0.0, 0.0, 1.0])

@@ -69,7 +69,9 @@ class Rendering:
     Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the loss's gradients [N,2] for centres that are measured in half images."""
+        """Return the loss's gradients [N,2] with respect to the centres, measured in units of half
+        the image.
+        """
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:

@@ -49,9 +49,9 @@ def relief(
 
     The object faces +x and stands upright. A camera at the distance `VIEW_DISTANCE` in front of the
     shell, raised by the elevation from which the picture was taken, sees the silhouette of the
-    image. If a camera that is not raised looks at the shell, the silhouette in the vertical plane x
-    = 0 has a longest side of 1 m. If the object is longer in the side image, its longest side there
-    is 1 m instead. Calls with the same seed return the same Gaussians.
+    image. For a camera that is not raised, the longest side of the silhouette in the vertical plane
+    x = 0 is 1 m. If the object is longer in the side image, its longest side there is 1 m instead.
+    Calls with the same seed return the same Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].
@@ -69,10 +69,12 @@ def relief(
             silhouette is symmetric, otherwise mirrored.
         thickness: Factor by which the depth guessed from the silhouette is multiplied; None means
             1.
-        shape: "round": as deep as its parts are wide; "upright": turned about a vertical axis;
-            "flat": a thin sheet; "auto": the most plausible of these, a slab or a box.
+        shape: "round": as deep as its parts are wide; "upright": a solid of revolution with a
+            vertical axis; "flat": a thin sheet; "auto": the most plausible of these, a slab or a
+            box.
         photo_elevation: Angle above the horizontal from which the picture was taken [degrees], 0 to
-            80. None: the angle that a vessel, a ring or a box shows, and 0 for others.
+            80. None: the angle is estimated for a vessel, a ring or a box, and is 0 for other
+                objects.
         highlights: "keep": highlights are painted on the object and move with it; "remove":
             highlights are removed from the images first.
 

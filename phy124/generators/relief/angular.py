@@ -22,17 +22,20 @@ SHORTEST = 20.0
 TILTED = 3.0
 """Largest angle between an edge and the vertical or the horizontal [degrees]."""
 EITHER, BOTH = 0.15, 0.4
-"""Smallest share of the outline that consists of vertical edges, and of horizontal edges.
+"""Smallest share of the outline that vertical edges must have, and smallest share that horizontal
+edges must have.
 
 `BOTH` is the smallest share of both together.
 """
 SOLID = 0.8
-"""Smallest ratio of the silhouette's area to the area of its convex hull; hourglasses have less."""
+"""Smallest ratio of the silhouette's area to the area of its convex hull; hourglasses have a
+smaller ratio.
+"""
 ACROSS, EXPLAINED = 0.15, 0.25
-"""Smallest change of brightness from the axis to a side, if the object is round, relative to the
-mean brightness.
+"""Smallest change of brightness from the axis to a side of a round object, relative to the mean
+brightness.
 
-`EXPLAINED` is the smallest part of the variation within the rows that the shading explains.
+`EXPLAINED` is the smallest fraction of the variation within the rows that the shading must explain.
 """
 INNER = 0.92
 """Largest distance from the middle of a row at which the shading is examined, relative to half the

@@ -31,7 +31,7 @@ UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
 """Upper fraction of the height that may contain a face.
 
 `OUTLINE` is the smallest overlap (IoU) of a face with its mirror image. `FACE` is the smallest
-correlation between the brightness of both images.
+correlation between the brightness of a face and of its mirror image.
 """
 LARGE, FEWEST = 20.0, 50
 """Standard deviation of the filter that removes the shading [pixels], and smallest number of pixels
@@ -45,7 +45,7 @@ SHORTER = 6.0
 """Exponent in the weights of rows and columns.
 
 The colour of a pixel on the back is the weighted mean of two colours, interpolated along the row
-and along the column. The shorter one of row and column has the larger weight.
+and along the column. The shorter of the two has the larger weight.
 """
 COARSE = 3.0
 """Standard deviation of the filter that separates colours from fine texture [pixels]."""
@@ -53,7 +53,7 @@ PATCH, STEP, OFFSET = 20, 10, 3
 """Side of a square patch of texture, spacing of the patches on the back, and spacing of the patches
 on the front from which they are copied [pixels]."""
 QUIET, STRONG = 0.4, 0.07
-"""Fraction of the front's patches that may be copied, beginning with the least texture.
+"""Fraction of the front's patches that may be copied; the patches with the least texture are used.
 
 `STRONG` is the standard deviation above which texture is weakened, because strong texture shows the
 edges of features.

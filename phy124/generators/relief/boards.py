@@ -1,4 +1,5 @@
-"""Builds the shell of an object that consists of boards, as far as they lie inside the silhouette.
+"""Builds the shell of an object that consists of boards; only the part inside the silhouette is
+kept.
 
 A board is a convex solid, such as the seat or a leg of a chair. The view rays along the outline cut
 the boards, so that rounded corners, and holes in a backrest, follow the image.
@@ -21,19 +22,23 @@ from phy124.generators.shapes import choose_triangles
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 BURIED = 1.0
-"""Depth inside another board below which points of the surface are left out [pixels]."""
+"""Points of the surface are left out if they lie deeper than this inside another board [pixels]."""
 FACING = 0.2
-"""Smallest cosine of the angle between normal and view ray at which the image shows a colour."""
+"""A point gets its colour from the image if the cosine of the angle between its normal and the view
+ray is at least this value.
+"""
 
 EDGE = 1.5
-"""Blur of the silhouette from which the normals of its outline are determined [pixels]."""
+"""The silhouette is blurred by this width before the normals of its outline are determined
+[pixels].
+"""
 MIXED = 12
 """Number of visible points whose colours are averaged for a point that the image does not show."""
 
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """The convex hull of its corners, in upright coordinates relative to the image's centre."""
+    """The convex hull of a board's corners, in upright coordinates relative to the image centre."""
 
     corners: Field
     """Corners [C,3], pixels."""

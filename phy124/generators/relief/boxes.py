@@ -47,7 +47,7 @@ This distance is 2.8 % of the object's longest side, which has 248 pixels.
 FARTHER, WORST = (2.0, 4.0, 8.0), 14.0
 """Distances of cameras with a weaker perspective, relative to that of the front camera.
 
-They are not tried if the misfit from the front exceeds the last number [pixels].
+These cameras are not tried if the misfit of the front camera exceeds the last number [pixels].
 """
 PRECISE = 1e-3
 """Relative change of the error or of the values at which a fit ends."""

@@ -12,7 +12,7 @@ from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SEEN = 0.7
-"""Weight of the front edge in the height of a flat end.
+"""Weight of the front edge when the height of a flat end is computed.
 
 The front edge is the lowest line of the object in the image. The height of the end's corners has
 the remaining weight. If the end consists of separate feet, the weight of the front edge is 1.

@@ -65,9 +65,8 @@ def colour_points(
         unlit: Colours of the front with the light removed (`light.unlight`) [H,W,3].
         back: Colours of the back with the light removed [H,W,3].
         light: Direction and strength of the light (`light.fit_light`) [3].
-        reach: Depth behind the rim over which the colours change from the mirrored image to the
-            back, pixels. If the reach is 0, only the narrow sides of a card show the mirrored
-            image.
+        reach: Depth behind the rim [pixels] over which the colours change from the mirrored image
+            to the back. If the reach is 0, only the narrow sides of a card show the mirrored image.
     """
     place = points[:, 1::-1].T
     blur = STRETCH * (1 / np.maximum(np.abs(normals[:, 2]), 1e-3) - 1)

@@ -29,7 +29,7 @@ CURVED, STRAIGHT = 4, 2
 """Smallest height of a lower edge that counts as an arc, and largest height of an edge that counts
 as a straight line [pixels]."""
 CORNERED = 0.92
-"""Smallest ratio of two widths of an end: at the start of the arc, and at twice the arc's height.
+"""Smallest ratio of an end's width where the arc starts to its width at twice the arc's height.
 
 For a ball, this ratio is 0.74.
 """

@@ -43,7 +43,7 @@ GROUND, TOUCH, FOOT = 0.1, 0.03, 0.35
 to the object's height. `FOOT` is the largest width of a foot, relative to that of the object.
 """
 SHARPNESS = 4
-"""Exponent of the smooth minimum of round shape and limit."""
+"""Exponent of the smooth minimum of the round shape and the limit."""
 
 
 def flatten(
@@ -58,7 +58,7 @@ def flatten(
         surface: Surface of the round object.
         picture: Colours of the image, and mask of the object.
         size: Size of the object, pixels.
-        always: Whether the object is flat whatever its front shows.
+        always: Whether the object is flat in any case, regardless of its front.
     """
     shading = Shading.of(picture.rgba[..., :3], surface, picture.object_mask)
     radius = float(nearest_of(~picture.object_mask)[0].max()) / size
@@ -74,7 +74,9 @@ def flatten(
 
 
 def limit_thickness(half: Field, limit: Field | float) -> Field:
-    """Limit squared half thicknesses [H,W] smoothly to those of `limit` [pixels]."""
+    """Limit squared half thicknesses [H,W] smoothly; `limit` is the largest half thickness
+    [pixels].
+    """
     ratio = half / limit**2
     return half / (1 + ratio**SHARPNESS) ** (1 / SHARPNESS)
 

@@ -31,7 +31,7 @@ HALVINGS = 3
 LEFT, MORE = 0.015, 0.004
 """Largest fraction of the silhouette that the circles leave empty.
 
-`MORE` is the largest amount by which this fraction exceeds its minimum over all elevations.
+`MORE` is the largest amount by which this fraction may exceed its minimum over all elevations.
 """
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
@@ -47,7 +47,9 @@ see it. The wall of a bowl continues below to a foot, whose radius relative to t
 CLEAR = 0.95
 """Fraction of a ring's visible angle in which the image is not stretched too much."""
 STEEP = 0.2
-"""Angle from the front, up to which a ring must be visible to have its colours [radians]."""
+"""A ring gets colours from the image only if it is visible up to this angle from the front
+[radians].
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +208,7 @@ def spread_turned(path: Field, count: int) -> tuple[Field, Field, Field, float]:
     """Distribute about `count` points evenly over the surface of a solid of revolution.
 
     Args:
-        path: Radius and height of the points of its outline [M,2]; the solid is on the left.
+        path: Radius and height of the points of the outline [M,2]; the solid is on the left.
         count: Approximate number of points.
 
     Returns:

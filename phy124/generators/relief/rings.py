@@ -30,7 +30,9 @@ LOWEST, HIGHEST = np.radians([3.0, 60.0]).tolist()
 OVERLAP = 0.93
 """Smallest overlap (IoU) of the silhouette with the image of the ring."""
 FACING = 0.2
-"""Smallest cosine of the angle between normal and view ray at which the image shows a colour."""
+"""A point gets its colour from the image if the cosine of the angle between its normal and the view
+ray is at least this value.
+"""
 SECTION = np.linspace(0, 2 * np.pi, 65)
 """Angles around the section; 0 is outside, a quarter turn is above [radians]."""
 ROUND, SQUARE = 1.0, 0.2
@@ -76,7 +78,9 @@ class Ring:
         return self.camera.pixels(points).reshape(len(AROUND), len(SECTION), 2)
 
     def edges(self) -> Field:
-        """Return half the width, the top and the bottom of the outline, and of the hole [6]."""
+        """Return half the width, the top and the bottom, first of the outline and then of the hole
+        [6].
+        """
         column, row = np.moveaxis(self.image(), 2, 0)
         across = np.linspace(0, column.max(), len(AROUND))
         quarter = len(AROUND) // 4
@@ -154,7 +158,8 @@ def find_ring(
         object_mask: The silhouette [H,W].
         middle: Column and row at the centre of the image [2].
         distance: Distance of the camera, pixels.
-        elevation: Elevation of the camera [radians]; None: as the silhouette shows.
+        elevation: Elevation of the camera [radians]; None: the elevation is estimated from the
+            silhouette.
     """
     edges = _edges(object_mask, middle)
     if edges is None:

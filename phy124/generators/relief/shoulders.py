@@ -25,10 +25,10 @@ HEIGHT = 0.03
 SLOPE = 0.25
 """Largest mean slope of the edge."""
 COVERED, SIDE = 0.5, 0.12
-"""Smallest part of the body's width over which the edge is visible.
+"""The edge must be visible over at least this fraction of the body's width.
 
-This part of the edge must also be visible at both sides of the body. `SIDE` is the width of a side,
-relative to the body's width.
+It must also be visible over at least this fraction of each side of the body. `SIDE` is the width of
+a side, relative to the body's width.
 """
 WIDE, LOW = 0.35, 0.35
 """Smallest width of the body, relative to the object's width.
@@ -76,7 +76,9 @@ class Shoulder:
         return np.concatenate([above, longer, gap, mirrored, below])
 
     def join(self, parts: Field, alpha: Field) -> Field:
-        """Return values [H,W] in a silhouette, from values [H+N,W] in its separate parts."""
+        """Combine values [H+N,W] in the separate parts of a silhouette to values [H,W] in the whole
+        silhouette.
+        """
         below = parts[len(parts) - len(alpha) :]
         above = np.pad(parts[: self.row], ((0, len(alpha) - self.row), (0, 0)))
         return np.where(alpha > 0.5, np.where(self._rises(alpha), above, below), 0.0)

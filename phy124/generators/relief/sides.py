@@ -50,8 +50,8 @@ def check_side(front: Solid, side: Solid) -> None:
     """Raise an error if two silhouettes of equal height cannot belong to the same object.
 
     Raises:
-        InputError: If the depth is out of range, or only one image shows the object at too many
-            heights.
+        InputError: If the depth is out of range, or if, at too many heights, only one of the images
+            shows the object.
     """
     front_box, side_box = Box.of(front), Box.of(side)
     depth = side_box.size[0] / max(front_box.size)

@@ -90,7 +90,7 @@ def from_front(
         thickness: Factor by which the depth guessed from the silhouette is multiplied.
         shape: Kind of solid; "auto": the most plausible one.
         elevation: Angle above the horizontal from which the picture was taken [degrees]; None: the
-            angle that a vessel, a ring or a box shows, otherwise 0.
+            angle is estimated for a vessel, a ring or a box, and is 0 for other objects.
     """
     rgba = work_picture(picture, depth=depth)
     view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)

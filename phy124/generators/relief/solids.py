@@ -36,11 +36,13 @@ COMPACT = 1.25
 """Largest ratio of the longer to the shorter side of a convex shape that is assumed to be a solid
 of revolution. Longer shapes may lie on their side, so `stands` must be true for them."""
 CONVEX = 0.93
-"""Smallest ratio of the areas of a silhouette and its convex hull if its outline is convex."""
+"""An outline counts as convex if the silhouette fills at least this fraction of its convex hull."""
 OVERHANG = 3.0
 """Largest ratio of depth to height of a brim; it limits the depth of features such as wings."""
 STRAIGHT = 0.98
-"""Smallest overlap (IoU) of an outline with a polygon of few corners if its edges are straight."""
+"""Edges count as straight if the outline's overlap (IoU) with a polygon of few corners is at least
+this value.
+"""
 CORNERS = 12
 BOXED = 0.95
 """A rectangle with rounded corners fills at least this fraction of its bounding rectangle."""
@@ -139,8 +141,8 @@ def half_thickness(
         size: Size of the object, pixels.
         shape: "upright" for a solid of revolution, "round" or "flat" for an object that is neither
             a solid of revolution nor a slab; "auto": the most plausible one.
-        joined: Squared half thicknesses for which each part is as deep as it is wide [H,W], if the
-            parts were inflated separately.
+        joined: Squared half thicknesses from separate inflation of the parts, which makes each part
+            as deep as it is wide [H,W]; None: the parts were not inflated separately.
     """
     round_ = round_thickness(silhouette, size) if joined is None else joined
     if shape in ("round", "flat"):

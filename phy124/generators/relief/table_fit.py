@@ -1,7 +1,7 @@
 """Recognises tables, stools and chairs by fitting them to a silhouette.
 
-Coarse drawings of tables of many proportions, from many directions, are compared with the
-silhouette. The values of the best ones are then improved, first in coarse images, then in finer
+The silhouette is compared with coarse drawings of tables with many proportions, seen from many
+directions. The values of the best drawings are then improved, first in coarse images, then in finer
 ones. The silhouette shows a table if the image of the fitted table covers it.
 """
 
@@ -36,7 +36,9 @@ increase in the last fit. Before the fit, a table's silhouette overlaps the best
 0.65, and a dog's by 0.5.
 """
 SIMPLER = 0.01
-"""Increase of the overlap that corners, a backrest, or a view from behind must bring."""
+"""A table with corners, with a backrest, or seen from behind is chosen only if the overlap
+increases by this amount.
+"""
 COARSE, FINE = 4, 2
 """Factors by which images for the fit are reduced."""
 BLUR = 1.5
@@ -72,14 +74,13 @@ LEAST = Sizes(0, -np.inf, -np.inf, -np.inf, 8, 8, 2, 1.5, 8, 4, 4, 0.6, 0.4, 0.4
 MOST = Sizes(*[np.inf] * 14)._replace(elevation=0.7, rear=1.2, tops=1.0, feet=1.6)
 """Limits of the values."""
 HIGHEST = 0.69
-"""Largest elevation that a silhouette shows [radians]."""
+"""Largest elevation that can be determined from a silhouette [radians]."""
 THIN, SLENDER, LOW, INWARD = 0.5, 0.2, 0.3, 0.9
-"""Limits of a table's proportions, which cars and animals exceed.
+"""Limits of the proportions of a table; cars and animals exceed these limits.
 
-The limits are the largest thickness of the top, relative to the height of the legs; the largest
-half thickness of a leg and the smallest height of the legs, both relative to half the length of a
-side of the top; and the smallest distance of the feet from the centre, relative to that of the
-legs' upper ends.
+The top is at most `THIN` times as thick as the legs are high. Relative to half the length of a side
+of the top, the half thickness of a leg is at most `SLENDER`, and the height of the legs is at least
+`LOW`. The feet are at least `INWARD` times as far from the centre as the legs' upper ends.
 """
 
 
@@ -92,7 +93,8 @@ def find_table(
         object_mask: The silhouette [H,W].
         middle: Column and row at the centre of the image [2].
         distance: Distance of the camera, pixels.
-        elevation: Elevation of the camera [radians]; None: as the silhouette shows.
+        elevation: Elevation of the camera [radians]; None: the elevation is estimated from the
+            silhouette.
     """
     if not has_legs(object_mask):
         return None

@@ -62,7 +62,7 @@ TAIL = (0.6, 0.93)
 NOSE = 0.5
 """Largest height of a fish's nose, relative to the body."""
 KEEL = 0.4
-"""Largest width of a fish's lowest rows, relative to its length."""
+"""Largest width of the lowest rows of a fish, relative to the fish's length."""
 LONG = 1.1
 """Smallest ratio of a fish's length to its height."""
 DEEP = 0.5
@@ -70,22 +70,26 @@ DEEP = 0.5
 UNEVEN = 0.08
 """Largest increase of the height between body and tail, relative to the body."""
 OBLIQUE = 0.15
-"""Largest height of the tail's middle above or below the body's, relative to the fish's height."""
+"""Largest vertical distance between the middle of the tail and the middle of the body, relative to
+the fish's height.
+"""
 HOLLOW = 0.15
-"""Largest part of a fish's column that is empty. A handle leaves more empty."""
+"""Largest fraction of a column that may be empty in a fish. An object with a handle has columns
+with a larger empty fraction.
+"""
 FLATTENED = 0.6
 """Thickness of a fish, relative to its height."""
 GROUND = 0.08
 """Largest distance of a wheel from the ground, relative to the height of the object."""
 ROUND = 0.035
-"""Largest root mean square distance between the outline below a wheel and a circle, relative to the
-radius.
+"""Largest root mean square distance between the lower outline of a wheel and a circle, relative to
+the radius.
 """
 ARC = 0.75
 """Width of the arc that is compared with a circle, relative to the radius."""
 RADII = (0.08, 0.36)
-"""Smallest radius of a wheel relative to the height, and largest one relative to the size of the
-object.
+"""Smallest radius of a wheel, relative to the object's height, and largest radius, relative to the
+object's size.
 """
 AROUND = 1.12
 """Radius of the circle around a wheel that is examined, relative to the wheel's radius."""
@@ -106,7 +110,7 @@ class Wings:
     """Two sheets at both sides of a narrow body."""
 
     axis: tuple[float, float]
-    """Column and row of a point of the axis."""
+    """Column and row of a point on the axis."""
     lean: float
     """Angle between the axis and the vertical [radians]."""
     size: int

@@ -40,7 +40,9 @@ MORE = 0.1
 width. From above, the upper circle appears flatter than the lower.
 """
 FULL = 0.97
-"""The rim of an object is its first row, from the top, with this fraction of the largest width."""
+"""From the top, the first row with at least this fraction of the largest width is the rim of an
+object.
+"""
 FLAT_RIM, LOW_RIM = 0.15, 0.5
 """Largest height of a vessel above its rim, relative to its whole height, for any outline.
 
@@ -52,8 +54,8 @@ EGG = 0.9
 NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
 """Largest width of a vessel near its foot, relative to its largest width; a drum is wider.
 
-`FOOT` is the height of this place, relative to the height of the object. `WIDENING` is the largest
-amount by which the vessel may become wider below its rim.
+`FOOT` is the height at which this width is measured, relative to the object's height. `WIDENING` is
+the largest amount by which the vessel may become wider below its rim.
 """
 UPPER, TIP_HEIGHT, TAPERED, HIGHER = 0.22, 0.1, 0.46, 0.6
 """Limits of outlines that end in a tip, such as those of shields and briefs.
@@ -64,7 +66,8 @@ the largest width. `HIGHER` is the smallest ratio of height to width. Lower outl
 bowls without a foot.
 """
 STEP, SPAN = 0.12, 0.03
-"""Largest decrease of half the width of a vessel over a short height, relative to its maximum.
+"""Largest decrease of a vessel's half width over a short height, relative to the largest half
+width.
 
 `SPAN` is this height, relative to the height of the object. Sleeves end more abruptly.
 """
@@ -76,8 +79,8 @@ THIN, REACH = 0.4, 0.05
 TIP, POINTED = 0.2, 0.3
 """Length of the tip of a protruding part, as a fraction of the part's length.
 
-`POINTED` is the largest mean height of the tip, relative to the height of the part, if the part is
-a sharp rim instead of a handle.
+If the mean height of the tip is at most `POINTED` times the height of the part, the part is a sharp
+rim instead of a handle.
 """
 FEWEST = 16
 """Smallest number of rows of a vessel or a drum."""

@@ -37,10 +37,10 @@ def vessel_shell(
         view: The camera in front of the object.
         count: Approximate number of points.
         rng: Random number generator.
-        elevation: Angle above the horizontal from which the picture was taken [degrees]; None: as
-            the outline shows.
-        always: Whether the object is a solid of revolution, whatever its outline shows. If the
-            elevation is unknown, such an object is assumed to be seen from the front.
+        elevation: Angle above the horizontal from which the picture was taken [degrees]; None: the
+            angle is estimated from the outline.
+        always: Whether the object is a solid of revolution in any case, regardless of its outline.
+            If the elevation is unknown, such an object is assumed to be seen from the front.
     """
     object_mask = rgba[..., 3] > 0.5
     body = upright_body(object_mask)

@@ -31,7 +31,8 @@ CLOSER, AROUND = 1.4, 0.15
 `AROUND` is the width of the surroundings, relative to the object's longest side.
 """
 AGREED = 0.85
-"""Smallest overlap (IoU) with the first mask of a repeated segmentation that is used."""
+"""A repeated segmentation is used if its overlap (IoU) with the first mask is at least this value.
+"""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 """Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 
@@ -95,8 +96,8 @@ def look_closer(
     """Segment a small object again in a section of the image, where thin parts have more pixels.
 
     The mask of the section replaces the first mask if the two agree (their IoU is at least
-    `AGREED`). The first mask is the probability of the object in the whole image [320,320]; the
-    result is that of [320,320] or [H,W].
+    `AGREED`). The first mask contains the object's probability in the whole image [320,320]; the
+    result has the shape [320,320] or [H,W].
     """
     height, width = rgb.shape[:2]
     whole = np.asarray(cv2.resize(coarse, (width, height)), np.float32)

@@ -248,7 +248,7 @@ def read_gaussians(
         path: The file.
         up: Direction in the file that points up; default: the up direction of the file or its
             format.
-        front: Direction in the file that the object faces.
+        front: Direction of the object's front, in the file's axes.
         dialect: The program that wrote a PLY file, used if `up` is None.
         rotate: Rotation that is applied first, in the notation of `phy124.io.axes.orientation`.
 

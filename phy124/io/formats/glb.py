@@ -57,7 +57,9 @@ LONGEST = 1 << 20
 """Largest JSON description that is read [bytes]; descriptions usually have 4,000 bytes."""
 SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
 EVEN = 1e-3
-"""Largest relative difference between a node's scales along its axes if scaling is uniform."""
+"""A node's scaling counts as uniform if the relative difference between its scales along the axes
+is at most this value.
+"""
 EXTENSIONS = (EXTENSION, "KHR_mesh_quantization")
 """glTF extensions that are supported."""
 MAX_NODES = 2000

@@ -29,7 +29,7 @@ BLUR = 0.3
 REACH = 2.5
 """Distance beyond which a Gaussian's density is neglected [standard deviations]."""
 WIDEST = 12
-"""Largest distance, along each axis, up to which a Gaussian contributes, in units of cells."""
+"""Largest distance along each axis at which a Gaussian contributes, in units of cells."""
 NEAREST = 4
 """Number of nearest Gaussians whose mean colour is the colour of a vertex."""
 BATCH = 4_000_000

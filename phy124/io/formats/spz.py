@@ -90,7 +90,7 @@ def read_extensions(data: bytes) -> Extensions:
         payload = data[at : at + size]
         at += size
         if at > len(data):
-            notes.append("Its extensions are cut short; the incomplete one was ignored.")
+            notes.append("The file ends inside an extension; this extension was ignored.")
         elif kind == AXES:
             (value,) = struct.unpack("<I", payload) if size == 4 else (0,)
             if 1 <= value <= len(SYSTEMS):

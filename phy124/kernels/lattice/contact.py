@@ -135,10 +135,10 @@ def make_resist(response: str, real: Any, rows: Rows):
     """Single-thread kernel: forward and backward projected Gauss-Seidel sweeps over the points near
     a wall.
 
-    One sweep leaves a part of each change of the load, by which points drift into the wall. Further
-    sweeps follow if the wall holds points in both directions, or if a point is deeper than `deep`.
-    They end when no correction displaces a point by more than `exact`, at the latest after
-    `SWEEPS`.
+    After one sweep, a part of each change of the load is not yet balanced, so points drift into the
+    wall. Further sweeps follow if the wall holds points in both directions, or if a point is deeper
+    than `deep`. The sweeps end when no correction displaces a point by more than `exact`, at the
+    latest after `SWEEPS` sweeps.
 
     The wall moves at the rate of the track `slot`. Pairs of points use slot 0, which has no rate,
     because their `gap` is relative to the opposite position.
@@ -225,10 +225,10 @@ def make_meet(real: Any, rows: Rows):
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the
     vector from the opposite position to the point. The opposite position follows the point along
-    the surface, so that the pair's impulses have no moment. `back` converts a displacement of the
-    opposite position along the surface to the body at rest. The weights of the position change by
-    `slopes` times the displacement at rest. A pair is ignored if a position moves farther than
-    `far`, or if the points are farther apart than `reach`.
+    the surface, so that the pair's impulses have no moment. When the opposite position moves along
+    the surface, `back` converts this displacement to the coordinates of the body at rest. The
+    weights of the position change by `slopes` times the displacement at rest. A pair is ignored if
+    a position moves farther than `far`, or if the points are farther apart than `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

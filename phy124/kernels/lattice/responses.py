@@ -23,7 +23,7 @@ def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype
     Args:
         gap: Distance of the point from the surface [m], negative inside.
         pressed: Normal component of the point's last impulse [N s].
-        restore: Gain of the speed at which points inside the surface move out [1/s].
+        restore: Speed at which points inside the surface move out, divided by their depth [1/s].
         clock: Kick and drift [s]; a very short drift must not make a point leave fast.
     """
     longest = wp.max(clock[0], clock[1])
@@ -96,7 +96,7 @@ def correct(
         last: Last impulse [N s].
         gap: Normal of the surface, and distance of the point from the surface [m].
         part: Impulse per unit change of velocity, including relaxation [kg].
-        restore: Gain of the speed at which points inside the surface move out [1/s].
+        restore: Speed at which points inside the surface move out, divided by their depth [1/s].
         clock: Kick and drift [s].
     """
     n = xyz(gap)

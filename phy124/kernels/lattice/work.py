@@ -20,9 +20,9 @@ STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 points, and two parts of the stress (viscosity and artificial viscosity).
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""Index of the first of three work sums [J] for each kind of contact: with walls, of a body with
-itself, between bodies, and with freely moving rigid solids. In these sums, such a solid counts as a
-wall at rest.
+"""For each kind of contact, the index of the first of three work sums [J]. The kinds are contact
+with walls, of a body with itself, between bodies, and with freely moving rigid solids. In these
+sums, such a solid counts as a wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
 """Index of each of the three work sums: of the wall's motion, of normal impulses, and of tangential

@@ -117,7 +117,7 @@ blend_tiles_simd = native_kernel(
 
 @kernel("phy124_gather", types=DRAWN)
 def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, weights_out):
-    """Add each pixel's weighted value, and the weight, to the pixel's splats, with one thread per
+    """Add to each splat the weighted values of its pixels, and the weights, with one thread per
     pixel.
     """
     thread = wp.tid()

@@ -42,16 +42,16 @@ OVERLAP = wp.constant(0.95)
 NARROW = wp.constant(0.4)
 """Lower bound of the radius of a disc."""
 BROAD = wp.constant(0.55)
-"""Lower bound of the radius of a disc of a film on a wall."""
+"""Lower bound of a disc's radius in a film on a wall."""
 WIDEST = wp.constant(0.7)
 """Upper bound of the radius of a disc."""
 STRETCHED = wp.constant(1.1)
-"""Upper bound of the radius of a disc of a film on a wall that is stretched evenly."""
+"""Upper bound of a disc's radius in a film on a wall, if the film is stretched evenly."""
 FLAT = wp.constant(0.3)
 """Thickness of a disc relative to its radius."""
 EVEN = wp.constant(0.3)
-"""Largest distance of a Gaussian from the middle between its two neighbours in an evenly stretched
-liquid, relative to the distance between rows of Gaussians.
+"""Largest distance of a Gaussian from the midpoint between its two neighbours in an evenly
+stretched liquid, relative to the distance between rows of Gaussians.
 """
 CLOSED = wp.constant(0.5)
 """Smallest radius of discs relative to the distance between rows of Gaussians."""
@@ -345,7 +345,7 @@ def shape_gaussians(
     rgb_out: wp.array(dtype=wp.vec3),
     normals_out: wp.array(dtype=wp.vec3),
 ):
-    """Compute the Gaussians to draw from the shapes that `find_surface` has decided on."""
+    """Compute the Gaussians that are drawn; their shapes were chosen by `find_surface`."""
     n = wp.tid()
     shape = shapes[n]
     mean = means[n]

@@ -54,7 +54,7 @@ This limits the extent of the sky's shadow.
 UNSEEN = 0.1 / 255
 """Smallest value of the shade that is visible. Smaller values are set to zero."""
 FAINTEST = 1e-4
-"""Frequency responses of a layer below this value are neglected."""
+"""Values of a layer's frequency response are neglected if they are below this limit."""
 EDGE = 0.1
 """Fraction of the map, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]

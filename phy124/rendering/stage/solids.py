@@ -16,9 +16,12 @@ from phy124.rendering.stage.frame import Solid
 LEVEL = 0.999
 """Cosine of the largest slope of a floor."""
 THICK = 0.04
-"""Rendered thickness of a wall or plate, which has none, in units of the object's size."""
+"""Walls and plates have no thickness; they are rendered with this thickness, in units of the
+object's size.
+"""
 WIDE = 1.1
-"""Rendered width of a wall or plate, which is infinite, relative to the object's width."""
+"""Walls and plates are infinite; they are rendered with this width, relative to the object's width.
+"""
 MARGIN = 0.02
 """Distance by which a rendered clamp exceeds the clamped material [object sizes]."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]

@@ -29,7 +29,9 @@ from phy124.schema.arguments.words import (
 NARROWEST = 40
 """Smallest width for which help texts are laid out [characters]."""
 SIMILAR = 0.75
-"""Smallest similarity (0 to 1) of a known option that is suggested instead of an unknown option."""
+"""A known option is suggested instead of an unknown option if their similarity (0 to 1) is at least
+this value.
+"""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 

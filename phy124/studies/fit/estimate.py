@@ -29,8 +29,8 @@ random differences dominate. For example, with a step of 0.01, the derivatives o
 motion with respect to nu were up to nine times too large.
 """
 END = 0.005
-"""Distance from an end of the range, as a fraction of the range, below which a value causes a
-warning.
+"""A value causes a warning if its distance from an end of the range is below this fraction of the
+range.
 """
 
 

@@ -88,8 +88,8 @@ def extrapolate(
         places: The fitted point on each grid [P].
         cells: Number of cells across the object on the new grid; infinity means no error.
 
-    Returns:
-        The extrapolated point, and the distance of each value from that on the finest grid [P].
+    Returns: The extrapolated point [P], and the distance of each value from its fit on the finest
+        grid [P].
     """
     finest = places[-1]
     if len(places) < 2:
@@ -105,8 +105,9 @@ def find_unexplained(
     """Return the error of the finest grid for each kind of measurement, relative to the misfit.
 
     The model of a misfit m is `m^2 = a^2 + (c h)^2`. The error of the measurements, a, is the same
-    on all grids. The error of the grid, c h, is proportional to the spacing h. The RMS misfits on
-    the two finest of the `grids` (`coarse` and `fine`, one per kind) determine c.
+    on all grids. The error of the grid, c h, is proportional to the spacing h. For each kind, c
+    follows from the RMS misfits on the two finest `grids`: `coarse` and `fine`, each with one value
+    per kind.
     """
     more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
     return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))
@@ -115,7 +116,7 @@ def find_unexplained(
 def shift_values(
     jacobian: Values, parts: Values, groups: Groups, kinds: Sequence[Kind]
 ) -> NDArray[np.float64]:
-    """Return the largest shift of each value that grid errors of known size can cause [P].
+    """Return, for each value, the largest shift that grid errors of known size can cause [P].
 
     The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
     (two to four singular values in synthetic tests). In the worst case, which is assumed here, the
@@ -157,7 +158,8 @@ singular value is 0.93.
 SHARE = 0.3
 """A value is undetermined if its component in the weakest direction is at least this value."""
 VAGUE = 1 / 3
-"""Smallest half-width of the 95 % interval of an undetermined value, relative to the range.
+"""A value may be undetermined only if the half-width of its 95 % interval is at least this fraction
+of the range.
 
 Such an interval covers two thirds of the range or more.
 """

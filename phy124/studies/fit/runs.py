@@ -93,7 +93,7 @@ class Runs:
         self.scene, self._budget, self._progress = target.played, budget, progress
         self.player = Player(target.gaussians, target.crop, seen)
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
-        """Numbers of runs made on each grid and of reused results, and CPU time [s]."""
+        """Number of runs on each grid, number of reused results, and CPU time [s]."""
         self.tried: list[Tried] = []
         """All trial runs in the order in which they were made."""
         self._folder, self._pool = folder / FOLDER, None

@@ -116,7 +116,9 @@ class Laid(NamedTuple):
     shift: tuple[float, float]
     """Shift of the frames' upper left corner (right, down), relative to the image's height."""
     shared: float
-    """Intersection over union of the video's first silhouette and that of the object at rest."""
+    """Intersection over union of two silhouettes: the video's first, and that of the object at
+    rest.
+    """
 
 
 def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
@@ -125,7 +127,7 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
     The video's first frame must show the object at rest, as the Gaussians do.
 
     Raises:
-        InputError: The video's silhouette cannot be aligned with that of the object.
+        InputError: The video's silhouette cannot be aligned with the object's silhouette.
     """
     from phy124.rendering.render import Renderer
 

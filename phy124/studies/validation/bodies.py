@@ -205,7 +205,9 @@ def mirrors(*axes: int) -> list[HalfSpace]:
 
 
 def connected_end(x: NDArray[Any], gap: float) -> float:
-    """Return the largest coordinate before the first two neighbours more than `gap` apart [m]."""
+    """Return the last coordinate before the first gap between neighbours that is wider than `gap`
+    [m].
+    """
     x = np.sort(x.astype(float))
     gaps = np.flatnonzero(np.diff(x) > gap)
     return float(x[gaps[0]] if len(gaps) else x[-1])

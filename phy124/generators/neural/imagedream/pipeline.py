@@ -61,7 +61,8 @@ AZIMUTHS = (0, 90, 180, 270)
 
 
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
-    """Return camera-to-world transforms [5,16]: those of four views, and zeros for the image.
+    """Return camera-to-world transforms [5,16]: one for each of the four views, and zeros for the
+    image.
 
     Transforms are flattened row by row. A camera with a positive elevation [degrees] is below the
     object.
@@ -82,7 +83,7 @@ SPARE_UNETS = 2.0
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256
-"""Side of each view [pixels]; latents have an eighth of it."""
+"""Side of each view [pixels]; the side of the latents is an eighth of this."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,8 @@ class TripoSrGenerator:
 
     Args:
         weights: Folder of the weights; None: the default folder of `phy124.weights.store`.
-        field: Replaces the network in tests: maps an image [1,3,512,512] to a field.
+        field: Function that maps an image [1,3,512,512] to a field; it replaces the network in
+            tests.
     """
 
     def __init__(

@@ -67,8 +67,7 @@ def fall(position: Array, velocity: Array, time: float) -> Array:
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
     """Simulate a body that is thrown.
 
-    Returns:
-        The largest position error of any particle, divided by the largest displacement.
+    Returns: The largest position error of a particle, divided by the largest displacement.
     """
     x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
     options = {"v": np.tile(v, (len(x), 1)), "dx": 0.1, "precision": precision}

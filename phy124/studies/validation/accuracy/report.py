@@ -41,7 +41,7 @@ class Row:
     seconds: float
     """Measured time of simulation and shapes [s], without splitting the energy loss."""
     limiters: dict[str, float]
-    """Fraction of the substeps whose length each limit determines, by the limit's name."""
+    """For each limit, by name, the fraction of the substeps whose length it determines."""
     energy_lost: float
     """Energy that was lost, as a fraction of the energy that was supplied."""
     lost_to: dict[str, float] | None

@@ -104,7 +104,9 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return a load P at the tip of a beam of a width [m], in units of `E I / L^2`."""
+    """Return a load P at the tip of a beam. P is in units of `E I / L^2`; `width` is the beam's
+    width [m].
+    """
     unit = STIFFNESS * width / LENGTH**2
     return TotalForce(f=(0, 0, -unit), region=end, profile=profile)
 
