@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.errors import InputError
-from phy124.runtime.signals import without_ctrl_c
+from phy124.runtime.signals import without_signals
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -58,7 +58,7 @@ class H264Encoder:
             *("-g", str(max(round(fps), 1))),
             *STREAM.split(),
         ]
-        with without_ctrl_c():
+        with without_signals():
             self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def __enter__(self) -> Self:

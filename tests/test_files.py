@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from phy124.errors import InputError
+from phy124.errors import Incomplete, InputError
 from phy124.io import files
 from phy124.io.files import replacing, staging, writable
 from phy124.runtime.failures import failure
@@ -21,6 +21,17 @@ def test_a_staged_folder_s_files_appear_together(tmp_path):
         (folder / "report.json").touch()
         assert not (tmp_path / "out" / "clip").exists()
     assert names(tmp_path / "out") == ["clip", "report.json"]
+
+
+def test_empty_folders_are_not_listed_as_results(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(Incomplete, match=r"out: file, full$"), staging(out, keeps=True) as made:
+        for folder in ("plots", "full"):
+            (made / folder).mkdir()
+        for name in ("file", "full/inner"):
+            (made / name).touch()
+        raise OSError(errno.ENOSPC, "full")
+    assert names(out) == ["file", "full"]
 
 
 def test_pictures_of_an_older_run_do_not_mix_with_the_new_ones(tmp_path):

@@ -6,6 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
+from phy124.errors import InputError
 from phy124.gaussians import Gaussians, quaternions, rotation_matrices, sh_basis
 from phy124.io.formats import read_as_is, read_gaussians, spz
 from phy124.io.formats.spz import SYSTEMS, read_extensions
@@ -130,6 +131,14 @@ def test_a_file_that_a_browser_has_unpacked_is_read(tmp_path, rng, later):
     )
     np.testing.assert_array_equal(result.means, wanted.means)
     np.testing.assert_array_equal(result.sh, wanted.sh)
+
+
+@pytest.mark.parametrize("missing", [1, 4, 8, 9])
+def test_a_file_without_its_end_is_refused(tmp_path, rng, missing):
+    path = tmp_path / "cut.spz"
+    path.write_bytes(spz.encode(many(rng, 40, 3))[:-missing])
+    with pytest.raises(InputError, match="cut short"):
+        read_gaussians(path)
 
 
 def test_version_1_has_its_centres_in_half_precision(tmp_path, rng):

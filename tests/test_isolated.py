@@ -12,6 +12,7 @@ import pytest
 from phy124.errors import Cancelled, InputError
 from phy124.imaging.grabcut import _initial_labels, _run_grabcut, grabcut
 from phy124.runtime.isolated import Deadline, RemoteTraceback, Unfinished, run
+from phy124.runtime.signals import NAMES
 from support.processes import run_program, until
 
 NOTE_AND_SLEEP = "import os, time; open({!r}, 'w').write(str(os.getpid())); time.sleep(600)"
@@ -77,7 +78,13 @@ def test_crash_is_reported():
     with pytest.raises(Unfinished, match=r"broke down \(exit status 3\)"):
         run(os._exit, 3)
     with pytest.raises(Unfinished, match="broke down"):
-        run(exec, "import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
+        run(exec, "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked")
+@pytest.mark.parametrize("name", NAMES)
+def test_signals_to_all_processes_of_a_command_do_not_end_the_process(name):
+    run(exec, f"import os, signal; os.kill(os.getpid(), signal.{name})")
 
 
 def test_process_needs_no_disk_space(monkeypatch):

@@ -24,7 +24,7 @@ from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from phy124.errors import InputError
-from phy124.runtime.signals import without_ctrl_c
+from phy124.runtime.signals import without_signals
 
 from ..guard import cookie_of
 from ..line import user_message
@@ -123,7 +123,7 @@ class Relay:
         loop = asyncio.get_running_loop()
         self._ticket.end = partial(_call, loop, partial(self._end, REPLACED))
         pipe = asyncio.subprocess.PIPE
-        with without_ctrl_c():
+        with without_signals():
             process = await asyncio.create_subprocess_exec(
                 sys.executable, str(CHILD), stdin=pipe, stdout=pipe, limit=LARGEST
             )

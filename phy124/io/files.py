@@ -232,8 +232,11 @@ def naming_full_disk(folder: Path) -> Iterator[None]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move the complete files of a `staging` folder to its output folder; return the file names."""
-    out, names = folder.parent, sorted(path.name for path in folder.glob("[!.]*"))
+    """Move the complete files of a `staging` folder, and the folders that contain files, to its
+    output folder; return their names.
+    """
+    out, made = folder.parent, folder.glob("[!.]*")
+    names = sorted(path.name for path in made if path.is_file() or any(path.iterdir()))
     for name in names:
         move_to(folder / name, out / name)
     return names

@@ -29,7 +29,7 @@ from PIL import Image
 
 from phy124.errors import DISK_WORDS, InputError
 from phy124.io.files import replacing
-from phy124.runtime.signals import without_ctrl_c
+from phy124.runtime.signals import without_signals
 
 Picture = NDArray[np.uint8]
 FPS_RANGE = (0.1, 240.0)
@@ -93,7 +93,7 @@ def _problem_of(program: str) -> str:
     size = 16
     command = [program, *list_source_options(size, size, Fraction(24)), *CODEC, "-f", "null", "-"]
     try:
-        with without_ctrl_c():
+        with without_signals():
             done = subprocess.run(
                 command,
                 input=bytes(3 * size * size),
@@ -257,7 +257,7 @@ def _encode(
     program = imageio_ffmpeg.get_ffmpeg_exe()
     command = [program, "-y", *list_source_options(width, height, rate, channels), *codec]
     with tempfile.TemporaryFile() as log:
-        with without_ctrl_c():
+        with without_signals():
             encoder = subprocess.Popen(
                 [*command, os.fspath(temporary)], stdin=subprocess.PIPE, stdout=log, stderr=log
             )

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from phy124.runtime.memory import share_heap
-from phy124.runtime.signals import without_ctrl_c
+from phy124.runtime.signals import without_signals
 from phy124.runtime.startup import start
 
 BEAT = 0.2
@@ -71,7 +71,7 @@ def as_done(
             yield task, work(task)
         return
     try:
-        with without_ctrl_c():
+        with without_signals(["SIGINT"]):  # the pool ends workers by SIGTERM
             waiting = {pool.submit(work, task): task for task in tasks}
         while waiting:
             done, _ = wait(waiting, BEAT, FIRST_COMPLETED)
@@ -113,5 +113,6 @@ def explain_end(codes: set[int]) -> Exception:
 def _begin() -> None:
     """Start Warp in a worker process, and ignore Ctrl-C, which the parent process handles."""
     share_heap()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for Windows, where `without_ctrl_c` does nothing
+    # On Windows, `without_signals` has no effect.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     start()

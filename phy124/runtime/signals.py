@@ -35,16 +35,18 @@ def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None
 
 
 @contextmanager
-def without_ctrl_c() -> Iterator[None]:
-    """Within this context, new processes never receive Ctrl-C, and this thread receives it later.
+def without_signals(names: Collection[str] = NAMES) -> Iterator[None]:
+    """Within this context, new processes never receive the signals, and this thread receives them
+    later.
 
-    A terminal sends Ctrl-C to all processes of a command, but only the first process should decide
-    how the command ends. On Windows, this context has no effect.
+    Terminals and supervisors send such a signal to all processes of a command, but only the first
+    process should decide how the command ends. On Windows, this context has no effect.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    blocked = {getattr(signal, name) for name in names}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
     try:
         yield
     finally:

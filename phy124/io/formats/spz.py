@@ -233,13 +233,13 @@ def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
         head = _head(path, first, len(data), versions=(1, 2, 3))
         wanted = sum(head.sizes)
         body = packer.decompress(packer.unconsumed_tail, wanted)
-        rest = packer.unconsumed_tail
-        records = packer.decompress(rest, MOST_RECORDS) if head.flags & EXTENDED else b""
+        records = packer.decompress(packer.unconsumed_tail, MOST_RECORDS)
     except zlib.error as error:
         raise refusal(KIND, path, f"its compressed part is damaged ({error}).") from error
-    if len(body) < wanted:
+    # The stream ends with a checksum, which is verified only if the end is reached.
+    if len(body) < wanted or (len(records) < MOST_RECORDS and not packer.eof):
         raise _short(path)
-    return head, np.frombuffer(body, np.uint8), records
+    return head, np.frombuffer(body, np.uint8), records if head.flags & EXTENDED else b""
 
 
 def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:

@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar
 
-from phy124.runtime.signals import without_ctrl_c
+from phy124.runtime.signals import without_signals
 
 T = TypeVar("T")
 CHILD = Path(__file__).with_name("child.py")
@@ -78,7 +78,7 @@ def run(
         return function(*arguments)
     order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
     with _log() as log:
-        with without_ctrl_c():
+        with without_signals():
             child = subprocess.Popen(
                 [sys.executable, CHILD],
                 stdin=subprocess.PIPE,

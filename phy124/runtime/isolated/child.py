@@ -14,7 +14,7 @@ from contextlib import suppress
 
 def main() -> None:
     """Read a request from standard input, and write the pickled result to standard output."""
-    # Ctrl-C reaches the whole process group, but the waiting process ends this one.
+    # On Windows, Ctrl-C reaches this process, but only the waiting process should end it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Output of libraries goes to standard error.

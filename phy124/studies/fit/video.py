@@ -13,7 +13,7 @@ from PIL import Image
 
 from phy124.errors import InputError
 from phy124.imaging.decoding import turn_upright
-from phy124.runtime.signals import without_ctrl_c
+from phy124.runtime.signals import without_signals
 from phy124.studies.fit.observation import Values
 
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
@@ -88,7 +88,7 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
     command += ["-vf", fitting, "-fps_mode", "passthrough", "-f", "image2pipe", "-c:v", "ppm", "-"]
     try:
         # Without an output file, ffmpeg prints a description of the video and exits with an error.
-        with without_ctrl_c():
+        with without_signals():
             description = subprocess.run(
                 [program, *SAFE, "-i", str(path)], check=False, capture_output=True, timeout=LONGEST
             )
