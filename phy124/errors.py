@@ -62,8 +62,7 @@ class Incomplete(Exception):
 
     `__cause__` is the exception that ended the work.
 
-    `kept` is the end of a sentence: it names the saved files and the command that continues the
-    run.
+    `kept` ends a sentence: it names the saved files and the command that continues the run.
     """
 
     def __init__(self, kept: str) -> None:
@@ -78,7 +77,5 @@ def did_you_mean(word: str, known: Iterable[str], *, similarity: float = 0.6) ->
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
-    """Return the sentence "Did you mean ...?" if a known word is similar, or a list of the known
-    words.
-    """
+    """Return the sentence "Did you mean ...?" if a word is similar, or a list of known words."""
     return did_you_mean(word, known) or f"Choose one of {', '.join(known)}."

@@ -110,9 +110,7 @@ class Gaussians:
 
     @property
     def rgb(self) -> Array:
-        """Colours [N,3] in 0..1 from the harmonics of degree 0, independent of the viewing
-        direction.
-        """
+        """Colours [N,3] in 0..1 from the harmonics of degree 0, whatever the direction of view."""
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
 
     @property

@@ -43,22 +43,16 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the first levels. Three levels are needed to measure an order of
-convergence.
-"""
+"""Cells across the object on the first levels; an order of convergence needs three levels."""
 STEP = 1.5
-"""Maximum ratio of the cells across the object on a new level to the cells on the finest level so
-far.
-"""
+"""Maximum ratio of the cells across the object on a new level to those on the finest level."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Cells across the object on the further grids.
 
 A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
-"""Order of convergence that is assumed if the levels do not converge; free surfaces converge with
-first order.
-"""
+"""Order of convergence if the levels do not converge; free surfaces have first order."""
 START = 16
 """Cells across the object of the grid with which the search for a maximum time begins."""
 ATTEMPTS = 2
@@ -127,9 +121,7 @@ class _Runs:
     placed: Placed | None = None
     """The object after placement in the scene; None before the first simulation."""
     denser: bool = False
-    """Whether all runs use one more particle per cell and axis, because the material tore on a
-    level.
-    """
+    """Whether all runs use one more particle per cell and axis, as material tore on a level."""
 
     def simulation(self, cells: int) -> Simulation:
         """Create a simulation on this grid without starting it."""
@@ -203,9 +195,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the next level. If there is no next level, return the reason; otherwise return an empty
-    text.
-    """
+    """Run the next level; return an empty text, or the reason why there is no next level."""
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -232,9 +222,7 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe the error and the time on the finest possible grid, extrapolated from the finest
-    run.
-    """
+    """Describe the error and the time on the finest possible grid, extrapolated from the last."""
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)

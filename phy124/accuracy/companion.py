@@ -4,9 +4,8 @@ The distance between the two runs is the RMS distance between the positions of s
 estimated error is this distance times a factor, and the error bound is the distance times a larger
 factor. The factors were measured on many objects (docs/lab/own-error.md).
 
-The companion run starts after the original run, so it does not change the result. The decision
-whether to make a companion run does not depend on measured times, so that equal runs have equal
-reports.
+The companion run starts after the original run, so it does not change the result. Whether a
+companion run is made does not depend on measured times, so that equal runs have equal reports.
 """
 
 import math
@@ -79,8 +78,7 @@ class Factors(NamedTuple):
 
 
 RATIO = 0.5
-"""Number of cells across the object in the companion run, divided by the number in the original
-run.
+"""Number of cells across the object in the companion run, relative to the original run.
 
 With a ratio of 5/8, the estimate would be less precise and take twice as long
 (docs/lab/own-error.md).
@@ -119,9 +117,7 @@ class OwnError(NamedTuple):
     """The error of a run, estimated from a coarser run, or the reason why there is no estimate."""
 
     about: float | None = None
-    """RMS distance from the exact motion over Gaussians and frames, as a fraction of the object's
-    size.
-    """
+    """RMS distance from the exact motion over Gaussians and frames, relative to the size."""
     at_most: float | None = None
     """Upper bound of the RMS distance from the exact motion, as a fraction of the object's size."""
     until: float | None = None
@@ -149,8 +145,7 @@ def with_own_error(
     Args:
         run: The run.
         clip: The clip of the run.
-        omit: Reason to omit the companion run. If empty, the companion run is made if it takes
-            little time.
+        omit: Reason to omit the companion run. If empty, the run is made if it takes little time.
         goal: The entry `goal` of the report, if `--max-error` already measured the error.
     """
     omit = omit or why_broken(clip.report).rstrip(".")
@@ -270,8 +265,7 @@ def estimate(
     """Return the error, the error bound, and the time for which both hold, as in `OwnError`.
 
     Args:
-        distances: RMS distance between the two runs in each frame [T], as a fraction of the
-            object's size.
+        distances: RMS distance between the two runs in each frame [T], relative to the size.
         times: Times of the frames [T], s.
         factors: Ratios of the error to the distance between the runs.
         expected: Error bound that was predicted before the run, as a fraction of the object's size;

@@ -24,9 +24,7 @@ Free surfaces converge with first order, and the interior with second order. On 
 coarse, the measured order is below 1, and errors estimated with this order are unreliable.
 """
 SAFETY = 1.25
-"""Factor on the errors if the measured order is outside `TRUSTED` by more than `NEAR`. Source:
-Roache 1998.
-"""
+"""Factor on the errors if the order is outside `TRUSTED` by more than `NEAR` (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
 """Largest distance between levels that are equal up to rounding, in the unit of the results."""
@@ -34,16 +32,12 @@ AGREE = 1e-5
 
 @dataclass(frozen=True)
 class Convergence:
-    """Order of convergence and errors of grid levels, estimated from the distances between the
-    levels.
-    """
+    """Order of convergence and errors of grid levels, estimated from distances between levels."""
 
     order: float | None
     """Observed order of convergence; None if the levels do not converge, or if all levels agree."""
     errors: tuple[float, ...] = ()
-    """Estimated error of each level, in the unit of the distances; empty if there is no
-    estimate.
-    """
+    """Estimated error of each level, in the unit of the distances; empty without an estimate."""
     why_not: str = ""
     """Reason why there is no estimate of the errors."""
     note: str = ""
@@ -150,9 +144,7 @@ def longest_convergence(
 
 
 def _observe_order(h: NDArray, apart: NDArray) -> float:
-    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of all pairs of
-    levels.
-    """
+    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of pairs of levels."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -198,9 +190,7 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
 def guess_errors(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Return the errors of two levels (coarse, fine), from the distance between the levels and an
-    assumed order.
-    """
+    """Return the errors of two levels (coarse, fine) from their distance and an assumed order."""
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

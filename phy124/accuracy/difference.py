@@ -1,7 +1,6 @@
 """Measures the difference between two clips of the same Gaussians.
 
-The difference is stated in metres, as a fraction of the object's size, in pixels, and as PSNR and
-SSIM.
+The difference is stated in metres, relative to the object's size, in pixels, and as PSNR and SSIM.
 """
 
 import math
@@ -19,9 +18,7 @@ from phy124.scene import View
 
 @dataclass(frozen=True)
 class Difference:
-    """Distances between the Gaussians' centres in two clips, and differences between the clips'
-    videos.
-    """
+    """Distances between the Gaussians' centres in two clips, and differences of the videos."""
 
     metres: float
     """RMS distance between the two clips over all Gaussians and frames [m]."""

@@ -205,9 +205,7 @@ class Stop:
 
 @dataclass
 class Forecaster:
-    """Forecasts the times of runs on a device, and stores measurements to speed up later
-    forecasts.
-    """
+    """Forecasts the times of runs on a device, and stores measurements for later forecasts."""
 
     context: RunContext = field(default_factory=RunContext)
     """Device and threads of the runs; progress and stopwatch are not used."""
@@ -291,9 +289,7 @@ class Forecaster:
         )
 
     def stops(self, gaussians: Gaussians, scene: Scene) -> dict[str, Stop]:
-        """Return the predicted time and the error bound for the accuracies draft, standard and
-        fine.
-        """
+        """Return the predicted time and the error bound for accuracies draft, standard and fine."""
         return {name: self._stop(name, gaussians, scene) for name in get_args(AccuracyName)}
 
     def _stop(self, name: AccuracyName, gaussians: Gaussians, scene: Scene) -> Stop:

@@ -31,9 +31,7 @@ class Goal:
 
     kind: Kind
     value: float
-    """Maximum value, in pixels of the first view, fractions of the object's size, metres or
-    seconds.
-    """
+    """Maximum value, in pixels of the first view, fractions of the object's size, m or s."""
     text: str
 
     @classmethod

@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 PROBE, MIN_PROBE = 20, 6
 """Maximum and minimum number of substeps of a probe."""
 LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Maximum total duration of the probes [s], and maximum number of probes; the median of the probes
-is used.
+"""Maximum total duration [s] and maximum number of the probes, whose median is used.
 
 Probes of large objects have fewer substeps.
 """
@@ -217,8 +216,7 @@ def time_shapes(simulation: Simulation) -> tuple[float, float]:
 
 
 def time_film(gaussians: Gaussians, scene: Scene, context: RunContext) -> dict[str, float]:
-    """Predict the times of rendering, encoding and saving [s], by measuring a few frames in one
-    view.
+    """Predict the times of rendering, encoding and saving [s] from a few frames in one view.
 
     Args:
         gaussians: The object.
@@ -323,8 +321,7 @@ class Pilot:
     """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return the number of cells along the object in the run, divided by the number in the
-        pilot run.
+        """Return the number of cells along the object in the run, relative to the pilot run.
 
         The side of a cell is `dx` [m].
         """
@@ -432,8 +429,7 @@ def substeps_at_rest(solver: AnySolver) -> float:
     """Return the number of substeps per second that the initial state needs [1/s].
 
     Args:
-        solver: The solver before its first substep; a particle solver must have measured its
-            limits.
+        solver: The solver before its first substep; a particle solver has measured its limits.
     """
     if _on_lattice(solver):
         return 1 / solver.limits.substep_at_rest

@@ -45,9 +45,7 @@ class Promise:
     unmeasured: str = ""
     """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
     about: float | None = None
-    """Error that was measured on this scene, as a fraction of the object's size; None if it was not
-    measured.
-    """
+    """Error measured on this scene, as a fraction of the object's size; None if not measured."""
     seconds: float | None = None
     """Time up to which the bound holds [s]; None if the bound holds for the whole clip."""
     unestimated: str = ""
@@ -240,8 +238,7 @@ def check_promise(
     Args:
         promised: The error bound.
         error: The error measured in this scene, as a fraction of the object's size.
-        until: Time up to which the error was measured [s]; None if it was measured for the whole
-            motion.
+        until: Time up to which the error was measured [s]; None: for the whole motion.
         stated: The error in the report of a run of this scene; None if it is unknown.
     """
     states = _describe_stated(stated or {})

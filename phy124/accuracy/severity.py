@@ -50,8 +50,7 @@ def yielding(scene: Scene, thickness: float | None = None) -> float:
 def damping(scene: Scene) -> float:
     """Return the smallest relative damping, eta / (rho c L), of all materials.
 
-    Here eta is the damping or the viscosity, c the speed of waves in a bar, and L the object's
-    size.
+    Here eta is damping or viscosity, c the speed of waves in a bar, and L the object's size.
     """
     return min(
         getattr(section, "damping", getattr(section, "viscosity", 0.0))
@@ -89,9 +88,7 @@ def find_difference(scene: Scene) -> str:
 
 
 def _strain(scene: Scene) -> float:
-    """Return the largest deformation of the object by a press or a hand, as a fraction of the
-    object's size.
-    """
+    """Return the largest deformation of the object by a press or a hand, relative to its size."""
     presses = [wall.depth for wall in scene.boundaries if isinstance(wall, Press)]
     held = any(wall.holds for wall in scene.boundaries)
     hands = [force.target() for force in scene.acting if isinstance(force, Grab) and held]

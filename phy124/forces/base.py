@@ -164,9 +164,7 @@ class Force(Section):
 
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
-    """Return a mask [P] of the particles of the named object, or of all objects if the name is
-    None.
-    """
+    """Return a mask [P] of the particles of the named object; None: of all objects."""
     mask = np.zeros(len(model), bool)
     mask[model.named(name)] = True
     return mask

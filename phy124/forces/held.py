@@ -49,9 +49,7 @@ class Part(NamedTuple):
     mass: float
     """Weighted mass of the part, sum(w m) [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: force on the part divided by the acceleration
-    of the centre X.
-    """
+    """Effective mass of the part at the start [kg]: force divided by the acceleration of X."""
     reach: float
     """Distance between the centre X and the part's farthest particle at rest [m]."""
     inertia: float

@@ -104,8 +104,7 @@ def make(
         reading: Options for reading a file of Gaussians; if None, the conventions of the file's
             format apply.
         options: Options of the generator.
-        device: Device on which the generator's network runs; if None, a GPU is used if there is
-            one.
+        device: Device on which the generator's network runs; None: a GPU if there is one.
 
     Raises:
         InputError: If no generator has that name, a package is not installed, `reading` is set

@@ -115,8 +115,7 @@ class Opened(NamedTuple):
 class PlyFile:
     """A generator that reads Gaussians from a file and ignores the image.
 
-    `phy124.pipeline.capture` separates an object from the floor, because this separation needs the
-    scene.
+    `phy124.pipeline.capture` separates an object from the floor, since this needs the scene.
     """
 
     path: str

@@ -37,8 +37,7 @@ def make_shape(
     """Make the Gaussians of a simple shape that is centred on the origin.
 
     Args:
-        name: sphere (an ellipsoid if the sides differ), box, or capsule (whose axis is its longest
-            side).
+        name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
         sides: Lengths of the shape along x, y and z, m.
         colour: Red, green and blue, 0..1.
         patterned: Whether a checker pattern and a light from above make the motion visible.
@@ -68,8 +67,7 @@ def cover_surface(
         points: Centres [N,3], m.
         normals: Outward unit normals [N,3].
         rgb: Colours [N,3], or a single colour for all points [3], 0..1.
-        width: Standard deviation along the surface [m]; if None, it is derived from the spacing of
-            the points.
+        width: Standard deviation along the surface [m]; None: from the spacing of the points.
         bright: Factor by which the colours are multiplied [N].
         shaded: Whether the surface is slightly shaded by a light from above.
     """

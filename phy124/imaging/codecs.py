@@ -27,8 +27,7 @@ USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
 def strip_png(data: bytes) -> bytes:
     """Return a PNG file with only the chunks that contain its pixels and the chunks in `USEFUL`.
 
-    Pillow checks every chunk, and refuses an image if any chunk is damaged, even if the chunk is
-    not used.
+    Pillow checks every chunk, and refuses an image if any chunk is damaged, even an unused chunk.
     """
     kept, place = [data[:PNG_START]], PNG_START
     while place < len(data):

@@ -71,9 +71,7 @@ class Method(NamedTuple):
     applies: Callable[[Image.Image], bool]
     """Function that returns whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Function that computes the alpha [H,W]. The function runs native code in
-    `phy124.runtime.isolated`.
-    """
+    """Function that computes the alpha [H,W], in native code in `phy124.runtime.isolated`."""
     title: str = ""
     """Name of the method in messages."""
 

@@ -162,8 +162,7 @@ class DepthNetwork:
         Larger values are nearer.
 
         Raises:
-            InputError: If the weights or onnxruntime are missing, or the file belongs to another
-                network.
+            InputError: The weights or onnxruntime are missing, or the file is of another network.
         """
         (path,) = require(self.name).values()
         rgb, solid = image_rgba[..., :3], image_rgba[..., 3] > 127

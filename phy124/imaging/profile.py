@@ -1,7 +1,6 @@
 """Converts images to sRGB according to their ICC colour profiles.
 
-For example, phones use Display P3, cameras use Adobe RGB, and print shops use CMYK or grey with dot
-gain.
+Phones use Display P3, cameras use Adobe RGB, and print shops use CMYK or grey with dot gain.
 """
 
 import io

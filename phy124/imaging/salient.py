@@ -106,8 +106,7 @@ def find_alpha(
     """Segment the salient object of an image with a network; return the alpha [H,W] of the object.
 
     Raises:
-        InputError: If the weights or onnxruntime are missing, or the file belongs to another
-            network.
+        InputError: The weights or onnxruntime are missing, or the file is of another network.
     """
     (path,) = require(NETWORKS[name].weights).values()
     rgb = np.asarray(image.convert("RGB"))

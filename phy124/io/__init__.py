@@ -1,3 +1,1 @@
-"""Reads and writes files of Gaussians, clips, videos and paused runs; every file is written
-atomically.
-"""
+"""Reads and writes files of Gaussians, clips, videos and paused runs, always atomically."""

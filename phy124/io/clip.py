@@ -30,8 +30,7 @@ FORMAT = "phy124-clip"
 VERSION, MOTION = "1", "2"
 """Format versions.
 
-Version 1 stores the Gaussians of every frame; version 2 stores a motion from which the Gaussians
-are computed.
+Version 1 stores the Gaussians of every frame; version 2 a motion that yields the Gaussians.
 """
 SPARE = " " * 8192
 """Spare space in the header, so that a longer report can replace the first report."""
@@ -199,8 +198,7 @@ class Clip:
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
         """Return one frame, in which the colours are rotated with the material.
 
-        If `velocities` is set and the clip has no velocities, the function `velocity` computes
-        them.
+        If `velocities` is set and the clip has no velocities, `velocity` computes them.
         """
         sh = self.sh
         if self.rotations is not None and sh.shape[1] > 1:

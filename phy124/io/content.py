@@ -83,8 +83,7 @@ class Content(NamedTuple):
         return self._replace(gaussians=moved, origin=(0.0, 0.0, 0.0))
 
     def remarks(self, chosen: Gaussians | None = None) -> list[str]:
-        """Return the notes, and a warning if the precision of the positions that are used is too
-        low.
+        """Return the notes, and a warning if the precision of the positions is too low.
 
         By default, all Gaussians are used.
         """
@@ -191,8 +190,7 @@ def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
         kind: Name of the format.
         path: The file.
         count: Number of Gaussians that the file's header states.
-        more: Memory that each Gaussian needs in addition to `READING` while the file is read
-            [bytes].
+        more: Memory per Gaussian while the file is read, in addition to `READING` [bytes].
 
     Raises:
         InputError: If there are too many Gaussians.
@@ -267,8 +265,7 @@ def content_of(
         axes: Up and front directions of the file.
         antialiased: Whether the file requests Mip-Splatting's filter.
         notes: Sentences about the file.
-        step: Smallest distance that the file can represent; if None, it is derived from the centres
-            by `step_of`.
+        step: Smallest distance that the file can represent; None: from the centres, by `step_of`.
 
     Raises:
         InputError: If no Gaussian has finite values.

@@ -108,8 +108,7 @@ class Growing:
             path: The file.
             frame: The first frame.
             count: Number of frames that the clip will have.
-            rotation: Rotations of the material in the first frame, or None if the clip has no
-                rotations.
+            rotation: Rotations of the material in the first frame, None if the clip has none.
             header: Upper bound on the header's size [bytes].
 
         Raises:

@@ -80,8 +80,7 @@ def pack(
         camera: The camera for the initial view; its image size is ignored.
         background: Colour behind the Gaussians [3], 0..1.
         stage: The stage that is drawn in place of the background.
-        shine: The reflective Gaussians, if the shapes of the clip's Gaussians were changed for
-            reflections.
+        shine: The reflective Gaussians, if their shapes in the clip were changed for reflections.
 
     Raises:
         InputError: If the clip is empty.
@@ -159,8 +158,7 @@ def write_html(
         title: Title of the page.
         background: Colour behind the Gaussians [3], 0..1.
         stage: The stage that is drawn in place of the background.
-        shine: The reflective Gaussians, if the shapes of the clip's Gaussians were changed for
-            reflections.
+        shine: The reflective Gaussians, if their shapes in the clip were changed for reflections.
         viewer: Folder that contains the player's scripts.
 
     Raises:

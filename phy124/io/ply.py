@@ -283,8 +283,7 @@ def read_ply(
             axes.
 
     Raises:
-        InputError: If the file is missing or cut short, is not a PLY file, or contains no
-            Gaussians.
+        InputError: The file is missing or cut short, is no PLY file, or contains no Gaussians.
     """
     rotation = None if up is None and dialect is None else orientation(up, front, dialect)
     content = read(Path(path)).in_place
@@ -297,8 +296,7 @@ def read(path: Path) -> Content:
     """Read the Gaussians of a PLY file in the file's axes.
 
     Raises:
-        InputError: If the file is missing or cut short, is not a PLY file, or contains no
-            Gaussians.
+        InputError: The file is missing or cut short, is no PLY file, or contains no Gaussians.
     """
     header = read_header(path)
     check_names(path, header)

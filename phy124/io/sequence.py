@@ -1,8 +1,7 @@
 """Writes a sequence of files, one per frame, into a folder or a zip archive.
 
-SuperSplat plays files with numbered names (`name_0001.ply`, ...) that are dropped into its window
-together. Brush plays a zip of PLY files. The axes are converted by the function that writes a
-single file.
+SuperSplat plays numbered files (`name_0001.ply`, ...) that are dropped into its window together.
+Brush plays a zip of PLY files. The axes are converted by the function that writes a single file.
 """
 
 import os

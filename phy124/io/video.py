@@ -116,8 +116,7 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Picture], *, fps: f
     Raises:
         InputError: If there are no frames, `fps` is out of range, the file cannot be written, or
             the encoder did not finish.
-        ValueError: If a frame is not uint8 [H,W,3], or its size differs from that of the first
-            frame.
+        ValueError: A frame is not uint8 [H,W,3], or its size differs from the first frame's.
     """
     return write_film(path, frames, fps=fps)
 
@@ -168,14 +167,12 @@ def write_animation(
         path: The file, which is written atomically.
         frames: The frames; a generator is always closed.
         fps: Number of frames per second.
-        most: Largest allowed size of the file [bytes]. Frames are reduced in size until the file is
-            small enough.
+        most: Largest size of the file [bytes]; frames are reduced until the file is small enough.
 
     Raises:
         InputError: If the name ends neither in .gif nor in .webp, there are no frames, `fps` is out
             of range, or the file cannot be written.
-        ValueError: If a frame is not uint8 [H,W,3 or 4], or its size differs from that of the first
-            frame.
+        ValueError: A frame is not uint8 [H,W,3 or 4], or its size differs from the first frame's.
     """
     kind = ANIMATIONS.get(Path(path).suffix.lower())
     if kind is None:
@@ -218,13 +215,11 @@ def write_pictures(
 ) -> int:
     """Write frames (uint8, [H,W,3 or 4]) as numbered PNG files, and return the number of frames.
 
-    The files are written into an existing folder as `name_0001.png` and so on, as video editors
-    expect.
+    The files are written into an existing folder as `name_0001.png` and so on, for video editors.
 
     Raises:
         InputError: If there are no frames or a file cannot be written.
-        ValueError: If a frame is not uint8 [H,W,3 or 4], or its size differs from that of the first
-            frame.
+        ValueError: A frame is not uint8 [H,W,3 or 4], or its size differs from the first frame's.
     """
     count = 0
     with _closing(frames):
@@ -248,8 +243,7 @@ def _encode(
 ) -> int:
     """Send the frames to ffmpeg, and wait until ffmpeg ends, even after an error.
 
-    imageio's writer is not used, because it returns neither the exit code nor the messages of
-    ffmpeg.
+    imageio's writer is not used: it returns neither the exit code nor the messages of ffmpeg.
     """
     first = next(pictures)
     height, width, channels = first.shape

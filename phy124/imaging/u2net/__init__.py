@@ -25,8 +25,7 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 SIZE = 320
 """Width and height of the network's input [pixels]."""
 CLOSER, AROUND = 1.4, 0.15
-"""An object is segmented again, with its surroundings, if it can be enlarged by a factor of
-`CLOSER`.
+"""An object is segmented again, with surroundings, if it can be enlarged by this factor.
 
 `AROUND` is the width of the surroundings, relative to the object's longest side.
 """
@@ -56,8 +55,7 @@ def find_alpha(
     """Segment the salient object of an image with the full network; return its alpha [H,W].
 
     Raises:
-        InputError: If the weight file is missing, or if it is a .pth file and torch is not
-            installed.
+        InputError: The weight file is missing, or it is a .pth file and torch is not installed.
     """
     # `require` raises an error that lists the paths that were searched and the command that
     # downloads the file.
@@ -165,8 +163,7 @@ def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.u
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does; return [H,W,4].
 
-    LGM's program receives such images and multiplies the colours by alpha again, which darkens soft
-    edges.
+    LGM's program multiplies the colours of such images by alpha again, which darkens soft edges.
     """
     picture = Image.fromarray(image).convert("RGBA")
     clear = Image.new("RGBA", picture.size, 0)

@@ -1,5 +1,4 @@
-"""Reads and writes GLB (glTF 2.0) with the ratified KHR_gaussian_splatting, which stores scales as
-lengths.
+"""Reads and writes GLB (glTF 2.0) with KHR_gaussian_splatting, which stores scales as lengths.
 
     header      "glTF", 2, length (uint32 each)
     chunk JSON  one primitive of mode 0 (points) with the extension
@@ -15,9 +14,8 @@ lengths.
     KHR_gaussian_splatting:SH_DEGREE_l_COEF_n VEC3 float    coefficients of 3DGS, degree by degree
     _OBJECT_ID                               SCALAR float   index of the object (phy124 only)
 
-Files from early 2026, before the extension was ratified, have logarithmic scales
-(phy124/io/formats/glb_values.py). Nodes may translate and rotate their Gaussians, and scale them
-uniformly.
+Files from early 2026, before the extension was ratified, have logarithmic scales (glb_values.py).
+Nodes may translate and rotate their Gaussians, and scale them uniformly.
 """
 
 import json

@@ -63,8 +63,7 @@ def values(
 
     Raises:
         InputError: If the file is cut short.
-        Malformed: If the type or number of values is unexpected, or the values are not within their
-            view.
+        Malformed: If the type or number of values is unexpected, or values are outside their view.
     """
     accessor = item(scene, "accessors", index)
     if WIDTHS.get(accessor["type"]) != width:

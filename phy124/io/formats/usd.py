@@ -1,8 +1,7 @@
 """Writes OpenUSD: a clip is one animated prim, ParticleField3DGaussianSplat (OpenUSD 26.03).
 
-Apart from `.4dgs`, this is the only open format that stores moving Gaussians in a single file. The
-units and axes are those of phy124 (metres, z up), as stated in the USD header. Opacities and scales
-are linear.
+Apart from `.4dgs`, this is the only open format that stores moving Gaussians in a single file.
+Units and axes are those of phy124 (metres, z up). Opacities and scales are linear.
 """
 
 import os
@@ -96,8 +95,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 def save_at_times(stage: Any, index: int) -> None:
     """Save a stage after every `SAVED` frames; this frees the memory of these frames.
 
-    A text file is saved only once, after all frames are set, because every save writes the whole
-    file.
+    A text file is saved only once, after all frames are set: every save writes the whole file.
     """
     layer = stage.GetRootLayer()
     if index % SAVED == SAVED - 1 and not layer.realPath.endswith(".usda"):

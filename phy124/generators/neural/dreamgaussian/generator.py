@@ -111,8 +111,7 @@ class DreamGaussian:
     ) -> Gaussians:
         """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 
-        `progress` is called before every step. If `progress` raises Cancelled, the exception is
-        passed on.
+        `progress` is called before every step. An exception Cancelled is passed on.
 
         Raises:
             InputError: If weights are missing, `image_rgba` has no alpha or no opaque pixel, or no

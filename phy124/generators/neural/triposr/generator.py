@@ -1,5 +1,4 @@
-"""The generator TripoSR: turns a segmented image into a density field, and the field into
-Gaussians.
+"""The generator TripoSR: turns a segmented image into a density field, then into Gaussians.
 
 Tochilkin et al. 2024. The network runs in onnxruntime if ONNX files are installed, or else in torch
 from the public checkpoint.
@@ -126,8 +125,7 @@ def load_onnx(encoder: Path, decoder: Path) -> Any:
     for each image and then released.
 
     Raises:
-        InputError: If onnxruntime is not installed, or if a file is unreadable or contains another
-            network.
+        InputError: If onnxruntime is not installed, or a file is unreadable or has another network.
     """
     decode = OnnxNetwork(decoder, None, RESULTS)
     return lambda image: _onnx_field(OnnxNetwork(encoder, ["image"], folds=False)(image)[0], decode)
