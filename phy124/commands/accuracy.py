@@ -59,12 +59,10 @@ class ShowAccuracy:
     """Print only JSON."""
 
     def run(self) -> int:
-        """Verify the solver or study a scene; return status 1 if a check fails, 3 if no grid was
-        run.
+        """Verify the solver or study a scene; return 1 if a check fails, 3 if no grid was run.
 
         Raises:
-            InputError: There is nothing to study, or the scene, the picture or the grids cannot be
-                used.
+            InputError: There is nothing to study, or scene, picture or grids cannot be used.
         """
         if self.verify:
             return self._verify()

@@ -61,8 +61,7 @@ class CutOut:
     """Print only JSON."""
 
     def run(self) -> int:
-        """Cut out the object; print the method, the coverage, the warnings and the name of the
-        file.
+        """Cut out the object; print the method, the coverage, the warnings and the file's name.
 
         Raises:
             InputError: The picture cannot be read, or the output's name does not end in .png or

@@ -1,6 +1,4 @@
-"""Declares the options that several commands share. The options' bounds and help texts come from
-the classes of a scene.
-"""
+"""Declares the options that several commands share; the classes of a scene give the help texts."""
 
 import shlex
 from collections.abc import Mapping, Sequence

@@ -78,9 +78,8 @@ def held_rate(
         scene: The scene. The scene's number of cells is ignored.
         context: Device, number of threads, and progress function.
         rate: Simulated seconds per second; a fifth of the computing time is left unused.
-        max_error: Largest error bound, relative to the object's size. The coarsest grid that
-            satisfies this bound is chosen, even if it is too slow. If None, only `rate` determines
-            the grid.
+        max_error: Largest error bound, relative to the object's size. The coarsest grid within this
+            bound is chosen, even if it is too slow. If None, only `rate` counts.
         shapes: As for `Live`.
         show: Function that processes each frame, for example draws it; its time counts as well.
 

@@ -194,8 +194,7 @@ class Live:
             object: Name of the object, if there are several; None: the nearest object.
             radius: Radius of the pulled material [m]; the force decreases towards the rim.
             stiffness: Stiffness of the spring between hand and object [N/m].
-            strength: Largest force [N]; None: three times the object's weight, or less on soft
-                material.
+            strength: Largest force [N]; None: three times the weight, or less on soft material.
 
         Raises:
             InputError: A number cannot be used, or no part of the object is near `point`.
@@ -259,8 +258,7 @@ class Live:
             force: Force [N].
             torque: Torque about `at` [N m].
             at: Position on the moving object [m]; None: the push acts on the whole object.
-            object: Name of the object, if there are several; None: the object at `at`, or all
-                objects.
+            object: Name of the object, if there are several; None: that at `at`, or all.
             radius: Radius of the pushed material [m]; the force decreases towards the rim.
             seconds: Duration [s].
             name: Name of the push; it replaces an earlier push of this name. An unnamed push is
@@ -322,8 +320,7 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary to a displacement [m] from its initial position, at most at a hand's
-        speed.
+        """Move a boundary to a displacement [m] from the start, at most at a hand's speed.
 
         Raises:
             InputError: There is no such boundary, the boundary cannot be moved or follows a motion
@@ -437,8 +434,7 @@ class Live:
         self._run.most_substeps = math.ceil(SLOWEST * usual)
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs, and continue from the last state, from an earlier state, or from the
-        start.
+        """Drop the inputs, and continue from the last or an earlier state, or from the start.
 
         Raises:
             Stopped: No input has acted since the start.
@@ -467,9 +463,7 @@ class Live:
         self._run.change(self._inputs.scene())
 
     def _note_change(self, value: Vector, sentence: str) -> Vector:
-        """Return the value of a pair (value, sentence); store the sentence as a note unless it is
-        empty.
-        """
+        """Return the value of a pair (value, sentence); note the sentence unless it is empty."""
         if sentence:
             self._note(sentence)
         return value

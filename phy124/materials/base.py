@@ -12,13 +12,10 @@ from phy124.schema.section import Section
 FEW = 1.5
 """Number of particles per cell and axis for metal, foam and granular materials, which cannot tear.
 With 2 particles, a run takes 1.7 times as long and its error does not change
-(docs/lab/accuracy.md). Plasticine has 2 particles, because with fewer its smooth surface becomes
-bumpy.
+(docs/lab/accuracy.md). Plasticine has 2: with fewer, its surface becomes bumpy.
 """
 FLOWING = 4.0
-"""Limit on the longest axis of Gaussians in plastic or fluid material, relative to the axis at
-rest.
-"""
+"""Limit on the longest axis of Gaussians in plastic or fluid material, relative to rest."""
 
 
 SHADING = 0.3
@@ -34,9 +31,7 @@ class Material(Section):
     scaled: ClassVar[int] = 0
     """Number of leading parameters in `theta` that are proportional to E; 0 if E cannot vary."""
     particles_per_axis: ClassVar[float] = 2.0
-    """Default number of particles per cell and axis. With fewer than 2, elastic material tears
-    sooner.
-    """
+    """Default number of particles per cell and axis; with fewer than 2, elastic material tears."""
     may_collapse: ClassVar[bool] = False
     """Whether the material may stay flat after an impact, because its energy at J = 0 is finite."""
 
@@ -56,9 +51,7 @@ class Material(Section):
     """
 
     crumbles: ClassVar[bool] = False
-    """Whether the material is drawn as fragments where it is broken
-    (phy124/rendering/fragments.py).
-    """
+    """Whether broken material is drawn as fragments (phy124/rendering/fragments.py)."""
 
     scatters: ClassVar[bool] = False
     """Whether the particles start at random positions in their cells. This hides the rows of a
@@ -103,9 +96,8 @@ class Material(Section):
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
-        This default is for the fixed corotated law, which stiffens more than other elastic laws.
-        The stiffness of this law grows by the factor 2 J^2 - J, where ln J is at most sqrt(3) times
-        the strain.
+        The default is for the fixed corotated law, which stiffens most among the elastic laws: by
+        the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
 
         Args:
             growth: Largest allowed factor (above 1) by which the strain changes the stiffness of
@@ -138,9 +130,7 @@ class Material(Section):
         return (0.0, 0.0)
 
     def wave_speed(self) -> float:
-        """Return the speed `sqrt(A / rho)` [m/s], which limits the substeps of unstrained
-        material.
-        """
+        """Return the speed `sqrt(A / rho)` [m/s], which limits substeps of unstrained material."""
         raise NotImplementedError
 
     def sound_speed(self) -> float:
@@ -148,15 +138,11 @@ class Material(Section):
         return self.wave_speed()
 
     def viscous_limit(self, dx: float) -> float:
-        """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
-        [m].
-        """
+        """Return the longest stable substep [s] with viscosity on a grid of spacing `dx` [m]."""
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """Return a remedy for slow runs, for messages; `field` is the material's field in the
-        scene.
-        """
+        """Return a remedy for slow runs, for messages; `field` is the material's scene field."""
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:
@@ -210,8 +196,7 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return `sqrt((3 lambda + 2 mu) / rho)` [m/s], which limits the substeps of unstrained
-        material.
+        """Return `sqrt((3 lambda + 2 mu) / rho)` [m/s], which limits the substeps without strain.
 
         If lambda is negative (nu < 0), shear is the stiffest motion, so lambda is replaced by zero.
         """
@@ -219,9 +204,7 @@ class Elastic(Material):
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the speed of a pressure wave in unstrained material, `sqrt((lambda + 2 mu) / rho)`
-        [m/s].
-        """
+        """Return the pressure wave's speed without strain, `sqrt((lambda + 2 mu) / rho)` [m/s]."""
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 

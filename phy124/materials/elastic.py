@@ -38,9 +38,7 @@ class Springy(Elastic):
         return (*self.lame, self.damping) if self.damping else self.lame
 
     def viscous_limit(self, dx: float) -> float:
-        """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
-        [m].
-        """
+        """Return the longest stable substep [s] with viscosity on a grid of spacing `dx` [m]."""
         return viscous_substep(self.density, self.damping, dx)
 
 
@@ -69,9 +67,7 @@ class NeoHookean(Springy):
 
 
 class FixedCorotated(Springy):
-    """Fixed corotated solid (PhysGaussian's "jelly"); hard impacts may flatten it without a
-    warning.
-    """
+    """Fixed corotated solid (PhysGaussian's "jelly"); hard impacts may flatten it unnoticed."""
 
     law: Literal["fixed_corotated"] = "fixed_corotated"
     may_collapse: ClassVar[bool] = True
@@ -87,9 +83,7 @@ class FixedCorotated(Springy):
 
 
 class Hencky(Logarithmic, Springy):
-    """St. Venant-Kirchhoff solid in Hencky strain: linear in the logarithm of the stretch, softer
-    under tension.
-    """
+    """St. Venant-Kirchhoff solid in Hencky strain: linear in log stretch, softer under tension."""
 
     law: Literal["hencky"] = "hencky"
     sounder_law: ClassVar[str | None] = "neo_hookean"

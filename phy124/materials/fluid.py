@@ -16,8 +16,7 @@ SUDDEN = 0.3
 RELAXATION = 10.0
 """Relaxation time relative to the time in which sound crosses a cell.
 
-In a body that is some tens of cells deep, a sound wave takes about this time to travel down and up
-again.
+In a body that is some tens of cells deep, a sound wave takes about this time to travel down and up.
 """
 
 
@@ -108,7 +107,5 @@ class Fluid(Material):
         return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:
-        """Return the longest substep [s] that is stable with viscosity on a grid of spacing `dx`
-        [m].
-        """
+        """Return the longest stable substep [s] with viscosity on a grid of spacing `dx` [m]."""
         return viscous_substep(self.density, self.viscosity, dx)

@@ -54,8 +54,7 @@ def ssim(a: NDArray, b: NDArray) -> float:
 def motion(video: Video) -> float:
     """Return the mean change of a colour value between consecutive frames, in % of its range.
 
-    A frozen video has a perfect CLIP-T and a motion of zero, so CLIP-T is meaningless without this
-    value.
+    A frozen video has a perfect CLIP-T but no motion, so CLIP-T is meaningless without this value.
     """
     video = to_unit(video)
     return 100 * float(np.abs(np.diff(video, axis=0)).mean()) if len(video) > 1 else 0.0

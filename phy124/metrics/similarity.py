@@ -50,9 +50,7 @@ def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
 
 
 def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return half the squared angle between each row and the next row [T-1]; also precise for small
-    angles.
-    """
+    """Return half the squared angle between each row and the next [T-1]; precise if small."""
     e = _normalise(embeddings)
     chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2
@@ -79,8 +77,7 @@ class ClipModel:
             order: Order of the colour channels in the model's input.
 
         Raises:
-            InputError: The model is missing or is not a CLIP model, or the package transformers is
-                not installed.
+            InputError: The model is missing or not a CLIP model, or transformers is not installed.
         """
         self.name = model
         self.order: Order = order
@@ -106,8 +103,7 @@ class ClipModel:
 def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
     """Return the input [3,S,S] of CLIP for an image.
 
-    The shorter side of the image is resized to S (bicubic), the centre is cropped, and the colours
-    are normalised.
+    The image's shorter side is resized to S (bicubic), the centre cropped, the colours normalised.
     """
     picture = Image.fromarray((to_unit(image) * 255 + 0.5).astype(np.uint8))
     scale = size / min(picture.size)

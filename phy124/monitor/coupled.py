@@ -138,15 +138,11 @@ class CoupledContacts(Contacts):
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the Gaussian that receives the impulse of each particle, surface point and
-        node.
-        """
+        """Return the Gaussian that receives the impulse of each particle, surface point or node."""
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulses [N s] on particles, and on the surface points and nodes of
-        lattices.
-        """
+        """Return the impulses [N s] on particles, and on surface points and nodes of lattices."""
         return np.concatenate([super().read_impulses(setup), self._lattices.read_impulses(setup)])
 
 

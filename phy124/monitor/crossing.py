@@ -13,9 +13,7 @@ DEEP = 0.5
 
 
 class LatticeCrossing(Observer):
-    """Measures once per frame how deep points are inside a wall, and finds another wall that
-    touches the deepest points.
-    """
+    """Measures how deep points are inside a wall, and finds other walls that touch the deepest."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

@@ -61,9 +61,7 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the sum after adding the impulse and work of rigid solids
-        (phy124/kernels/free).
-        """
+        """Return the sum after adding impulse and work of rigid solids (phy124/kernels/free)."""
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -85,9 +83,7 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; kernels for forces are compiled when needed (0.3
-        s).
-        """
+        """Yield the kernels that measure walls; those for forces compile when needed (0.3 s)."""
         if subject.scene.boundaries:
             yield from (kernels.make_wall_copy(real), kernels.make_wall_sums(real))
 
@@ -272,9 +268,7 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum at the last time when the sums were cleared, and the walls' impulses
-        since then.
-        """
+        """Store the momentum when the sums were last cleared, and the walls' impulses since."""
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
@@ -296,9 +290,7 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return two stages: one that runs before the forces in `stages`, and one that runs after
-        them.
-        """
+        """Return two stages: one that runs before the forces in `stages`, one that runs after."""
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy = kernels.make_push_copy(model.real, keeps_C)

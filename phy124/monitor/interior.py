@@ -203,8 +203,7 @@ class Interior(Observer):
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the particles of an object that may become exposed, and the neighbours of each
-        particle.
+        """Return the particles of an object that may become exposed, and the neighbours of each.
 
         Args:
             gaussians: Indices of the Gaussians of an object.
@@ -223,9 +222,7 @@ class Interior(Observer):
         return particles[inside], particles[near]
 
     def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
-        """Return the surface Gaussians nearest to the exposed particles, and these particles'
-        grains.
-        """
+        """Return the surface Gaussians nearest to the exposed particles, with their grains."""
         above, grains, first = [], [], 0
         for gaussians, inside, _ in self._objects:
             chosen = ids[(ids >= first) & (ids < first + len(inside))] - first

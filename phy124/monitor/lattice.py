@@ -40,9 +40,7 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: momentum and kinetic energy over its nodes, and all other
-    quantities over its points.
-    """
+    """Sums for a body on a lattice: momentum and kinetic energy over nodes; others over points."""
 
     on_lattice = True
 
@@ -254,9 +252,7 @@ class LatticeContacts(Contacts):
         return nearest
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulse on each surface point, followed by the impulse on each node [S+N,3], N
-        s.
-        """
+        """Return the impulse on each surface point, then the impulse on each node [S+N,3], N s."""
         sums: NDArray[np.float64] = self._solver.walls.impulses.sums.numpy()
         return sums
 
@@ -281,9 +277,7 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """The row of the effects report for the artificial viscosity, which resists fast
-    compression.
-    """
+    """The row of the effects report for artificial viscosity, which resists fast compression."""
 
     NAME = "artificial viscosity in fast compression"
 

@@ -35,11 +35,9 @@ class LatticeDissipation(LiquidDissipation):
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
-        """Return the section of the report [J]: losses, changes of energy, and the work of each
-        cause.
+        """Return the section of the report [J]: losses, changes of energy, and work of each cause.
 
-        All values refer to the time of the velocities, half a substep before the time of the
-        positions.
+        All values refer to the time of the velocities, half a substep before that of the positions.
 
         Args:
             first: The diagnostics at the start.

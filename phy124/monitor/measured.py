@@ -37,17 +37,14 @@ class Measured:
 
 
 class NodesNear:
-    """The nodes that the measured walls may change; call `fit` whenever the grid's window has
-    changed.
-    """
+    """The nodes that the measured walls may change; call `fit` if the grid's window has changed."""
 
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._model = _reach(walls, model), model
         self.threads: tuple[int, ...] = ()
         """Shape of the launch of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """First inputs of a kernel over these segments: a segment's length, the box, the window,
-        and the grid's nodes.
+        """First inputs of a kernel over these segments: length, box, window, and the grid's nodes.
         """
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes."""

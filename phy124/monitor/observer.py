@@ -127,13 +127,9 @@ class Observer:
     absent: ClassVar[dict[str, Any]] = {}
     """The section that the report contains if a run does not have this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether the observer updates sums in every substep; the sums are restored after a rejected
-    substep.
-    """
+    """Whether the observer updates sums in each substep, which a rejected substep restores."""
     in_gathers: ClassVar[bool] = False
-    """Whether the observer records a launch after each gather; the sums are restored after a
-    rejected frame.
-    """
+    """Whether a launch is recorded after each gather; a rejected frame restores the sums."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

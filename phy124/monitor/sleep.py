@@ -36,15 +36,11 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error due to sleep, relative to the object's size. This error is 0.1 pixels if the object
-is 300 pixels large.
-"""
+"""Largest error due to sleep, relative to the object's size: 0.1 pixels of 300."""
 CALM = 1 / 6
 """Particles count as at rest if they have moved less than this fraction of `STILL`."""
 HELD = 0.1
-"""A body counts as supported if its displacement is less than this fraction of a free body's
-displacement.
-"""
+"""A body counts as supported if it moves less than this fraction of a free body's way."""
 
 
 class Sleep(Observer):
@@ -73,9 +69,7 @@ class Sleep(Observer):
         self.since: int | None = None
         """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Number of skipped frames; number of saved substeps, estimated from the last computed
-        frame.
-        """
+        """Number of skipped frames; number of saved substeps, estimated from the last frame."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -106,9 +100,7 @@ class Sleep(Observer):
         self._stiffness_changes = scene.stiffness_profile is not None
 
     def skip_to(self, index: int) -> float | None:
-        """If the frame needs no substeps, count the frame and return its time [s]; otherwise return
-        None.
-        """
+        """If the frame needs no substeps, count it and return its time [s]; else return None."""
         flying = self._solver.outliers.count or self._solver.free.all
         if index == 0 or self._stiffness_changes or flying or not self._rests(index):
             return None
@@ -202,8 +194,7 @@ class Sleep(Observer):
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether something holds the material in place against the acceleration `a`
-        [m/s^2].
+        """Return whether something holds the material in place against acceleration `a` [m/s^2].
 
         Material that nothing holds would move by `a t^2 / 8`.
         """
@@ -212,9 +203,7 @@ class Sleep(Observer):
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the motion was fastest in the last frame; an object may then begin to
-        topple.
-        """
+        """Return whether the motion was fastest in the last frame: an object may topple."""
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 
@@ -224,8 +213,7 @@ class Sleep(Observer):
 
 
 def next_change(track: Track, time: float) -> float:
-    """Return the next time at which a track changes [s]; `time` if the track is changing at this
-    time.
+    """Return the next time at which a track changes [s]; `time` if it is changing at this time.
 
     If the track never changes again, the result is infinity.
     """

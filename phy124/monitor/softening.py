@@ -95,9 +95,7 @@ class Softening(Observer):
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor; its work is not counted, because the restored state includes this
-        work.
-        """
+        """Set the factor; its work is not counted, since the restored state includes it."""
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

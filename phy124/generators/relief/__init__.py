@@ -60,8 +60,7 @@ def relief(
         count: Approximate number of Gaussians.
         depth: Depth map of the image [H,W] in any unit, in which larger values are nearer, or a
             network that estimates the map; if None, the front is inflated like the back.
-        side: Image of the segmented object from one side, from which the object's depth is
-            determined.
+        side: Image of the segmented object from one side, which determines the object's depth.
         facing: Direction in which the object's front points in `side`.
         back: Image of the segmented object from behind.
         back_look: Look of the back if there is no image from behind. "mirror": the mirrored front;

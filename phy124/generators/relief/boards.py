@@ -75,8 +75,7 @@ class Board:
         return enter, np.where(speed > 0, cross, np.inf).min(axis=1)
 
     def fold(self, points: Field) -> Field:
-        """Return positions [N,3] relative to the board's axis; mirror images have the same
-        position.
+        """Return positions [N,3] relative to the board's axis; mirror images have equal positions.
 
         Left and right are mirror images, and so are front and back. In flat boards, above and below
         are mirror images, too.
@@ -100,8 +99,7 @@ def board_shell(
 ) -> Shell:
     """Return the shell of the part of the boards that lies inside the silhouette.
 
-    Points that the image does not show have the colours of the visible points of boards of the same
-    kind.
+    Points that the image does not show have the colours of visible points of boards of this kind.
 
     Args:
         boards: The boards.

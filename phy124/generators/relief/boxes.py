@@ -1,7 +1,6 @@
 """Fits a box to an outline with six corners, such as a cuboid with an edge in front.
 
-The corners have twelve coordinates, which determine the box's rotation, its three side lengths and
-its position.
+The corners' twelve coordinates determine the box's rotation, position and three side lengths.
 """
 
 from __future__ import annotations

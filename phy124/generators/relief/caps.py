@@ -42,8 +42,7 @@ class Plane:
     """1 for the bottom of the object, -1 for its top."""
 
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
-        """Return the rows [N] of the face, and whether each row belongs to the plane or to the
-        bevel.
+        """Return the rows [N] of the face, and whether each row belongs to the plane or the bevel.
 
         Args:
             columns: Columns of the points before projection [N].

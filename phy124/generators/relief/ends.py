@@ -132,8 +132,7 @@ def stands(solid: NDArray[np.bool_]) -> bool:
 def _arc(solid: NDArray[np.bool_]) -> int:
     """Return the height, in rows, of the arc at the lower end; 0 if the end is not flat.
 
-    A flat end has corners. The sides above the corners are steep, so the width hardly changes
-    there.
+    A flat end has corners. The sides above the corners are steep, so the width hardly changes.
     """
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)

@@ -94,8 +94,7 @@ class Silhouette:
     def sides(self) -> tuple[Field, Field]:
         """Return the columns at which the rim begins and ends in each row: left [H] and right [H].
 
-        In a row that contains no pixels of the object, the left column is greater than the right
-        column.
+        In a row without pixels of the object, the left column is greater than the right column.
         """
         rows, width = np.arange(len(self.inside)), self.inside.shape[1]
         first, last = self.inside.argmax(axis=1), width - 1 - self.inside[:, ::-1].argmax(axis=1)

@@ -58,8 +58,7 @@ class Hull(Implicit):
 
         Args:
             front: Squared half thickness from the front [H,W]; W is odd, and the object is centred.
-            side: Squared half thickness from the side [H,D]; columns increase towards the front
-                camera.
+            side: Squared half thickness from the side [H,D]; columns go towards the front camera.
             y: Heights of the rows [H].
             ends: Whether the top is flat, and whether the bottom is flat.
         """

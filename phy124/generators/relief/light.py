@@ -31,8 +31,7 @@ PRIOR, SAMPLES = 0.3, 60.0
 LIMIT, FRONTAL = 0.3, 0.2
 """Largest length of s across the view, and largest component of s towards the camera.
 
-The component towards the camera is not negative, because photographs are rarely lit only from
-behind.
+The component towards the camera is not negative, as photographs are rarely lit from behind.
 """
 CERTAIN = (0.08, 0.16)
 """Two lengths of s.

@@ -38,8 +38,7 @@ class Profile:
     """Whether the top is flat, and whether the bottom is flat."""
 
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
-        """Return how near each row's thickest point and nearest edge are to the camera of the other
-        image.
+        """Return how near each row's thickest point and nearest edge are to the other camera.
 
         Args:
             y: Rows relative to the object's centre [N].

@@ -61,11 +61,9 @@ class Shoulder:
         return self.join(round_thickness(parts, WORK), alpha)
 
     def separate(self, alpha: Field, padding: int) -> Field:
-        """Return one image [H+N,W] with two silhouettes: the parts above the cut, and the body
-        below it.
+        """Return one image [H+N,W] with two silhouettes: parts above the cut, and the body below.
 
-        Both silhouettes are extended beyond the cut. There are `padding` empty rows between the two
-        silhouettes.
+        Both silhouettes are extended beyond the cut. There are `padding` empty rows between them.
         """
         above, below = np.where(self._rises(alpha), alpha, 0.0)[: self.row], alpha[self.row :]
         length = min(round(LENGTH * len(alpha)), len(below) - 1)

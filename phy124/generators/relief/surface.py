@@ -365,8 +365,7 @@ def launch(kernel: Any, constants: list[Any], values: Sequence[Field]) -> None:
     Args:
         kernel: The kernel; each thread reads and writes one point.
         constants: The first arguments of the kernel.
-        values: The other arguments of the kernel, which have one row per point; outputs are
-            contiguous.
+        values: The other arguments of the kernel, one row per point; outputs are contiguous.
     """
     # Several threads cannot load a kernel in Warp at the same time.
     wp.load_module(kernel.module, "cpu")

@@ -77,9 +77,7 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table, a stool or a chair. In the axes of the object, x points to the right, and y to the
-    front.
-    """
+    """A table, a stool or a chair. In its axes, x points to the right, and y to the front."""
 
     kind: Kind
     sizes: Sizes

@@ -235,8 +235,7 @@ def _without_handles(solid: Mask) -> Mask | None:
 def _complete(body: Mask, solid: Mask) -> Mask:
     """Add to a symmetric body [H,W] the parts of its mirror image that `solid` contains.
 
-    Where a handle joins the body close to the rim, a corner of the rim looks like a part of the
-    handle.
+    Where a handle joins the body close to the rim, a corner of the rim looks like the handle.
     """
     profile, columns = Profile.of(body), np.arange(body.shape[1])
     mirrored = np.zeros_like(body)
