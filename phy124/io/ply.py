@@ -283,7 +283,7 @@ def read_ply(
             axes.
 
     Raises:
-        InputError: The file is missing or cut short, is no PLY file, or contains no Gaussians.
+        InputError: If the file is missing or cut short, is no PLY file, or has no Gaussians.
     """
     rotation = None if up is None and dialect is None else orientation(up, front, dialect)
     content = read(Path(path)).in_place
@@ -296,7 +296,7 @@ def read(path: Path) -> Content:
     """Read the Gaussians of a PLY file in the file's axes.
 
     Raises:
-        InputError: The file is missing or cut short, is no PLY file, or contains no Gaussians.
+        InputError: If the file is missing or cut short, is no PLY file, or has no Gaussians.
     """
     header = read_header(path)
     check_names(path, header)

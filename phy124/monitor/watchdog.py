@@ -37,9 +37,7 @@ if TYPE_CHECKING:
 INSIDE_OUT = 0.01
 """Largest accepted fraction of inverted particles."""
 FEW = 2
-"""Number of inverted particles that is always accepted. Such particles are counted, and reset
-before the next frame.
-"""
+"""Number of inverted particles that is always accepted; they are reset before the next frame."""
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, relative to the largest supplied energy.
 
@@ -64,17 +62,13 @@ LEVEL = 0.05
 least energy to which spurious energy is compared.
 """
 CROWDED = 0.1
-"""Mean excess of a projected liquid's density above which the space between the walls counts as too
-small.
-"""
+"""Mean excess of a projected liquid's density from which its walls count as too narrow."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss due to rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
 """Energies below this fraction of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Above this impact speed, relative to the speed of sound, materials that can collapse come close
-to J = 0.
-"""
+"""Above this impact speed / speed of sound, materials that can collapse approach J = 0."""
 UNSEEN = 3e-4
 """Largest invisible strain: 0.1 pixels in 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
@@ -87,9 +81,7 @@ strain, and a quarter of the energy is tolerated.
 """
 FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
-"""Names of two causes of errors (`phy124.budget.remedies`): particles too fast for the window, and
-rounding.
-"""
+"""Two causes of errors (`phy124.budget.remedies`): particles too fast, and rounding."""
 SWOLLEN = 2.0
 """Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
@@ -111,9 +103,7 @@ class Balance:
     momentum_gain: float = 0.0
     """Spurious momentum, relative to the transferred momentum."""
     trembles: float = 0.0
-    """Energy due to rounding errors, relative to the total energy; set only if above the usual
-    tolerance.
-    """
+    """Energy due to rounding errors relative to the total; set only if above the tolerance."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
@@ -205,9 +195,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return an error that describes why the solver stopped, and names a responsible
-        particle.
-        """
+        """Return an error that tells why the solver stopped, with a responsible particle."""
         broken = find_broken(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._describe(int(broken[0]))}", self._unstable())
@@ -370,9 +358,7 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return an error if there is more spurious energy than invisible rounding errors explain,
-        otherwise None.
-        """
+        """Return an error if there is more spurious energy than rounding explains, or None."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
@@ -399,9 +385,7 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of an unstable run: the length of the substep and, for violent
-        motions, others.
-        """
+        """Return possible causes of instability: the substep and, for violent motions, others."""
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("solver", "substep", *(("law", "push") if violent else ()))
 

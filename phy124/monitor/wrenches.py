@@ -208,9 +208,7 @@ class _Separated:
         self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages, with measuring stages before and after all walls or each
-        wall.
-        """
+        """Return the boundary's stages, with measuring stages around all walls or each wall."""
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
@@ -241,9 +239,7 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each boundary: its kind, and a number if an earlier boundary has the same
-    kind.
-    """
+    """Return a name for each boundary: its kind, and a number if the kind occurs before."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:

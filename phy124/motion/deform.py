@@ -88,9 +88,7 @@ class Deformer:
         self._broken = wp.zeros(2, dtype=wp.int32, device=device)
 
         def constant(values: Any, dtype: Any) -> wp.array:
-            """Return an array on the device; if all values are equal, the array is shortened to one
-            block.
-            """
+            """Return an array on the device, shortened to one block if all values are equal."""
             values = np.broadcast_to(values, n)
             if n > block and (values.strides == (0,) or (values == values[0]).all()):
                 values = np.repeat(values[:1], block)
@@ -196,9 +194,7 @@ class Deformer:
         return np.flatnonzero(carry).astype(np.int32)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Return a snapshot of the Gaussians' axes; the axes in the next frame are computed from
-        these axes.
-        """
+        """Return a snapshot of the Gaussians' axes, from which the next frame is computed."""
         axes = {"quats": self._quats, "inner": self._inner}
         if self.gaussians.sh_degree:
             axes["turned"] = self._turned

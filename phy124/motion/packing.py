@@ -37,9 +37,7 @@ Packed = tuple[Tensors, dict[str, Any]]
 """Packed arrays [bytes] by name, and the data for `unpack`."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 EXPOSED = ("above", "grain", "frame", "x")
-"""Names of the arrays of `Exposed` besides its Gaussians; in a file, these names begin with
-`exposed.`.
-"""
+"""Names of the arrays of `Exposed` besides its Gaussians; files add the prefix `exposed.`."""
 
 
 def pack(motion: Motion) -> Packed:
@@ -254,9 +252,7 @@ def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Pack an array without loss, column by column; a column equal to the one before takes no
-    bytes.
-    """
+    """Pack an array without loss, by columns; a column equal to the one before takes no bytes."""
     columns = _columns(array)
     last, chunks = None, []
     for index in _column_order(name, len(columns)):

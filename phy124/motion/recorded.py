@@ -269,9 +269,7 @@ class Recorded:
 
 
 class Torn:
-    """Frames of a motion, including Gaussians that a tear makes visible; these Gaussians come
-    last.
-    """
+    """Frames of a motion, with the Gaussians that a tear makes visible at the end."""
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
         """Store the frames, which do not contain the exposed Gaussians."""

@@ -92,9 +92,7 @@ class Scenery:
         return replace(frame, gaussians=gaussians, velocities=velocities, contacts=contacts)
 
     def turns(self, rotations: Array) -> Array:
-        """Return the rotations of all Gaussians [N,4] from the rotations of the moving
-        Gaussians.
-        """
+        """Return the rotations of all Gaussians [N,4] from those of the moving Gaussians."""
         if not self.count:
             return rotations
         return self._insert(np.tile(IDENTITY, (len(self.moves), 1)), rotations)
@@ -106,9 +104,7 @@ class Scenery:
 
 
 def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """Multiply quaternions wxyz a [4] and b [..., 4]; the product rotates first by b and then by
-    a.
-    """
+    """Multiply quaternions wxyz a [4] and b [..., 4]; the product rotates by b, then by a."""
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]
     return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

@@ -38,9 +38,7 @@ class Clock:
         self.strain_rate = 0.0
         """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Current number of substeps between measurements of speeds; number since the last
-        measurement.
-        """
+        """Number of substeps between measurements of speeds; number since the last measurement."""
         self.strain = self.travel = math.inf
         """Upper bounds of the strain and the displacement [m] of all particles since the last
         complete measurement. If the bounds are infinite, the next measurement must be complete.
@@ -49,8 +47,7 @@ class Clock:
         """Time of the last measurement [s]; number of substeps since the last complete measurement.
         """
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """Array on the device: kick and drift of the current substep, and time at the substep's
-        start [s].
+        """Array on the device: kick and drift of the substep, and time at the substep's start [s].
         """
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
@@ -118,8 +115,7 @@ class Clock:
         Args:
             extremes: The largest values over all particles.
             complete: Whether stiffness and positions were also measured.
-            acceleration: Upper bound of the acceleration by forces since the last measurement
-                [m/s^2].
+            acceleration: Bound of the acceleration by forces since the last measurement [m/s^2].
         """
         elapsed, before = self.time - self._last_measured, self.extremes
         rate = max(extremes.gradient, decay(self.strain_rate, self.since_measured))
@@ -162,9 +158,7 @@ class Clock:
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count the substeps whose length a limit determined; `needed` is the number before
-        rounding up.
-        """
+        """Count the substeps that a limit determined; `needed` is the number before rounding up."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 

@@ -1,5 +1,4 @@
-"""Computes on the host how deep points lie in a solid, like `phy124.kernels.distance` on the
-device.
+"""Computes how deep points lie in a solid on the host, as `phy124.kernels.distance` on the device.
 
 A shape is defined by three vectors, as in `phy124.kernels.distance`, and the depth is minus the
 signed distance. `tests/test_depth.py` compares the two modules.

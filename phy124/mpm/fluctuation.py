@@ -80,9 +80,7 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a transfer of the particles' motion to the grid, or of the remainder in later
-        passes.
-        """
+        """Record a transfer of the particles' motion to the grid; in later passes, of the rest."""
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]

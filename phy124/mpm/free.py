@@ -184,9 +184,7 @@ class FreeBodies:
         return self._bodies
 
     def total(self, index: int) -> wp.array:
-        """Return the sums [EXCHANGE] of a solid's impulse and work on the first body of
-        particles.
-        """
+        """Return the sums [EXCHANGE] of a solid's impulse and work on the first particle body."""
         return self._totals[index][0]
 
     def _zeros(self, size: int) -> wp.array:
@@ -305,9 +303,7 @@ class FreeBodies:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each pair of a particle body and a solid; the particle body comes first in the
-        name.
-        """
+        """Name of each pair of a particle body and a solid, in this order."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
@@ -324,9 +320,7 @@ class FreeBodies:
         return [Wrench(row[:3], row[kernels.MOMENT : kernels.MOMENT + 3]) for row in rows]
 
     def put(self, index: int, motion: Sequence[Any]) -> None:
-        """Set the position [m], orientation (wxyz), velocity [m/s] and angular velocity [rad/s] of
-        a solid.
-        """
+        """Set the position [m], orientation (wxyz), velocity [m/s] and spin [rad/s] of a solid."""
         place, turn, velocity, spin = (tuple(map(float, each)) for each in motion)
         moved = self.all[index]._replace(place=place, turn=turn, velocity=velocity, spin=spin)
         self._bodies[index].assign(moved.start())

@@ -1,7 +1,6 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has a separate grid on a common lattice, and therefore a separate velocity at each common
-node.
+Each body has a separate grid on a common lattice, so two velocities at a common node.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,15 +27,11 @@ FARTHEST = 2**30
 
 
 class Unstable(RuntimeError):
-    """Raised if particles have left the grid's window, or values are not finite; the state is
-    unusable.
-    """
+    """Particles have left the grid's window, or values are not finite; the state is unusable."""
 
 
 class Grid:
-    """A flat array of nodes, in which node (i, j, k) of the window is at origin + (low + (i, j, k))
-    dx.
-    """
+    """A flat array of nodes; node (i, j, k) of the window is at origin + (low + (i, j, k)) dx."""
 
     def __init__(
         self,
@@ -65,9 +60,7 @@ class Grid:
         self.stale = True
         """Whether the particles may have moved so far that the window no longer contains them."""
         self.layers: tuple[int, int] | None = None
-        """Layers (first <= i < last) that the launches being recorded may change; None for all
-        layers.
-        """
+        """Layers (first <= i < last) that launches being recorded may change; None: all layers."""
         self.worker, self.workers = 0, 1
         """Index of the worker whose launches are being recorded, and number of workers."""
 
@@ -150,9 +143,7 @@ class Grid:
         return slice(*(particles * end // self.workers for end in ends))
 
     def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the first of the window's nodes in a box [m], and the number of these nodes along
-        each axis.
-        """
+        """Return the first of the window's nodes in a box [m], and their number along each axis."""
         low, size = self.low, self.size
         start = np.floor(np.clip((lower - self.origin) / self.dx - low, 0, size)).astype(int)
         stop = np.ceil(np.clip((upper - self.origin) / self.dx - low + 1, 0, size)).astype(int)
@@ -204,8 +195,7 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; a body that has no row extends from -inf
-    to inf.
+    """Return the lowest and highest corner of each body; a body without a row has -inf and inf.
 
     Args:
         rows: Measured maxima of parts of the particles [R,M]; see `Maxima.of`.

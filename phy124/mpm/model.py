@@ -212,9 +212,7 @@ class Model:
         return model.rest[model.named(name)]
 
     def top_of(self, name: str | None) -> float:
-        """Return the height [m] of the highest point of a body; None means all bodies and free
-        solids.
-        """
+        """Return the height [m] of the highest point of a body; None: of all, and free solids."""
         model = self if self.whole is None else self.whole
         heights = [height for key, height in model.tops.items() if name in (None, key)]
         return max([float(model.rest_of(name)[:, 2].max()), *heights])
@@ -229,9 +227,7 @@ class Model:
 
     @property
     def dry_groups(self) -> tuple[Group, ...]:
-        """Groups of particles without the groups of a liquid, because another solver moves the
-        liquid.
-        """
+        """Groups of particles without those of a liquid, which another solver moves."""
         return tuple(group for group in self.groups if group.body not in self.wet)
 
     @property
@@ -316,9 +312,7 @@ class State:
 
     @property
     def deformation(self) -> wp.array:
-        """Deformation gradients that the Gaussians follow: F_total if any law is plastic, otherwise
-        F.
-        """
+        """Deformation gradients that Gaussians follow: F_total with a plastic law, otherwise F."""
         return self.total if len(self.total) else self.F
 
     def snapshot(self) -> dict[str, Any]:

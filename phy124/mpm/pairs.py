@@ -24,9 +24,7 @@ from phy124.mpm.workers import put_rows
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Length of the array of sums of a pair and worker, chosen so that no two workers write to one
-cache line.
-"""
+"""Length of a pair's and worker's sums, so that no two workers write to one cache line."""
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 

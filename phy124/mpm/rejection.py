@@ -96,8 +96,7 @@ class StepRejection:
         Args:
             clock: Clock with the last measurement.
             dt: Length of the substep [s].
-            flying: Whether no force, wall or other body is near the window, so that a high speed is
-                harmless.
+            flying: Whether no force, wall or body is near the window, so that speed is harmless.
         """
         extremes, dx = clock.extremes, self._model.dx
         fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -109,8 +108,7 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured; the user's number is used if
-        it is safe.
+        """Return the number of substeps until speeds must be measured; the user's if it is safe.
 
         Args:
             clock: Clock with the last measurement.
@@ -152,8 +150,7 @@ class StepRejection:
             dt: Length of the first trial [s].
             scatter: Function that applies forces, scatters and updates the grid for a substep of a
                 given length [s].
-            grids: The grids; the largest speed of their nodes determines whether a trial is
-                accepted.
+            grids: The grids; the largest speed of nodes decides whether a trial is accepted.
 
         Returns:
             The accepted length [s], and whether the substep was violent. A substep is violent if a
@@ -187,9 +184,7 @@ class StepRejection:
 def _max_acceleration(
     model: Model, tracks: Tracks, pushes: Sequence[Stage], start: float, end: float
 ) -> float:
-    """Return an upper bound [m/s^2] of the acceleration of particles by forces in a time
-    interval.
-    """
+    """Return a bound [m/s^2] of the acceleration of particles by forces in a time interval."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = 0.0 if flag & LIMITED else track.largest(start, end)

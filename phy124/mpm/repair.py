@@ -20,9 +20,7 @@ SOUND_J = (1e-5, 1e6)
 SOUND_F = 1e3
 """Largest norm of a valid deformation gradient."""
 NARROWEST = 1e-5
-"""Smallest valid ratio of the smallest to the largest stretch; below it, rounding may change the
-sign of J.
-"""
+"""Smallest valid ratio of the smallest to the largest stretch; below it, J may be wrong."""
 MAX_TOTAL = 1e6
 """Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
 AFTER_STRAIN = 1.0
@@ -94,9 +92,7 @@ class Repair:
 
 
 def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
-    """Yield the kernels that repair particles of the given laws; only plastic laws have an
-    F_total.
-    """
+    """Yield the kernels that repair particles of these laws; plastic laws have an F_total."""
     yield make_reset(real)
     if any(law.project is not None for law in laws):
         yield make_limit_total(real)

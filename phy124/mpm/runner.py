@@ -19,9 +19,7 @@ class Worker(Protocol):
 
 
 class Runner:
-    """Runs all workers one after another, or on separate threads that wait for each other between
-    phases.
-    """
+    """Runs all workers one after another, or on threads that wait for each other after phases."""
 
     def __init__(self, workers: Sequence[Worker]) -> None:
         """Prepare the threads; waiting times are added to the stages of the first worker."""

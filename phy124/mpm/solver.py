@@ -46,9 +46,7 @@ from phy124.mpm.workers import (
 )
 
 CALM = 0.9
-"""Largest growth of the stiffness between two measurements, relative to the growth that remains
-stable.
-"""
+"""Largest growth of stiffness between measurements, relative to the stable growth."""
 
 
 class Solver:
@@ -82,12 +80,9 @@ class Solver:
             pairs: Pairs of bodies whose contact differs from the default.
             free: Freely moving rigid solids.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: chosen from the numbers of free cores and
-                particles.
-            graph: Whether to run a frame as one graph on the device; None: on CUDA if there is one
-                body.
-            measure_every: Number of substeps between two measurements of the limits, used if it is
-                safe.
+            threads: Number of CPU threads; None: from the free cores and particles.
+            graph: Whether a frame runs as one graph on the device; None: on CUDA with one body.
+            measure_every: Number of substeps between measurements of the limits, used if safe.
             scheme: The grid-to-particle transfer scheme.
             gathered: Objects that read each part of the particles after every gather.
             acting: Forces, boundaries, sums and planes, as in `bind`.
@@ -347,9 +342,7 @@ class Solver:
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and also the other limits if they may have changed; may raise
-        Unstable.
-        """
+        """Measure the speeds, and other limits that may have changed; may raise Unstable."""
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):
@@ -405,9 +398,7 @@ class Solver:
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit the slabs to the particles, or divide the particles again; return whether slabs
-        changed.
-        """
+        """Fit the slabs to the particles, or divide these again; return whether slabs changed."""
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
             return False

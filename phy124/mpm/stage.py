@@ -16,9 +16,7 @@ class Stage(NamedTuple):
     name: str
     """Name of the stage in a report's list of times."""
     record: Callable[[Grid], wp.Launch | None]
-    """Function that records the launch for the grid's current window; returns None if no launch is
-    needed.
-    """
+    """Function that records the launch for the grid's window; None if no launch is needed."""
     sudden: bool = False
     """Whether the stage may change a velocity abruptly even if its strength is small."""
     in_newtons: bool = False
@@ -30,9 +28,7 @@ class Stage(NamedTuple):
     alone: bool = False
     """Whether one worker launches the stage for all layers while the other workers wait."""
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Function that records one launch for both the stage and the grid update; None if this is not
-    possible.
-    """
+    """Function that records one launch for stage and grid update; None if impossible."""
     limit: Callable[[float, float], float] | None = None
     """Function that returns the largest acceleration of a particle [m/s^2] between two times [s];
     None: use the track's values.

@@ -181,8 +181,7 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return a worker's phases: grid update, contact of bodies, contact with free bodies, and
-        walls.
+        """Return a worker's phases: grid update, contact of bodies and with free bodies, and walls.
 
         Walls come last, so that no other stage can push material through them.
         """
@@ -209,18 +208,14 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return a single launch for the grid update and a wall; None if two launches are
-        necessary.
-        """
+        """Return one launch for the grid update and a wall; None if two launches are needed."""
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return the launches of a worker for the contact of free bodies with each particle body in
-        turn.
-        """
+        """Return a worker's launches for free bodies' contact with each particle body in turn."""
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
 

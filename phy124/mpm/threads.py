@@ -1,5 +1,4 @@
-"""A team of threads. All threads run a task in parallel, and wait at a barrier before the next
-task.
+"""A team of threads. All run a task in parallel, and wait at a barrier before the next.
 
 Warp's CPU kernels release Python's global lock, so several threads can run kernels at the same
 time. The barrier spins inside a kernel, since putting a thread to sleep would take longer than a
@@ -43,9 +42,8 @@ class Team:
         self.size = size
         self._barrier: Barrier | None = None
         self._tasks: list[Task | None] = [None, None]
-        """The last two tasks, since other members may read a task after the next one has been
-        started. These tasks are not kept after the threads have ended, because a task refers to
-        arrays.
+        """The last two tasks, since members may read a task after the next has started. These tasks
+        are not kept after the threads have ended, because a task refers to arrays.
         """
         self._started = 0
         """Number of tasks that were started since the threads began."""

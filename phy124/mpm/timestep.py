@@ -6,8 +6,7 @@ follows from an isolated particle, which is a harmonic oscillator with omega^2 =
 See docs/design/physics.md.
 
 If the length of the substep followed A in phase with a vibration, the vibration would gain energy.
-Leapfrog integration with equal substeps conserves energy, so the assumed A decays slowly after a
-measurement.
+Leapfrog with equal substeps conserves energy, so the assumed A decays slowly.
 """
 
 from __future__ import annotations
@@ -124,8 +123,7 @@ def decay(value: float, substeps: int) -> float:
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the stable fraction of the viscous limit for substeps of `cfl` times the elastic
-    limit.
+    """Return the stable part of the viscous limit for substeps of `cfl` times the elastic limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.

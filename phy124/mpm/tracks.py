@@ -1,7 +1,6 @@
 """Tracks: quantities that vary in time, evaluated on the device once per substep.
 
-Every time profile becomes a piecewise linear table, so that kernels need not distinguish the kinds
-of profile.
+Every time profile becomes a piecewise linear table, so kernels need not distinguish profiles.
 """
 
 from __future__ import annotations
@@ -25,9 +24,7 @@ from phy124.schema.region import Vector
 from phy124.schema.section import Section
 
 SEGMENTS = 64
-"""Number of straight segments per period of a sine; the largest error is 0.12 % of the
-amplitude.
-"""
+"""Number of straight segments per period of a sine; the error is 0.12 % of the amplitude."""
 FOREVER = 1e30
 """A time later than the end of any run [s], but finite in float32."""
 Key = tuple[float, Vector]
@@ -42,9 +39,7 @@ class Table(Section):
     """Base class of time profiles: tables of times [s] and factors, optionally repeated."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times since the start [s] and the factors at these times; factors are linear in
-        between.
-        """
+        """Return times since the start [s] and factors at these times, linear in between."""
         raise NotImplementedError
 
     @property
@@ -149,9 +144,7 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """Values at given times (keys), linear in between, and constant before the first and after the
-    last key.
-    """
+    """Values at key times, linear in between, and constant before the first and after the last."""
 
     keys: tuple[Key, ...]
     """Times since the origin [s], and values at these times."""
@@ -180,8 +173,7 @@ class Track:
     ) -> Track:
         """Return a track with a value multiplied by a profile.
 
-        A track that starts at time 0 is also active before time 0, so that the first kick is
-        complete.
+        A track that starts at time 0 is also active before it, so that the first kick is complete.
 
         Args:
             value: The value at factor 1.
@@ -217,9 +209,7 @@ class Track:
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:
-        """Return an upper bound of the value's norm from `start` to `end` [s]; 0 if the track is
-        inactive.
-        """
+        """Return a bound of the value's norm from `start` to `end` [s]; 0 if inactive."""
         if not self.acts(start, end):
             return 0.0
         return max(math.hypot(*value) for _, value in self.keys)

@@ -212,9 +212,7 @@ class Slabs:
         return True
 
     def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
-        """Return the nodes that a part's measured particles can use; None if all particles are
-        outliers.
-        """
+        """Return the nodes that a part's particles can use; None if all particles are outliers."""
         grid = self._grids[part.group.body]
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
@@ -298,9 +296,7 @@ def numbers(count: int, model: Model) -> wp.array:
 
 
 def put_rows(sums: wp.array, rows: Any) -> None:
-    """Set sums with one row per worker; for another number of workers, the first row gets the
-    total.
-    """
+    """Set sums with one row per worker; the first row gets the total if their number differs."""
     rows = np.asarray(rows.numpy() if isinstance(rows, wp.array) else rows)
     if rows.shape != sums.shape:
         first = np.zeros(sums.shape)
@@ -342,9 +338,7 @@ def run_launches(timings: Timings, named: Sequence[Named]) -> None:
 
 
 def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
-    """Cells of size dx [m] form layers along an axis; return the index of each point's layer
-    [P].
-    """
+    """Return the layer of each point [P]: cells of size dx [m] form layers along an axis."""
     layer = np.floor((x[:, axis] - x[:, axis].min()) / dx)
     return np.minimum(layer, np.iinfo(np.int16).max).astype(np.int16)
 
