@@ -154,8 +154,7 @@ def scale_to_size(gaussians: Gaussians, size: float, *, ground: bool = True) -> 
 def size_transform(
     gaussians: Gaussians, size: float, *, ground: bool = True
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the scale and the offset [3] that make the longest side `size` m and centre the
-    object.
+    """Return the scale and offset [3] that make the longest side `size` m and centre the object.
 
     The object is centred at x = y = 0. If `ground` is set, the lowest visible point is placed at z
     = 0. Visible points are within one standard deviation of Gaussians with an opacity of at least

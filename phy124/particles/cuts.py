@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FLAT = 3e-3
-"""Smallest component of a normal. The sum loses precision if a component of the normal is almost
-zero.
-"""
+"""Smallest component of a normal; the sum loses precision if one is almost zero."""
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 """Corners of a cube of side 1, relative to its middle [8,3]."""
 SIGNS = np.prod(-2 * CORNERS, axis=1)

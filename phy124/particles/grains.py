@@ -109,8 +109,7 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 
     Args:
         gaussians: N Gaussians.
-        amounts: Standard deviation of each grain's brightness change, relative to the brightness
-            [N].
+        amounts: Standard deviation of each grain's brightness change, relative to it [N].
         seed: Seed of the random numbers.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))
@@ -152,8 +151,7 @@ def tint(
         chosen: Mask of the Gaussians to tint [N].
         colour: Red, green and blue, 0..1.
         shading: Fraction of the contrast in brightness that is kept.
-        fine: Whether only small dark features such as eyes keep their contrast, and larger patches
-            do not.
+        fine: Whether only small dark features such as eyes keep their contrast, not larger patches.
     """
     brightness = gaussians.rgb[chosen] @ LUMINANCE
     if not len(brightness):

@@ -31,9 +31,7 @@ lower: `FULLEST` times the filled fraction of the fullest cell.
 HAZE = 0.005
 """Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1
-"""Filled fraction below which a voxel has no surface points if the fraction of a neighbour is at
-least twice as large.
-"""
+"""Filled fraction below which a voxel beside one twice as full has no surface points."""
 SLIVER, THIN_SLIVER = 0.15, 0.05
 """A cell is a sliver if its filled fraction is below one of two limits: `THIN_SLIVER` f^2, where f
 is the filled fraction of the fullest cell around it, and `SLIVER` g^2, where g is the smallest
@@ -47,15 +45,12 @@ AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 APART = 0.5
 """Distance between neighbouring surface points [cells]."""
 ALIGNED = 1e-7
-"""Second moments count as equal if they differ by less than this [cells^2]; the points are then
-aligned with the lattice.
-"""
+"""Second moments count as equal within this difference [cells^2]; points are then aligned."""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
-    """Return the integration points and surface points of a solid whose voxels align with the
-    cells.
+    """Return the integration and surface points of a solid whose voxels align with the cells.
 
     Args:
         solid: The body; the side of its voxels is an integer fraction or an integer multiple of dx.
@@ -98,9 +93,7 @@ def _lattice_of(solid: Solid, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return one particle for each cell of eight points, in order to choose a material for each
-    cell.
-    """
+    """Return one particle per cell of eight points, to choose a material for each cell."""
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,

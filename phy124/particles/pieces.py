@@ -7,8 +7,7 @@ of Hansbo and Hansbo 2004, doi 10.1016/j.cma.2003.12.041; Nesme, Kry, Jerabkova 
 10.1145/1531326.1531358).
 
 Voxels are connected by faces, edges and corners, so that a thin slanted sheet stays whole. Parts
-that are not connected with the body at all, such as specks around it, share its nodes and move with
-it.
+without connection to the body, such as specks around it, share its nodes and move with it.
 """
 
 from typing import NamedTuple
@@ -157,8 +156,7 @@ def find_copies(
 def _copies_of_parts(
     cell: NDArray, piece: NDArray, pairs: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return the copies of the 27 nodes that each part would use [A,27]; None if there are no
-    copies.
+    """Return the copies of the 27 nodes that each part would use [A,27]; None: no copies.
 
     A part lies in a single cell. Parts of one piece are connected, because they use common nodes.
 

@@ -15,9 +15,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles.solid import Solid
 
 LARGEST = 0.5
-"""Largest shift of a particle along each axis, in particle spacings: half the side of a lattice
-cell.
-"""
+"""Largest shift of a particle along each axis, in spacings: half a lattice cell's side."""
 
 
 def scatter(
@@ -35,8 +33,7 @@ def scatter(
     Args:
         particles: P particles at rest.
         solid: The object's interior.
-        materials: Materials of the particles; particles of materials with `scatters` set are
-            shifted.
+        materials: Materials of the particles; those with `scatters` set shift their particles.
         spacing: Distance between neighbouring particles [m].
         seed: Seed of the random numbers.
     """

@@ -45,8 +45,7 @@ def make_particles(
         gaussians: The object, N Gaussians.
         interior: Interior of the object from `find_interior`, if already known.
         density: Mass density, kg/m^3.
-        spacing: Distance between neighbouring particles, m: grid spacing / particles per cell and
-            axis.
+        spacing: Distance between particles, m: grid spacing / particles per cell and axis.
         binding: `lattice`: a lattice, denser in thin parts; `particles`: one particle per Gaussian,
             and a lattice in the interior.
         material: Material index of all particles.
@@ -79,9 +78,7 @@ def make_particles(
 
 
 def fill(gaussians: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """Return the points [M,3], m, of the lattice (i + 1/2) * spacing that lie inside a closed
-    shape.
-    """
+    """Return the points [M,3], m, of the lattice (i + 1/2) * spacing inside a closed shape."""
     _check(1.0, spacing, BINDINGS[0])
     shape = find_solid(gaussians, spacing)
     return _lattice(shape, _room_per_cell(shape, spacing), spacing)

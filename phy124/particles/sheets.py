@@ -23,9 +23,7 @@ SHORTEST = 0.1
 """A voxel at the rim of a sheet is filled over at least this fraction of its length across the rim.
 """
 ROUNDS, FASTER = 3, 1.5
-"""The planes are improved `ROUNDS` times. Corrections of the planes are
-multiplied by `FASTER`, because they converge slowly.
-"""
+"""`ROUNDS`: improvements of the planes. `FASTER`: factor on their slow corrections."""
 STEEP = 16
 """Exponent of the mean of the thicknesses around a voxel. Voxels at a rim seem thinner than the
 sheet, so the mean must be close to the largest thickness.

@@ -75,9 +75,7 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Versions of this solid, keyed by the voxel side [m]; a grid that is twice as fine can use
-        the same version.
-        """
+        """Versions of this solid by voxel side [m]; a grid twice as fine can use the same one."""
         return {}
 
     @property
@@ -198,9 +196,7 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest voxel grid with connected samples; if no grid has connected samples, return
-    the finest grid.
-    """
+    """Return the finest voxel grid with connected samples; if there is none, the finest grid."""
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -230,9 +226,7 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Return the number of samples along each axis of each Gaussian [N,3]: odd, and about one per
-    voxel.
-    """
+    """Return the number of samples along each axis of each Gaussian [N,3]: odd, one per voxel."""
     sigma = gaussians.scales.astype(np.float64) / voxel
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
 
@@ -251,9 +245,7 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return sample points [S,3], in voxels, and the index of the Gaussian of each sample point
-    [S].
-    """
+    """Return sample points [S,3], in voxels, and the Gaussian of each sample point [S]."""
     counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
     key = counts @ np.array([1, 10**5, 10**10])
     points, owners = [], []

@@ -1,5 +1,4 @@
-"""Computes for each voxel of a body its normal, and the centre and second moments of the filled
-part.
+"""Computes for each voxel of a body its normal, and centre and second moments of the filled part.
 
 A partly filled voxel is cut by a plane with the voxel's normal. In a thin sheet, the voxel is cut
 by two parallel planes (phy124/particles/sheets.py). In a rod without full voxels, the voxel is cut
@@ -20,9 +19,7 @@ from phy124.particles.sheets import Planes, fill_sheets
 from phy124.runtime.compiling import compile_missing
 
 SHEET = 0.25
-"""Gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet and has no
-single outward normal.
-"""
+"""Gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet."""
 THIN = 1.2
 """Thickness [voxels] below which a part counts as a sheet, which has two surfaces in a voxel."""
 FULL = 0.999

@@ -216,8 +216,7 @@ def go_on(
 ) -> Result:
     """Continue an interrupted run in its folder; the result equals that of an uninterrupted run.
 
-    The continued and the uninterrupted run are equal bit for bit if the number of threads is the
-    same.
+    The continued and the uninterrupted run are equal bit for bit with equal numbers of threads.
 
     Args:
         out: The folder of the interrupted run.

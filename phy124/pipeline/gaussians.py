@@ -41,16 +41,12 @@ CLIP = ".safetensors"
 
 @dataclass(frozen=True)
 class StaticObject:
-    """Static Gaussians that were made from the pictures of a scene's objects, and data about how
-    they were made.
-    """
+    """Static Gaussians from the pictures of a scene's objects, and data about their making."""
 
     gaussians: Gaussians
     """Gaussians of all objects, with `object_id` if there are several objects."""
     scene: Scene
-    """The scene. For a capture, the scene includes the detected floor, and its regions are in
-    metres.
-    """
+    """The scene; for a capture, with the detected floor, and with regions in metres."""
     crop: Crop
     """Position of the first object in its picture."""
     cutout: Cutout | None
@@ -226,8 +222,7 @@ def with_others(
         on_cutout: Called with each cut-out, before the slow steps begin.
 
     Raises:
-        InputError: A picture or file cannot be used, or there are more pictures and files than
-            objects.
+        InputError: A picture or file cannot be used, or there are more of them than objects.
     """
     check_sources(scene, more)
     if not scene.objects:

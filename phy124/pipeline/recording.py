@@ -37,9 +37,7 @@ GUESS = 4e8
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space in the clip's file that is reserved for the report, and for each frame's entries in it
-[bytes].
-"""
+"""Space reserved in the clip's file for the report, and for each frame's entries in it [bytes]."""
 
 
 class Recording:
@@ -153,9 +151,7 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Leave the saved state and the frame file on disk, so that `resume` can continue the
-        run.
-        """
+        """Leave the saved state and the frame file on disk, so that `resume` can continue."""
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
         self.frames, self.failed = None, True

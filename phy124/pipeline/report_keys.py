@@ -107,9 +107,7 @@ class Promise(TypedDict):
     unmeasured: str
     """Kind of the scene, if no scene of this kind was measured and `error` is therefore null."""
     about: float | None
-    """Error estimated from this scene, as a fraction of the object's size; null if there is no
-    estimate.
-    """
+    """Error estimated from this scene, relative to the object's size; null: no estimate."""
     seconds: float | None
     """Time up to which the bound holds [s]; null if the bound holds for the whole clip."""
     unestimated: str
@@ -120,9 +118,7 @@ class OwnError(TypedDict):
     """Error of the run, estimated from the same scene on a coarser grid."""
 
     about: float | None
-    """RMS error over Gaussians and frames, as a fraction of the object's size; null if it is
-    unknown.
-    """
+    """RMS error over Gaussians and frames, relative to the object's size; null: unknown."""
     at_most: float | None
     """Upper bound of the error."""
     until: float | None
@@ -130,9 +126,7 @@ class OwnError(TypedDict):
     it holds for the whole clip.
     """
     cells: int | None
-    """Cells across the object on the coarser grid; null if the scene was not run on a coarser
-    grid.
-    """
+    """Cells across the object on the coarser grid; null if the scene was not run on one."""
     cost: float | None
     """Predicted time of the run on the coarser grid, as a fraction of the simulation's time."""
     why_not: str

@@ -53,8 +53,7 @@ def save(
         run: The run.
         path: The file to write.
         about: Further entries to save; `read_about` returns them.
-        frames: The frame file in the same folder. If `frames` is None, the frames are written to
-            `path`.
+        frames: The frame file in the same folder; if None, the frames are written to `path`.
         files: Contents of result files by name; `read_files` returns them.
 
     Raises:
@@ -176,9 +175,7 @@ def _threads_differ(before: int, now: int) -> list[str]:
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the metadata of a saved run: its `scene`, the number of its `frames`, and its entries
-    `about`.
-    """
+    """Return a saved run's metadata: its `scene`, number of `frames`, and entries `about`."""
     metadata, _ = _read(Path(path), tensors=False)
     return {**metadata["about"], "scene": metadata["scene"], "frames": metadata["frames"]["count"]}
 
@@ -243,9 +240,7 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the colours of the last frame with the material, because a run at rest repeats this
-    frame.
-    """
+    """Rotate the colours of the last frame with the material, as a run at rest repeats it."""
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))

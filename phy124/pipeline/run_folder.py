@@ -153,9 +153,7 @@ class RunFolder:
         return Result(self.out, tuple(self.out / name for name in sorted(made)), report)
 
     def _with_error(self, run: Simulation, clip: Clip, interrupted: bool) -> Clip:
-        """Return the clip after adding the estimated error, or the reason why the error is
-        unknown.
-        """
+        """Return the clip with the estimated error, or the reason why the error is unknown."""
         omit, goal = why_broken(self.about).rstrip("."), self.about.get("goal")
         if interrupted:
             return with_own_error(run, clip, omit="the run was interrupted")
@@ -190,8 +188,7 @@ class RunFolder:
             raise
 
     def _film(self, clip: Clip, scene: Scene, folder: Path) -> tuple[bool, Exception | None]:
-        """Render the videos; return whether rendering was interrupted, and the exception if it
-        failed.
+        """Render the videos; return whether this was interrupted, and the exception if it failed.
 
         Videos that are already finished are kept in both cases.
         """

@@ -20,17 +20,13 @@ STAGE = {
     "cpu": (shadow.cover_simd, arrange, stage.blend_staged_simd),
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
-"""One kernel from each module that draws a stage; compiling one kernel compiles its whole
-module.
-"""
+"""One kernel from each module that draws a stage; compiling it compiles the whole module."""
 HOST = (INFLATED.project, HULL.project, push, fill_voxels, fields.fill, discs.find_surface)
 """One kernel from each module that always runs on the CPU: of the generator `relief`, of the set-up
 of lattices, and of the surfaces of liquids.
 """
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
-"""Changes of a scene that shorten its run. Precision and solver stay unchanged, because the kernels
-depend on both.
-"""
+"""Changes of a scene that shorten its run, but keep precision and solver for the kernels."""
 
 
 def warm(scenes: Sequence[Scene], context: RunContext) -> int:

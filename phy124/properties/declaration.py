@@ -58,10 +58,8 @@ class Properties(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of all Gaussians at rest [N,3], m.
-            survivors: For each Gaussian before cleaning, whether cleaning kept it; None: all were
-                kept.
-            is_object: Mask [N] of the Gaussians that belong to the object, not to its surroundings;
-                None: all.
+            survivors: Whether cleaning kept each of the first Gaussians; None: all were kept.
+            is_object: Mask [N] of the Gaussians of the object, without surroundings; None: all.
 
         Raises:
             InputError: If the file cannot be read or does not fit the object.

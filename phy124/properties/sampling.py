@@ -1,6 +1,4 @@
-"""Evaluates values of points at other positions: takes the nearest point's value, or
-interpolates.
-"""
+"""Evaluates points' values at other positions: takes the nearest point's, or interpolates."""
 
 from typing import Any
 

@@ -15,9 +15,7 @@ from phy124.properties.stiffness import MINIMUM
 COLUMNS = ("E", "nu", "density", "damping")
 """Names of the numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""Name of the column with a factor on E. A file may contain this column with or without E; an .npy
-file has no other column.
-"""
+"""Name of the column with a factor on E, besides E or alone; an .npy file has no other."""
 EVERY = (*COLUMNS, FRACTION, "law")
 """Names of all columns."""
 NAMES = {
@@ -39,9 +37,7 @@ LAWS = {
     5: "snow",
     6: "rigid",
 }
-"""Laws by their numbers in PhysGaussian and Pixie. Number 6 is rigid in phy124, but immovable in
-PhysGaussian and Pixie.
-"""
+"""Laws by their numbers in PhysGaussian and Pixie, where number 6, rigid, is immovable."""
 MAX_POINTS = 5_000_000
 FORMS = (
     "Use a .ply with columns, or a .npz with arrays of E, nu, density, damping, law or fraction."
@@ -53,9 +49,7 @@ class Table:
     """Properties of K points, or of K voxels that are not empty."""
 
     columns: dict[str, NDArray[Any]]
-    """Columns [K] of the file, keyed by their names in `EVERY`: numbers as float64, laws as
-    names.
-    """
+    """Columns [K] of the file by their names in `EVERY`: numbers as float64, laws as names."""
     points: NDArray[np.float64] | None
     """Positions [K,3] in the axes and the unit of the file; None: there is one value per Gaussian,
     in the order of the Gaussians.
@@ -121,9 +115,7 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Return the points' positions [K,3] from columns x, y, z or from one array; None if the file
-    has no positions.
-    """
+    """Return the positions [K,3] from columns x, y, z or from one array; None without positions."""
     if "points" in columns:
         points = columns["points"]
     elif {"x", "y", "z"} <= columns.keys():
@@ -138,8 +130,7 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
 
 
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Return the columns and the centres of all full voxels. Arrays [X,Y,Z] have NaN in empty
-    voxels.
+    """Return columns and centres of all full voxels. Arrays [X,Y,Z] have NaN in empty voxels.
 
     `lower` and `upper` are the centres of the first and last voxel. Without `lower` and `upper`,
     the voxels fill a box of side 1.

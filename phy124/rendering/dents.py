@@ -42,8 +42,7 @@ class Dents:
     def __init__(self, which: NDArray[np.int64], x: NDArray, cell: float, lamp: NDArray) -> None:
         """Measure the Gaussians with indices `which` [n] of a solid at rest, at x [n,3] m.
 
-        `cell` is the cell size of the simulation's grid [m], and `lamp` the unit vector to the
-        lamp.
+        `cell` is the cell size of the simulation [m], and `lamp` the unit vector to the lamp.
         """
         self.which, self._lamp = which, lamp.astype(np.float32)
         outward = _outward(x, cell)
@@ -60,9 +59,7 @@ class Dents:
         self._rest = self._lit(x)
 
     def illuminate(self, rgb: NDArray, x: NDArray) -> NDArray[np.float32]:
-        """Return the colours [n,3] of the Gaussians at positions x [n,3] m, computed from the
-        colours `rgb` at rest.
-        """
+        """Return colours [n,3] of the Gaussians at x [n,3], m, from the colours `rgb` at rest."""
         change = np.clip((self._lit(x) / self._rest) ** CONTRAST, *RANGE) - 1
         return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
 
@@ -86,8 +83,7 @@ class Dents:
 def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
     """Return the outward normals of a surface at its points x [n,3], m.
 
-    The normals point in the direction in which the density of the object, with its interior,
-    decreases.
+    The normals point to where the density of the object, with its interior, decreases.
     """
     _, place, size = locate(x, cell)
     flat = number(np.rint(place), size)
@@ -99,8 +95,7 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
 
 
 def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
-    """Return matrices that map values of patches [m] to the slopes of these values along two
-    directions.
+    """Return matrices that map values of patches [m] to the values' slopes along two directions.
 
     The two directions and the outward normal of a patch are perpendicular to each other. A slope is
     a least-squares fit to the nearest patches, whose indices are `near` [m,k].

@@ -16,13 +16,9 @@ from numpy.typing import NDArray
 LUMP = 0.12
 """Mean size of lumps, relative to the longest side of the material at rest."""
 SIZES = 0.11, 0.06, 0.04
-"""Mean sizes of fragments, relative to the longest side. All fragments of a lump have the same mean
-size.
-"""
+"""Mean sizes of fragments, relative to the longest side; all fragments of a lump have one."""
 WHOLE, BROKEN = 1.06, 1.3
-"""Largest stretch of a fragment that is drawn as it is, and the stretch above which a fragment
-keeps its shape.
-"""
+"""Largest stretch of a fragment drawn as it is, and stretch from which its shape is kept."""
 SMALLEST = 0.7
 """If a fragment was packed before it broke, its size is at least this fraction of its size at rest.
 """

@@ -52,8 +52,7 @@ def render_frames(
     Args:
         frames: The frames to draw: a clip's `frames()`, or `itertools.repeat` of a still frame.
         cameras: One camera for all frames, or an iterable with one camera for each frame.
-        size: Width and height in pixels, or one number for both. By default, each camera's size is
-            used.
+        size: Width and height in pixels, or one number for both; default: each camera's size.
         background: Colour behind the Gaussians, 0..1. None means no background.
         device: Warp's name of the device. The default is CUDA if there is a CUDA device.
         light: Function that returns a frame as a camera sees it, such as `Shine.illuminate`.

@@ -38,8 +38,7 @@ FARTHEST = 100.0
 
 
 def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
-    """Return the camera of each frame from one side: fixed, circling, moving, or following the
-    object.
+    """Return each frame's camera from one side: fixed, circling, moving, or following the object.
 
     If the distance is not set (`View.fits`), the camera is as near as possible while it shows the
     whole motion. If the motion would then look too small, the camera follows the object. If there

@@ -198,8 +198,7 @@ def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) 
         sample: The object in motion.
         cameras: A camera for each frame. The camera defines the orientation and the field of view.
             If the cameras turn during the clip, it also defines the target.
-        zooms: Whether the field of view may be narrowed so that the camera keeps the distance
-            `DEPTHS`.
+        zooms: Whether the field of view may narrow so that the camera keeps the distance `DEPTHS`.
     """
     seen, halves = _Seen.by(sample, cameras), np.array(cameras[0].halves) / ROOM
     least = DEPTHS * seen.depth if zooms else 0.0

@@ -5,8 +5,7 @@ the Gaussians' values, weighted by their contributions to the pixel,
 
     value = sum_i w_i value_i / sum_i w_i,    w_i = alpha_i prod_{j<i} (1 - alpha_j).
 
-Forces are distributed over the pixels instead of averaged, so that the sum of the pixels is the
-total force.
+Forces are distributed over the pixels instead of averaged, so that their sum is the total.
 """
 
 import itertools
@@ -92,17 +91,14 @@ QUANTITIES: dict[Output, Quantity] = {
         "the total force. The resolution is one grid cell; the force is blurred by half a cell.",
     ),
 }
-"""Unit and meaning of each output. `channels` are the names of the output's channels in an EXR
-file.
-"""
+"""Unit and meaning of each output; `channels` are the output's channels in an EXR file."""
 
 
 def refuse_outputs(view: View, frames: int) -> None:
     """Refuse the outputs of a view if they cannot be made from this number of frames.
 
     Raises:
-        InputError: An output that describes motion is requested for a single frame, or a package is
-            missing.
+        InputError: An output that describes motion is for a single frame, or a package is missing.
     """
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:
@@ -139,8 +135,7 @@ def write_outputs(
         view: View that names the outputs and their file format.
         side: The side from which the outputs are drawn.
         folder: An existing folder.
-        context: Device, and a progress function, which is called as ("outputs SIDE", frames done,
-            total frames).
+        context: Device, and a progress function, called as ("outputs SIDE", frames done, total).
 
     Returns:
         The folder that was written.

@@ -31,23 +31,17 @@ class Mount(NamedTuple):
 
 
 def memory_left(root: Path = ROOT) -> float:
-    """Return the memory that this process may use according to its groups [bytes]; infinity if
-    unlimited.
-    """
+    """Return the memory this process may use according to its groups [bytes]; inf: unlimited."""
     return min((_left(group) for group in _groups("memory", root)), default=math.inf)
 
 
 def cpu_quota(root: Path = ROOT) -> float:
-    """Return the number of CPUs that this process may use according to its groups; infinity if
-    unlimited.
-    """
+    """Return the number of CPUs this process may use according to its groups; inf: unlimited."""
     return min((_quota(group) for group in _groups("cpu", root)), default=math.inf)
 
 
 def _left(group: Path) -> float:
-    """Return a group's memory limit minus the memory in use [bytes]; reclaimable memory counts as
-    free.
-    """
+    """Return a group's memory limit minus memory in use [bytes]; reclaimable memory is free."""
     for limit, use in (
         ("memory.max", "memory.current"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes"),
@@ -102,9 +96,7 @@ def _below(path: str, top: str) -> str:
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller (of version 1, or "" for version 2) with the path of this process's
-    group.
-    """
+    """Yield each controller (of version 1, or "" for version 2) and its path for this process."""
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")

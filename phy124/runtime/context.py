@@ -32,9 +32,7 @@ class RunContext:
     device: str = "cpu"
     """Warp device, "cpu" or "cuda:0"."""
     threads: int | None = None
-    """Number of CPU threads that simulate and render. None: one per free core, but not more than
-    the work can use.
-    """
+    """Number of CPU threads that simulate and render; None: one per free core, if useful."""
     progress: Progress = silent
     """Function that is called with (stage, steps done, total steps); it may raise Cancelled."""
     watch: Stopwatch = field(default_factory=Stopwatch)
@@ -52,7 +50,5 @@ class RunContext:
         return replace(context or cls(), **{name: options.pop(name) for name in fields})
 
     def aside(self) -> RunContext:
-        """Return a context for a test run, with this device and number of threads, but without
-        progress and timer.
-        """
+        """Return a context for a test run with the same device and threads, without progress."""
         return replace(self, progress=silent, watch=Stopwatch())

@@ -14,16 +14,12 @@ SIBLINGS = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 
 
 def cores() -> int:
-    """Return the number of hardware threads that this process may use, limited by the quota of its
-    cgroups.
-    """
+    """Return the number of hardware threads for this process, limited by its cgroups' quota."""
     return _within_quota(_hardware_threads())
 
 
 def physical_cores() -> int:
-    """Return the number of cores to which hardware threads belong; if unknown, the number of
-    threads.
-    """
+    """Return the number of cores of hardware threads; if unknown, the number of threads."""
     try:
         mine = os.sched_getaffinity(0)
         return _within_quota(len({Path(SIBLINGS.format(thread)).read_text() for thread in mine}))
@@ -50,8 +46,7 @@ def _within_quota(threads: int) -> int:
 
 
 def refuse_threads(threads: int | None) -> None:
-    """Check that a number of threads is possible; None means that the number is chosen
-    automatically.
+    """Check that a number of threads is possible; None: chosen automatically.
 
     Raises:
         InputError: The number is below 1 or above `MOST_THREADS`.

@@ -56,8 +56,7 @@ def lock_gpu(
 ) -> Callable[Concatenate[Owner, P], Made]:
     """Decorate methods so that, on a GPU, only one thread at a time runs any of these methods.
 
-    While a thread captures a CUDA graph, Warp would record the launches of other threads in the
-    graph.
+    While a thread captures a CUDA graph, Warp would record other threads' launches in the graph.
     """
 
     @wraps(method)
@@ -70,9 +69,7 @@ def lock_gpu(
 
 
 class Driver(NamedTuple):
-    """The CUDA version that the driver supports, and the version that Warp needs; None if
-    unknown.
-    """
+    """CUDA version that the driver supports, and version that Warp needs; None if unknown."""
 
     supported: Version | None
     needed: Version | None
@@ -106,9 +103,7 @@ def driver() -> Driver:
 
 
 def _library_version() -> Version | None:
-    """Read the supported version from the driver's library, because Warp does not load an old
-    driver.
-    """
+    """Read the supported version from the driver's library, since Warp loads no old driver."""
     version = ctypes.c_int()
     for name in LIBRARIES:
         try:

@@ -65,8 +65,7 @@ def failure(problem: BaseException) -> Failure:
     """Explain the exception that stopped the run.
 
     Args:
-        problem: The exception. For an `Incomplete`, the cause is explained and the saved results
-            are listed.
+        problem: The exception; for an `Incomplete`, its cause, and then the saved results.
     """
     if isinstance(problem, Incomplete):
         return _incomplete(problem)
@@ -161,11 +160,9 @@ def _refusal(problem: BaseException) -> InputError | None:
 
 
 def _package(problem: BaseException) -> str:
-    """Return the package that defines the exception; if no package does, the package that raised
-    it.
+    """Return the package that defines the exception or, if there is none, that raised it.
 
-    Modules of the standard library are skipped, so that an error in `pathlib` is attributed to its
-    caller.
+    Modules of the standard library are skipped, so an error in `pathlib` belongs to its caller.
     """
     modules = [PROJECT, *_modules(problem.__traceback__), type(problem).__module__]
     packages = [module.partition(".")[0] for module in modules]

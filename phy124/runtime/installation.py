@@ -42,9 +42,7 @@ def program() -> str:
 
 
 def with_program(message: str) -> str:
-    """Return a message whose commands (`phy124 ...` in backquotes) start with the running program's
-    name.
-    """
+    """Return a message whose commands (`phy124 ...`) start with the running program's name."""
     return message.replace(f"`{PACKAGE} ", f"`{program()} ")
 
 
@@ -81,9 +79,7 @@ def _pip() -> str:
 
 
 def _short(path: Path) -> str:
-    """Quote a path for a shell; a path inside the current folder is made relative to this
-    folder.
-    """
+    """Quote a path for a shell, relative to the current folder if it is inside this folder."""
     here = Path.cwd()
     path = path if path.is_absolute() else here / path
     return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))

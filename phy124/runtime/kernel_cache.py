@@ -68,9 +68,7 @@ def keep_sound() -> None:
 
 
 def compiled_file(kernel: Any, device: str) -> Path | None:
-    """Return the path of the compiled module of a kernel, for this device; None if there is no
-    cache.
-    """
+    """Return the path of a kernel's compiled module for this device; None without a cache."""
     if wp.config.kernel_cache_dir is None:
         return None
     module = kernel.module

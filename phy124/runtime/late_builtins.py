@@ -16,9 +16,7 @@ DECLARING = "warp._src.builtins"
 
 
 class LateVariants:
-    """A module finder that finds no modules, but prepares Warp just before its functions are
-    declared.
-    """
+    """A module finder that finds nothing, but prepares Warp before it declares functions."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> None:
         """Prepare Warp if `name` is the module that declares Warp's functions."""

@@ -33,9 +33,7 @@ def parse_late() -> None:
     lock = threading.RLock()
 
     class LateAdjoint(usual):
-        """The parsed form of a device function; parsing takes place when an attribute is first
-        read.
-        """
+        """The parsed form of a device function; it is parsed when an attribute is first read."""
 
         parses_late = True
         has_unresolved_static_expressions = False

@@ -27,8 +27,7 @@ HEAPS = "MALLOC_ARENA_MAX"
 def release(array: object) -> None:
     """Return the memory of a memory-mapped array to the system after the array has been read.
 
-    If the memory is not returned, a long run that reads all frames from disk seems to need memory
-    for all frames.
+    If the memory is not returned, a long run that reads all frames seems to need memory for all.
     """
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):
@@ -88,9 +87,7 @@ def _of_process() -> float:
 NEEDED = 1.2e9
 """Address space that the libraries, the kernels and a small object need [bytes], as measured."""
 STACK = 512 << 10
-"""Stack size for runs and for the compilation of kernels [bytes]; with half this size, a run
-crashes.
-"""
+"""Stack size for runs and compiling kernels [bytes]; with half this size, a run crashes."""
 THREADS = "OPENBLAS_NUM_THREADS"
 
 

@@ -14,8 +14,7 @@ Handler = Callable[[int, FrameType | None], object]
 
 @contextmanager
 def handling(handler: Handler, *, always: Collection[str] = ()) -> Iterator[None]:
-    """Within this context, signals that end a process call `handler`; works only in the main
-    thread.
+    """In this context, signals that end a process call `handler`, only in the main thread.
 
     Signals that the parent process has set to be ignored (nohup) stay ignored, unless they are in
     `always`. The option `always` exists because a shell without job control makes background

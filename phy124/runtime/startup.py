@@ -20,9 +20,7 @@ NO_DRIVER = b"Could not find or load the NVIDIA CUDA driver"
 
 
 def prepare() -> None:
-    """Prepare the start of Warp: suppress messages, and choose a writable folder for compiled
-    kernels.
-    """
+    """Prepare Warp's start: suppress messages, and choose a writable folder for kernels."""
     keep_headers()
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING

@@ -240,9 +240,8 @@ AnyCamera = Annotated[TurntableCamera | DollyCamera | PathCamera, Field(discrimi
 def interpolate(at: Values, times: Sequence[float], values: Sequence[object]) -> Values:
     """Interpolate keys by a monotone cubic (Fritsch and Carlson 1980), without overshoot.
 
-    The derivative is continuous, and it is zero at the first and the last key. Before the first key
-    and after the last key, the value is constant. If there are only two keys, the interpolation is
-    3 s^2 - 2 s^3.
+    The derivative is continuous, and zero at the first and the last key. Outside the keys, the
+    value is constant. If there are only two keys, the interpolation is 3 s^2 - 2 s^3.
 
     Args:
         at: Times at which to interpolate [T], s.

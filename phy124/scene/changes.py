@@ -17,9 +17,7 @@ else:
 TAGS = ("law", "kind")
 """Keys whose values are the name of the kind of a section."""
 LENGTH = ("time.frames", "time.seconds")
-"""Two fields that set the length of a scene. If `time.seconds` is changed, `time.frames` is
-removed.
-"""
+"""Two fields that set a scene's length; a change of `time.seconds` removes `time.frames`."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 
@@ -103,9 +101,7 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in nested dicts and lists; an index equal to a list's length appends the
-    value.
-    """
+    """Set a value in nested dicts and lists; an index equal to a list's length appends it."""
     *parents, last = path.split(".")
     section: Any = data
     for key in parents:
@@ -122,8 +118,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
 def _item(section: Any, key: str, path: str, value: Any) -> Any:
     """Return the dict or list under a key; create it if it does not exist.
 
-    A named accuracy is first replaced by its table of values, so that a single value can be
-    changed.
+    A named accuracy is first replaced by its table of values, so that one value can be changed.
     """
     if isinstance(section, dict):
         inner = section.setdefault(key, {})

@@ -151,8 +151,7 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the boundary that represents this object in collisions; it moves along the
-        object's path.
+        """Return the boundary that represents this object in collisions, moving along its path.
 
         Args:
             pairs: The scene's pairs, which define friction and contact.

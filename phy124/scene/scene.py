@@ -335,8 +335,7 @@ class Scene(Section):
         """Validate plain data and return the scene.
 
         Raises:
-            InputError: The data is not a scene. The error names the field, the value, the limit and
-                a remedy.
+            InputError: The data is not a scene; the error names field, value, limit and remedy.
         """
         check_depth(data, source)
         return validate(cls, data, source)
@@ -419,8 +418,7 @@ class Scene(Section):
             raise InputError(group, name, limit, remedy)
 
     def replaced(self, changes: dict[str, Any]) -> Scene:
-        """Return a copy of the scene with other values at dotted paths, such as `{"material.E":
-        2e4}`.
+        """Return a copy of the scene with values at dotted paths, such as `{"material.E": 2e4}`.
 
         If a material's law, or the kind of a force or boundary, changes, the other values are set
         to the defaults of the new law or kind.

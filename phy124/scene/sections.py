@@ -27,9 +27,7 @@ Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
 def _is(default: Any) -> Callable[[Any], bool]:
-    """Return a function that tests for a default value; default values are not written to scene
-    files.
-    """
+    """Return a function that tests for a default, which scene files do not contain."""
     return lambda value: value == default
 
 

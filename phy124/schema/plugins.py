@@ -1,8 +1,7 @@
 """Plugins: classes and functions of users, used as instances or by name.
 
 In Python, an instance of a user's material, force or boundary can be used directly. In scene files
-and on the command line, a class is identified by the name of its entry point in one of the
-`GROUPS`.
+and on the command line, a class has the name of its entry point in one of the `GROUPS`.
 """
 
 from collections.abc import Callable

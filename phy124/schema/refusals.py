@@ -47,9 +47,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of a section of options; the error's title identifies the section's
-    class.
-    """
+    """Return the error of a section of options; its title identifies the section's class."""
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()

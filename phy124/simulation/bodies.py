@@ -99,8 +99,7 @@ def make_body(gaussians: Gaussians, scene: Scene, crop: Crop, placed: Placed | N
             Gaussians belong to the first object. Objects without Gaussians are shapes or copies of
             the first object.
         scene: The scene.
-        crop: Position of the first object in the picture on which the masks of its parts were
-            painted.
+        crop: Position of the first object in the picture with the painted masks of its parts.
         placed: A single object in its position, if the position is already known.
 
     Raises:

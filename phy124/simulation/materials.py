@@ -30,8 +30,7 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return the material index of each particle [P]: 0 for the scene's material, i for part i
-    (from 1).
+    """Return the material index of each particle [P]: 0 for the scene's, i for part i (from 1).
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.
@@ -146,8 +145,7 @@ def vary_materials(
     belonging: NDArray[np.bool_],
     crop: Crop,
 ) -> tuple[Particles, Sequence[AnyMaterial], NDArray[np.float64] | None]:
-    """Return particles and materials with the scene's properties, and each particle's fraction of E
-    [P].
+    """Return particles and materials with the scene's properties, and the fraction of E [P].
 
     Args:
         particles: The moving particles, with indices into the scene's materials.

@@ -15,9 +15,7 @@ from phy124.particles import Particles
 from phy124.scene import Scene
 
 DEEPEST = 1.0
-"""Largest allowed overlap at the start [cells]; positions of surfaces are known only to within one
-cell.
-"""
+"""Largest overlap allowed at the start [cells]; surfaces are known to within one cell."""
 MOST = 0.1
 """Largest allowed fraction of the material that starts deeper than `DEEPEST` inside a wall; for a
 smaller fraction, there is a note.
@@ -102,8 +100,7 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
 
 
 def refuse_sunken(solids: Sequence[FreeBody], planes: Sequence[Plane], model: Model) -> None:
-    """Check that no rigid solid starts behind a flat wall; the wall would push the solid out
-    abruptly.
+    """Check that no rigid solid starts behind a flat wall, which would push it out abruptly.
 
     Args:
         solids: The rigid solids.

@@ -36,9 +36,7 @@ def place(gaussians: Gaussians, scene: Scene, belonging: NDArray[np.bool_]) -> G
 def shift(
     gaussians: Gaussians, chosen: NDArray[np.bool_], offset: tuple[float, float, float]
 ) -> Gaussians:
-    """Shift some Gaussians by an offset [m]; an offset of zero leaves all Gaussians bitwise
-    unchanged.
-    """
+    """Shift some Gaussians by an offset [m]; zero leaves all Gaussians bitwise unchanged."""
     if not any(offset):
         return gaussians
     means = gaussians.means.copy()
@@ -85,18 +83,14 @@ def stack(placed: Sequence[Gaussians], scene: Scene) -> list[Gaussians]:
 
 
 def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
-    """Return the smallest vertical gap between two objects [m]; None if neither is above the
-    other.
-    """
+    """Return the smallest vertical gap between two objects [m]; None if none is above the other."""
     tops, bottoms = _heights(below, cell, 1.0), _heights(above, cell, -1.0)
     gaps = [-bottoms[at] - tops[at] for at in tops.keys() & bottoms.keys()]
     return min(gaps, default=None)
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height in each square of a grid or, for sign -1, minus the smallest
-    height.
-    """
+    """Return the largest height in each square of a grid; for sign -1, minus the smallest."""
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
     height = sign * gaussians.means[:, 2] + reach
@@ -116,9 +110,7 @@ def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Part
 
 
 def renumber_parts(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """Return the scene with updated indices of the parts' Gaussians, since some Gaussians were
-    dropped.
-    """
+    """Return the scene with the parts' new Gaussians' indices, since some were dropped."""
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

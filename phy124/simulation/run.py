@@ -40,9 +40,7 @@ from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
-    """Raised if a run ends early because its results would be wrong; the message gives the
-    reason.
-    """
+    """Raised if a run ends early, as its results would be wrong; the message gives the reason."""
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
@@ -179,8 +177,7 @@ class Simulation:
         record: Callable[[Simulation], object] = lambda run: None,
         shapes: bool = True,
     ) -> Clip:
-        """Return all frames as a clip; after an early stop, the clip has the valid frames and the
-        reason.
+        """Return all frames as a clip; after an early stop, it has the valid frames and the reason.
 
         Args:
             each: Function called with every frame as soon as the frame is computed.
@@ -388,9 +385,7 @@ class Simulation:
 
     @lock_gpu
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to the time of a frame; after a failure, repeat once with half the
-        substep.
-        """
+        """Take substeps up to a frame's time; after a failure, repeat it with half the substep."""
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             prepare = [partial(observer.before_frame, start) for observer in self.observers]

@@ -194,9 +194,7 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis along which particles are sorted: x for one thread, otherwise the longest
-    axis.
-    """
+    """Return the axis by which particles are sorted: x for one thread, otherwise the longest."""
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 

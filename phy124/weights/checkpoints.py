@@ -1,7 +1,6 @@
 """Reads network weights safely, and checks that no tensor is missing or unknown.
 
-Files are read only with safetensors and `torch.load(weights_only=True)`, which do not execute code
-from the file.
+Files are read only with safetensors and `torch.load(weights_only=True)`, which execute no code.
 """
 
 from __future__ import annotations

@@ -32,8 +32,7 @@ class OnnxNetwork:
     """An ONNX network that runs in float32 on the CPU.
 
     Args:
-        path: The .onnx file; if it refers to a file of external data, that file must be in the same
-            folder.
+        path: The .onnx file; a file of external data to which it refers must be in its folder.
         inputs: Names of the network's inputs, in the order in which they are passed; if None, the
             order of the file.
         outputs: Names of the outputs that are returned; None: the first output.
@@ -41,8 +40,7 @@ class OnnxNetwork:
             8 bits are then unpacked to float32, which takes more memory.
 
     Raises:
-        InputError: If onnxruntime is not installed, or the file is unreadable or belongs to another
-            network.
+        InputError: onnxruntime is not installed, or the file is unreadable or of another network.
     """
 
     def __init__(

@@ -166,8 +166,7 @@ def check_all(
 ) -> list[WeightStatus]:
     """Return the state of every known file, for `phy124 doctor`.
 
-    If `check` is true, the checksum of each file that is present is computed (about 1 s per
-    gigabyte).
+    If `check` is true, the checksum of each file present is computed (about 1 s per gigabyte).
     """
     return [
         _status(name, file, folder, check=check) for name, files in KNOWN.items() for file in files
@@ -206,10 +205,8 @@ def fetch(
 
     Args:
         name: Name of the set of weights.
-        folder: Folder for the files; if None, PHY124_WEIGHTS if it is set, otherwise the Hugging
-            Face cache.
-        progress: Callback as described in `phy124.progress`; huggingface_hub also draws progress
-            bars.
+        folder: Folder for the files; None: PHY124_WEIGHTS if set, otherwise the Hugging Face cache.
+        progress: Callback as in `phy124.progress`; huggingface_hub also draws progress bars.
         endpoint: Address of the server, if the server is not huggingface.co.
 
     Raises:

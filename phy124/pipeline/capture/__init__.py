@@ -220,9 +220,7 @@ def _region_in_metres(
     offset: NDArray[np.float64],
     number: int,
 ) -> PartRegion:
-    """Return the region of a part in metres, after rotating and shifting it like the file's
-    axes.
-    """
+    """Return the region of a part in metres, rotated and shifted like the file's axes."""
     # The rotation `turn` of the region is applied first: rotation @ (scale * turn @ box) + offset.
     both = rotation @ rotation_matrices(np.array([region.turn]))[0]
     corners = scale * np.array([region.lower, region.upper]) + both.T @ offset

@@ -107,9 +107,7 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Fit a plane to the points near the plane `(normal, offset)`; return the fitted plane and the
-    distance limit.
-    """
+    """Fit a plane to the points near `(normal, offset)`; return it and the distance limit."""
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]

@@ -47,8 +47,7 @@ def compose(
         view: View that defines the anti-aliasing filter and the playback rate.
         photograph: The photograph from which the object was made.
         folder: An existing folder.
-        context: Device, and a progress function, which is called as ("compose", pictures done,
-            total pictures).
+        context: Device, and a progress function, called as ("compose", pictures done, total).
         **fields: `device` and `progress`, if no context is passed.
 
     Returns:

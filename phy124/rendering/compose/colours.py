@@ -49,8 +49,7 @@ def match_colours(
     device: str = "cpu",
     each: Callable[[], object] = lambda: None,
 ) -> ColourMatch:
-    """Fit colours and sizes to the photograph; Gaussians that the camera does not see are
-    unchanged.
+    """Fit colours and sizes to the photograph; unseen Gaussians do not change.
 
     Args:
         gaussians: The object as the photograph shows it.

@@ -100,8 +100,7 @@ def span_container(container: Container, low: NDArray, high: NDArray) -> Corners
 def _shape(part: Boundary, body: AtRest) -> tuple[str, NDArray[np.float64] | None]:
     """Return the distance function of a wall of simple shape, and the function's parameters.
 
-    A plug-in that has another distance function is rendered as its bounding box, if the plug-in
-    defines one.
+    A plug-in with another distance function is rendered as its bounding box, if it has one.
     """
     with suppress(NotImplementedError, AttributeError):
         if (outline := part.outline()) in SHAPES:

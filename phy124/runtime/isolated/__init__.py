@@ -60,8 +60,7 @@ def run(
 ) -> T:
     """Call a module's function in another process, and return its result.
 
-    An exception of the function is raised again in this process. Arguments and result must be
-    picklable.
+    The function's exception is raised in this process. Arguments and result must be picklable.
 
     Args:
         function: The function.
@@ -129,9 +128,7 @@ def _talk(child: subprocess.Popen[bytes], order: bytes, answers: queue.SimpleQue
 
 
 def _log() -> IO[bytes]:
-    """Open a file for the process's error output; os.devnull if no temporary file can be
-    created.
-    """
+    """Open a file for the process's error output; os.devnull if none can be created."""
     try:
         return tempfile.TemporaryFile()
     except OSError:

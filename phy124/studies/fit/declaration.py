@@ -137,8 +137,7 @@ class Fit(Section):
         """Validate plain data and return the options.
 
         Raises:
-            InputError: The data does not declare a fit; the message names field, value, limit and
-                remedy.
+            InputError: The data declares no fit; the message names field, value, limit and remedy.
         """
         return validate(cls, data, source)
 

@@ -125,8 +125,7 @@ def shift_values(
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
-        parts: Size of the grid errors for each kind of measurement, as a fraction of the misfit of
-            this kind.
+        parts: Size of the grid errors for each kind of measurement, as a fraction of its misfit.
         groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
         kinds: Kinds of measurements.
     """

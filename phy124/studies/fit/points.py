@@ -23,14 +23,12 @@ class Points:
 
     Each point is attached to the Gaussians that are nearest to it in the first frame.
 
-    An error in a point's first measurement would shift the whole predicted track of this point.
-    Therefore, the mean of each measured and of each predicted track is subtracted before the
-    comparison.
+    An error in a point's first measurement would shift its whole predicted track. Therefore, the
+    mean of each measured and predicted track is subtracted before the comparison.
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
-        """Attach the measured points (x, y, z in metres, or u, v in pixels) to the object's
-        Gaussians.
+        """Attach measured points (x, y, z in metres, or u, v in pixels) to the object's Gaussians.
 
         `rest` [N,3] are the Gaussians' centres in the first frame [m]. Positions in pixels need a
         camera for each frame.

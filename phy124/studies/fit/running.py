@@ -55,8 +55,7 @@ def fit(
         out: Folder for the results; the results of the single runs are also stored there.
         workers: Number of worker processes; if 0, all runs are made in this process.
         on_forecast: Function that is called with the forecast before the first run.
-        progress: Function that is called with ("fit", runs made, runs expected); it may raise
-            Cancelled.
+        progress: Function called with ("fit", runs made, runs expected); it may raise Cancelled.
 
     Raises:
         InputError: An input is invalid, a value cannot be determined, the time budget is too

@@ -26,8 +26,7 @@ about 2 pixels wide."""
 BLUR = 1.0
 """Standard deviation of the filter that blurs silhouettes [pixels].
 
-Because of the blur, the difference between silhouettes has a gradient even if their edges do not
-overlap.
+With blur, the difference between silhouettes has a gradient even if their edges do not overlap.
 """
 BLOCK = 16
 """Side of a block of pixels [pixels]; errors in a block are assumed to be correlated."""
@@ -41,8 +40,7 @@ class Silhouettes:
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
         """Compute the silhouettes of a video at a reduced resolution.
 
-        `times` [T] are those of the video's frames [s]; there is a camera for each frame of the
-        scene.
+        `times` [T] are those of the video's frames [s]; each frame of the scene has a camera.
 
         Raises:
             InputError: The aspect ratio of the video differs from that of the camera.

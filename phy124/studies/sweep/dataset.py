@@ -32,8 +32,7 @@ class Dataset:
     """
 
     def __init__(self, folder: str) -> None:
-        """Read the manifest in the folder of a sweep's results, or at the fsspec address of this
-        folder.
+        """Read the manifest in the folder, or at the fsspec address, of a sweep's results.
 
         Raises:
             InputError: The folder contains no results of a sweep.

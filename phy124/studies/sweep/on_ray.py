@@ -57,8 +57,7 @@ def on_ray(
         workers: Number of workers on this machine; if None, one worker per core.
 
     Raises:
-        InputError: Ray is not installed, no cluster answers at the address, or the cluster lacks a
-            GPU.
+        InputError: Ray is missing, no cluster answers at the address, or the cluster lacks a GPU.
         Cancelled: The function `beat` raised it.
         OSError: The storage is full.
     """
@@ -105,8 +104,7 @@ class _Tasks:
     def _reserve(self, order: Order) -> dict[str, float]:
         """Return the resources that Ray reserves for a task.
 
-        The memory does not exceed the memory of the largest node, because the task would otherwise
-        wait forever.
+        The memory does not exceed that of the largest node; otherwise, the task would wait forever.
         """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):

@@ -58,10 +58,8 @@ def run(
             all clips are made in this process.
         shard: Number of the shard to make, counted from 1; and total number of shards.
         device: Warp device on which the workers compute.
-        progress: Function that is called with ("clips", finished clips, all clips); it may raise
-            Cancelled.
-        counts: Object that is updated during the run and returned; if None, a new object is
-            created.
+        progress: Function called with ("clips", finished clips, all clips); it may raise Cancelled.
+        counts: Object that is updated during the run and returned; None: a new object.
 
     Raises:
         InputError: The folder is unusable, Ray is not installed, or the shard does not exist.

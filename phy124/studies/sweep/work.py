@@ -120,8 +120,7 @@ class Order:
     def read(self) -> bool:
         """Whether the Gaussians depend on the scene.
 
-        The Gaussians depend on the scene if they are read from files, or if the scene has further
-        objects.
+        The Gaussians depend on the scene if they are read from files, or there are further objects.
         """
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))

@@ -30,8 +30,7 @@ MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 
 
 def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the centres [P,3], m, of cubes that fill a box, counted along each axis by `counts`
-    [3].
+    """Return the centres [P,3], m, of cubes that fill a box, `counts` [3] along the axes.
 
     The cubes have edges of length `spacing` [m]; `corner` is the lowest corner of the box [m].
     """
@@ -55,8 +54,7 @@ def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
     """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
 
-    The particles lie on concentric shells, about `spacing` apart [m], so that the surface is
-    smooth.
+    The particles lie on concentric shells, about `spacing` apart [m], with a smooth surface.
     """
     count, rng = round(radius / spacing), np.random.default_rng(0)
     step, x, volume = radius / count, [], []
@@ -73,8 +71,7 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
 def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array]:
     """Return the particles of `ball_of_shells` with positive coordinates on the first `cuts` axes.
 
-    The particles are sorted by x. The volumes of the particles add up to the volume of this part of
-    the ball.
+    The particles are sorted by x. Their volumes add up to the volume of this part of the ball.
     """
     x, volume = ball_of_shells(radius, spacing)
     part = (x[:, :cuts] > 0).all(axis=1)
@@ -240,8 +237,7 @@ def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -
 def mean_acceleration(
     solver: Solver | LatticeSolver, axis: Sequence[float], start: float, times: Array
 ) -> float:
-    """Fit a parabola to the path of the centre of mass along an axis; return the acceleration
-    [m/s^2].
+    """Fit a parabola to the centre of mass's path along an axis; return the acceleration [m/s^2].
 
     Args:
         solver: The solver, which is advanced to the last time.

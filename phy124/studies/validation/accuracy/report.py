@@ -113,8 +113,7 @@ class Report:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on a grid with `cells` cells across the object, from the errors of the
-    levels.
+    """Return the error on a grid with `cells` cells across the object, from the levels' errors.
 
     On a grid between two levels, the error is assumed to be that of the coarser level. On grids
     finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`). If no
@@ -178,8 +177,7 @@ def kept_promises(
         proportions: Proportions of the object; None if they are unknown.
         rows: The settings that were run.
         convergence: The convergence of the levels.
-        until: Time up to which the errors are valid [s]; None if they are valid for the whole
-            motion.
+        until: Time up to which the errors are valid [s]; None: for the whole motion.
     """
     sentences = {}
     for name, accuracy in PRESETS.items():

@@ -54,8 +54,7 @@ class Study:
     """Device, threads and progress.
 
     Progress is called with ("study", index of the setting, number of settings), also during a
-    setting. The callback may raise Cancelled, which ends the study, or Stopped, which skips this
-    setting.
+    setting. It may raise Cancelled, which ends the study, or Stopped, which skips this setting.
     """
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE

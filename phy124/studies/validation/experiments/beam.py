@@ -39,8 +39,7 @@ Timoshenko's theory gives 0.8 (1 + nu) * 1.2 (h / L)^2.
 PER_AXIS = 4
 """Number of particles per cell along each axis.
 
-With 2 particles, the default of scenes, a beam that has moved by several cells would be another 10
-% softer.
+With 2 particles, the default of scenes, a beam that moves by several cells is 10 % softer.
 """
 TOO_SOFT = (
     "Beams are a few per cent too soft on every grid if their tip moves by several cells. If "
@@ -57,9 +56,7 @@ REST = 1.6
 PIECES = 40
 """Mean number of velocity reductions per period of the beam's first mode."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""The multiples of this number, modulo 1, never repeat; they vary the times between velocity
-reductions.
-"""
+"""The multiples of this number, modulo 1, never repeat; they vary the times of reductions."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
 """Function that creates a force from the beam's width [m], a profile and the tip's region."""
@@ -122,13 +119,11 @@ def make_band(
 ) -> tuple[Quantity, ...]:
     """Return the published tip deflection and its band for each load.
 
-    The band extends from the deflection without shear to the deflection with twice the beam's
-    shear.
+    The band extends from the deflection without shear to that with twice the beam's shear.
 
     Args:
         loads: Dimensionless loads.
-        exact: Function that returns the tip deflection of a slender beam for a load, divided by the
-            length.
+        exact: Function that returns a slender beam's tip deflection / length for a load.
         name: Symbol of the load.
         stretch: Mean tension in the hanging beam, as a fraction of the load; the tension makes the
             beam longer. 0: the band neglects this stretch.
@@ -201,8 +196,7 @@ def measure_lattice_drops(
         loads: Factors of the force, in ascending order.
         bending: Function that creates the force.
         stiffer: Factor on E, for the control.
-        beyond: Extra length of the beam [cells], so that a load acts on a cell around the beam's
-            end.
+        beyond: Extra length of the beam [cells], so that a load acts on a cell around its end.
     """
     dx = THICKNESS / cells
     root, clamped = beyond * dx, 3

@@ -53,9 +53,7 @@ HEIGHT_TABLE = (
     (0.56, 0.77, 0.93, 1.08, 1.28, 1.46, 1.66, 1.84, 2.00, 2.21, 2.45, 2.70, 3.06, 3.44),
     (0.94, 0.89, 0.83, 0.78, 0.72, 0.67, 0.61, 0.56, 0.50, 0.44, 0.39, 0.33, 0.28, 0.22),
 )
-"""Times t sqrt(g / a) and heights at the wall / initial height, from table 6 (as published with
-Ocellaris).
-"""
+"""Times t sqrt(g / a) and heights at the wall / initial height, from table 6 (see Ocellaris)."""
 READ = 0.02
 """Maximum error of a tabulated height / initial height, and of a front position / a.
 

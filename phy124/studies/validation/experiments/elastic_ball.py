@@ -1,5 +1,4 @@
-"""Finite elements for an elastic ball on a rigid smooth plate, where Hertz's theory is not
-accurate.
+"""Finite elements for an elastic ball on a rigid smooth plate, where Hertz's theory is inexact.
 
 Hertz's theory treats the ball near its contact as a half-space with small strain. The finite
 elements cover the whole ball and use the same neo-Hookean law as the particles. The solution is
@@ -37,8 +36,7 @@ DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
 class Law:
     """Contact force of a ball on a plate as a function of the indentation depth.
 
-    The force is Hertz's force times `1 + a s + b s^2 + ...`, where s^2 is the depth divided by the
-    radius.
+    The force is Hertz's force times `1 + a s + b s^2 + ...`, where s^2 is the depth / radius.
     """
 
     nu: float
@@ -143,8 +141,7 @@ class Elements:
         return cls(gradient.reshape(*r.shape, 5, 8), volume, dofs, weights)
 
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
-        """Return the forces [2N] of displacements u, and the stiffness matrices of the elements
-        [M,8,8].
+        """Return the forces [2N] of displacements u, and the elements' stiffness matrices [M,8,8].
 
         The displacements [2N] may be followed by other unknowns. The Lame parameters mu and lam are
         divided by E.

@@ -85,8 +85,7 @@ def observe(solver: Solver | LatticeSolver) -> Values:
     """Advance to the end of the run, and measure the spinning body.
 
     Returns:
-        The times of two flips [s], and the remaining fractions of kinetic energy and angular
-        momentum.
+        The times of two flips [s], and the remaining fractions of energy and angular momentum.
     """
     first = angular_momentum(solver)
     times = np.linspace(0, DURATION, SAMPLES + 1)[1:]

@@ -34,8 +34,7 @@ def refuse_missing_plots() -> None:
 def save_plot(outcome: Outcome, path: PathLike) -> None:
     """Draw the outcome of an experiment as an SVG file.
 
-    The plot is a curve if the quantities have positions on an axis; otherwise, the plot has one row
-    per quantity.
+    The plot is a curve if the quantities have positions on an axis; otherwise, each has a row.
 
     Raises:
         InputError: matplotlib is not installed.

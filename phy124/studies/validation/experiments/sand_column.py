@@ -34,8 +34,7 @@ DURATION = 6.0
 
 
 def plane_strain(angle: float) -> float:
-    """Convert a Mohr-Coulomb angle of friction in plane strain to `friction_angle` of `sand`
-    [degrees].
+    """Convert a Mohr-Coulomb angle in plane strain to `friction_angle` of `sand` [degrees].
 
     The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two principal stresses are equal.
     In plane strain, the middle principal stress is the mean of the two others. For such stresses

@@ -73,8 +73,7 @@ def stable_dt(solver: Solver) -> float:
 def steps(solver: Solver, count: int, dt: float) -> None:
     """Take `count` substeps of length `dt` [s].
 
-    The first substep of a run advances velocities by half a substep, as leapfrog integration
-    requires.
+    The first substep of a run advances velocities by half a substep, as leapfrog requires.
     """
     for k in range(count):
         solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)

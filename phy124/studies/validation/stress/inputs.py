@@ -129,8 +129,7 @@ def sizes(setting: Setting) -> list[Check]:
 def odd_gaussians(setting: Setting) -> list[Check]:
     """Check the mass of particles from unusual Gaussians.
 
-    The cases are Gaussians with opacities 0 and 1, Gaussians at a single point, and a single
-    Gaussian.
+    The cases are Gaussians with opacities 0 and 1, Gaussians at one point, and one Gaussian.
     """
     whole = surface_of_ball()
     opacities = whole.opacities.copy()

@@ -68,8 +68,7 @@ def disturb(
 ) -> tuple[int, float]:
     """Disturb a body at rest, and measure whether the strain grows.
 
-    The disturbance excites all modes, most strongly the volumetric mode, which is the stiffest
-    mode.
+    The disturbance excites all modes, most strongly the volumetric mode, which is stiffest.
 
     Args:
         x: Positions [P,3], m.
