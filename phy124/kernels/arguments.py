@@ -43,9 +43,7 @@ def types(real: Any) -> Types:
 
 @cache
 def sparse(real: Any) -> Any:
-    """Return the type of a sparse matrix with one row per node; `real` is wp.float32 or
-    wp.float64.
-    """
+    """Return the type of a sparse matrix with one row per node; `real` as in `types`."""
 
     @wp.struct
     class Sparse:

@@ -385,8 +385,7 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
 
 @build_once
 def make_collider(shape: str, response: str, real: Any):
-    """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside the wall's
-    shape.
+    """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside its shape.
 
     A node counts as inside if its signed distance is below `reach` [m]. While the track `slot` is
     active, the shape is displaced by the track's value, and the wall moves at the track's rate.

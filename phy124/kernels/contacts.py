@@ -1,5 +1,4 @@
-"""Computes the impulses of each wall in a substep, on each particle (contacts) and in total
-(wrenches).
+"""Computes the impulses of each wall in a substep, per particle (contacts) and in total (wrenches).
 
 A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
 among the particles in proportion to their mass at the node: particle p receives m_p w_ip (v_after -
@@ -43,8 +42,7 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: overwrites the copy of each node (`make_contact_copy`) with the velocity change that
-    a wall caused.
+    """Kernel: overwrites each node's copy (`make_contact_copy`) with the velocity change by a wall.
 
     The kernel also stores the lowest and the highest node that the wall changed.
     """
@@ -81,9 +79,7 @@ def make_contact_reach(real: Any):
 
 @build_once
 def make_contacts(real: Any):
-    """Kernel over particles: adds each particle's part of the wall's impulses to the particle's
-    total.
-    """
+    """Kernel over particles: adds each particle's part of the wall's impulses to its total."""
     t = types(real)
 
     @kernel(f"phy124_contacts_{real.__name__}", real, seconds=0.4)

@@ -267,9 +267,7 @@ def make_carry_simd(real: Any):
 
 @build_once
 def make_follow(real: Any):
-    """Kernel for one precision: copies to each Gaussian the position and F of the particle that
-    represents it.
-    """
+    """Kernel for one precision: copies x and F of the particle that represents each Gaussian."""
 
     @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)
     def follow(
@@ -288,9 +286,7 @@ def make_follow(real: Any):
 
 @build_once
 def make_count_broken(real: Any):
-    """Kernel: counts the particles with a non-finite position and the particles with a non-finite
-    F.
-    """
+    """Kernel: counts the particles with a non-finite position and those with a non-finite F."""
 
     @kernel(f"phy124_broken_{real.__name__}", real, seconds=0.2)
     def count_broken(position, deformation, counts_out: wp.array(dtype=wp.int32)):

@@ -59,8 +59,7 @@ def spin(C: Any, dx: Any):
 
 @build_once
 def make_totals(law: Law, real: Any, on_lattice: bool = False):
-    """Kernel: computes the `SUMS` over the particles and the range of J, and counts invalid
-    particles.
+    """Kernel: computes the `SUMS` over particles and the range of J, counts invalid particles.
 
     On lattices, C of inverted points is divided by a small positive number instead of by J
     (`safe_volume`). The forces of laws without a barrier have the sign of J, so
@@ -240,9 +239,7 @@ def make_reset(real: Any):
 
 @build_once
 def make_limit_total(real: Any):
-    """Kernel: scales down the total deformation gradients of fluid or plastic material before they
-    overflow.
-    """
+    """Kernel: scales down deformation gradients of fluid or plastic material before overflow."""
 
     @kernel(f"phy124_limit_total_{real.__name__}", real, seconds=0.15)
     def limit_total(max_norm: real, F, total_out):
@@ -258,8 +255,7 @@ def make_limit_total(real: Any):
 
 @build_once
 def make_apart(real: Any):
-    """Kernel: counts particles that are stretched so far that they lose contact with their
-    neighbours.
+    """Kernel: counts particles stretched so far that they lose contact with their neighbours.
 
     At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
     square of the stretch above which particles lose contact. `faults_out` receives the number and

@@ -49,9 +49,7 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes the part of (v, C) that a round trip over the grid loses; 0 outside the
-    window.
-    """
+    """Kernel: computes the part of (v, C) that a round trip over the grid loses; 0 outside."""
     t = types(real)
     collect = GATHERS[form]
 
@@ -111,9 +109,7 @@ def without_strain(C: Any, share: Any):
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel: lets the symmetric part of C decay as exp(-rate t), with the rate in 1/s, before a
-    scatter.
-    """
+    """Kernel: lets the symmetric part of C decay as exp(-rate t), rate in 1/s, before a scatter."""
 
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):

@@ -1,5 +1,4 @@
-"""Weakly compressible fluid: pressure from the volume ratio J, viscosity from the velocity
-gradient.
+"""Weakly compressible fluid: pressure from the volume ratio, viscosity from the velocity gradient.
 
 The elastic F of a fluid is j I with j = J^(1/3): it contains the volume but not the shape. A
 fluid's history variable is the value of J about one relaxation time ago. The fluid is stiffer for

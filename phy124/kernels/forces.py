@@ -64,8 +64,7 @@ def make_zone(real: Any):
 
 @build_once
 def make_drag(real: Any):
-    """Kernel: solves dv/dt = rate (u - v) exactly, so that v approaches the wind u without
-    overshooting.
+    """Kernel: solves dv/dt = rate (u - v) exactly, so that v never overshoots the wind u.
 
     The uniform acceleration a acts after the drag, on the grid, and adds kick * a. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick)).
@@ -104,9 +103,7 @@ def make_attract(real: Any):
 
 @build_once
 def make_set_velocity(real: Any):
-    """Kernel: sets v = s (u + omega x (x - centre)) and C = s [omega]x while active; s is the
-    profile's value.
-    """
+    """Kernel: sets v = s (u + omega x (x - centre)), C = s [omega]x while active; s: profile."""
     t = types(real)
 
     @kernel(f"phy124_set_velocity_{real.__name__}", real)
@@ -267,8 +264,7 @@ def make_wrench(real: Any):
 
 @build_once
 def make_vortex(real: Any):
-    """Kernel: adds kick * b(x, t) to v, where b makes a prescribed motion exact (manufactured
-    solution).
+    """Kernel: adds kick * b(x, t) to v; b makes a motion exact (manufactured solution).
 
     The motion is the generalised vortex of Kamojjala, Brannon, Sadeghirad, Guilkey 2015 (doi
     10.1007/s00366-013-0342-x): each radius of a ring rotates by beta(R, t) = h(R) g(t) about z,

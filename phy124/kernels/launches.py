@@ -45,8 +45,7 @@ def record(
 ) -> wp.Launch | None:
     """Record a launch; return None if the launch would have no threads.
 
-    `Repeated` uses internals of Warp. With an unknown version of Warp, Warp's launch is returned
-    instead.
+    `Repeated` uses internals of Warp. With unknown versions, Warp's launch is returned.
 
     Args:
         kernel: The Warp kernel.
@@ -64,9 +63,7 @@ def record(
 
 
 def put(array: wp.array, values: NDArray, at: NDArray[np.int64] | None = None) -> None:
-    """Copy values [K,...] to an array on the device: to its first K elements, or to those with the
-    indices `at` [K].
-    """
+    """Copy values [K,...] to an array on the device: to its first elements, or those `at` [K]."""
     if str(array.device) == "cpu":
         array.numpy()[slice(len(values)) if at is None else at] = values
     elif at is not None:
@@ -78,8 +75,7 @@ def put(array: wp.array, values: NDArray, at: NDArray[np.int64] | None = None) -
 
 
 def reader(array: wp.array) -> Callable[[], NDArray[Any]]:
-    """Return a function that returns the current values of an array: a view on a CPU, otherwise a
-    copy.
+    """Return a function that returns an array's current values: a view on a CPU, else a copy.
 
     Creating a new view takes 3 us, and more if the processor's caches contain other data.
     """

@@ -2,8 +2,7 @@
 
 Each body has a separate velocity field. Impulses act between two bodies at the nodes that belong to
 both (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of an impulse is
-computed from the gradients of both bodies' volumes (Nairn 2013), so both bodies have the same
-normal.
+computed from the gradients of both bodies' volumes (Nairn 2013), so both have the same normal.
 
 Two bodies have common nodes before they touch, so contact needs another criterion. The weights of a
 quadratic B-spline have the variance dx^2 / 4 along every direction. The volume fraction of a body
@@ -233,8 +232,7 @@ def stop(relative: Any, n: Any, friction: Any):
 
 @build_once
 def make_pair(real: Any):
-    """Kernel over the common nodes of two bodies: applies equal and opposite impulses to the
-    bodies.
+    """Kernel over the common nodes of two bodies: applies equal and opposite impulses to them.
 
     `low` is the first of the common nodes. `fill` contains a factor for each body, by which a mass
     is multiplied to get a volume fraction. `yields` is 1 for a body that can move and 0 for a body

@@ -19,14 +19,11 @@ import warp as wp
 from phy124.kernels.native import code, native_kernel
 
 EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
-"""Number of particles per CPU thread, largest number of GPU threads, and number of threads per GPU
-block.
-"""
+"""Particles per CPU thread, largest number of GPU threads, and threads per GPU block."""
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads for a reduction over particles, and `first`, `each` and
-    `stride`.
+    """Return the threads for a reduction over particles, and `first`, `each` and `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU, a thread's
     particles are neighbours. On a GPU, neighbouring threads have neighbouring particles, so that
@@ -139,7 +136,5 @@ def meet(
     counter_out: wp.array(dtype=int),
     ticket_out: wp.array(dtype=int),
 ):
-    """Check the barrier up to `spins` times; set `ticket_out[0]` to 0 when all threads have
-    arrived.
-    """
+    """Check the barrier up to `spins` times; clear `ticket_out[0]` when all have arrived."""
     ...

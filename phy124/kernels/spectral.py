@@ -1,5 +1,4 @@
-"""Computes functions of a symmetric 3x3 matrix from its eigenvalues, in float64, without
-eigenvectors.
+"""Computes functions of a symmetric 3x3 matrix from eigenvalues, in float64, without eigenvectors.
 
 The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic
 polynomial that interpolates the function at the eigenvalues (Newton's divided differences). If

@@ -53,9 +53,7 @@ class Limits:
     most: wp.int32
     """Number of substeps after which control returns to the host."""
     apart: wp.int32
-    """Whether particles have left the grid (1 or 0); if so, only the host can measure the
-    particles.
-    """
+    """Whether particles have left the grid (1 or 0); then only the host can measure them."""
     origin: wp.vec3d
     """Position of the grid node with index 0 [m]."""
     margin: wp.int32

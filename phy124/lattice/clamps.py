@@ -154,8 +154,7 @@ class PassedOn:
             near: Indices of the points.
             points: Nodes and weights of each point.
             force: Mean force on each point in a substep [S,3], N.
-            sums: Sums, including the work, of the wall or body that exerts the force; None if there
-                are none.
+            sums: Sums, including work, of the wall or body that exerts the force; None: no sums.
         """
         nodes, kernel = self._nodes, make_pass_on(self._model.real)
         inputs = [near, *points, nodes.movable, nodes.inverse, self._holder, nodes.rest, nodes.u]
@@ -216,9 +215,7 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return the normal of a simple wall and the signed distance [m] at points [N,3], as rows
-    [N,4].
-    """
+    """Return the normal of a simple wall and the signed distance [m] at points, as rows [N,4]."""
     t = types(model.real)
     shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
     out = wp.zeros(len(x), dtype=t.vec4, device=model.device)

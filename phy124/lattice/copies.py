@@ -36,8 +36,7 @@ class Layout(NamedTuple):
         ties: scipy.sparse.csr_matrix,
         pushes: scipy.sparse.csr_matrix,
     ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return tied nodes (including repeated nodes), their weights [T,N], and the force matrix
-        [N,N].
+        """Return tied nodes (with repeated nodes), their weights [T,N], and the force matrix [N,N].
 
         Args:
             tied: Indices of the distinct nodes that are tied.

@@ -170,9 +170,7 @@ class CoupledSolver(Solver):
         super()._stable_step(until)
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: change velocities for the time `kick` [s], positions and F for `drift`
-        [s].
-        """
+        """Take one substep: change velocities for `kick` [s], positions and F for `drift` [s]."""
         super().step(kick, drift)
         self.lattice.end_step(drift)
 
@@ -235,9 +233,7 @@ class _Lattices:
 
 
 def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
-    """Copy the state of lattices' points to the state of all particles; `index` are the points'
-    indices among all particles.
-    """
+    """Copy the state of lattices' points to that of all particles, at the indices `index`."""
     copies = [(getattr(state, name), getattr(points, name)) for name in STATE]
     if len(state.total):
         copies.append((state.total, points.F))
@@ -250,8 +246,7 @@ def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
 def part_of_bodies(
     model: Model, bodies: Sequence[int], still: Sequence[int]
 ) -> tuple[Model, NDArray[np.int64]]:
-    """Return a model with some of the bodies, numbered in the given order, and the indices of their
-    particles.
+    """Return a model of some bodies, numbered in the given order, and their particles' indices.
 
     Args:
         model: The model.

@@ -173,9 +173,7 @@ class Crew:
             wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
 
     def lasting_forces(self) -> list[Any]:
-        """Return the arguments of `force_on` (phy124/kernels/lattice/nodes.py) for the lasting
-        forces.
-        """
+        """Return the arguments of `force_on` (kernels/lattice/nodes.py) for the lasting forces."""
         return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
@@ -252,8 +250,7 @@ class Crew:
             at: Index of the sum (phy124/kernels/lattice/work.py).
             tracks: The tracks of the run, with the clock and the uniform acceleration.
             out: The sums.
-            pool: The forces; None: the forces of the stress, or the forces of pushes if `at` is
-                `PUSHED`.
+            pool: The forces; None: those of the stress, or of pushes if `at` is `PUSHED`.
         """
         pushed = at == PUSHED
         if pool is None:

@@ -29,9 +29,7 @@ from phy124.mpm.workers import put_rows
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
 EXTERNAL = "external work"
-"""Name of the stage that sums impulse and work of forces on points, for the balances of momentum
-and energy.
-"""
+"""Name of the stage that sums impulse and work of forces on points, for the balances."""
 ROOM = 24
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
@@ -83,9 +81,7 @@ class Energies:
         self.pushes: wp.array | None = None
         """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed."""
         self._clamps = np.zeros(2)
-        """Work [J] of clamps that have been replaced since the start, and the part due to the
-        clamps' motion.
-        """
+        """Work [J] of clamps that have been replaced, and the part due to the clamps' motion."""
 
     def start(self) -> None:
         """Start to sum the work when the launches are recorded again."""
@@ -149,9 +145,7 @@ class Energies:
         return _rename(works)
 
     def _exchange(self, index: int, sums: wp.array) -> list[Named]:
-        """Return the launch with which a worker sums the impulse and the work of forces on
-        points.
-        """
+        """Return the launch with which a worker sums impulse and work of forces on points."""
         crew, row = self._crew, cast("wp.array", sums[index])
         work = crew.push_work(crew.workers[index], self._tracks, row)
         return [(EXTERNAL, launch) for _, launch in work]

@@ -39,9 +39,7 @@ MOVED, BETWEEN = 0.6, 0.15
 after twice this relative displacement [cells].
 """
 SLID = 0.4
-"""The pairs are determined again after a point has moved this distance along the other surface
-[cells].
-"""
+"""The pairs are determined again after a point has moved this far along the other surface."""
 FRICTION = 0.5
 """Friction coefficient for contact of a body with itself, and default for pairs of objects."""
 
@@ -77,8 +75,7 @@ class Meeting:
             bodies: Indices of the two bodies, equal for a body with itself.
             friction: Coefficient of Coulomb friction.
             sticky: Whether points that have touched stick together.
-            sums: Sums of impulse and moment of the first body on the second; None for a body with
-                itself.
+            sums: Sums of impulse and moment of the first body on the second; None: one body.
         """
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction
@@ -174,8 +171,7 @@ class Meeting:
         """Return the stages that apply, correct and sum the impulses.
 
         Args:
-            work: Records the launch that sums the work of the impulses; None if the work is not
-                summed.
+            work: Records the launch that sums the work of the impulses; None: no sums.
             passed: Records launches that transfer impulses on clamped nodes to clamps; None if
                 there are no clamps.
         """
@@ -246,9 +242,7 @@ class Meeting:
         return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of some points; points that already have a partner keep their contact
-        force.
-        """
+        """Determine the pairs of some points; points with a partner keep their contact force."""
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
         a, b = partners.pop("a"), partners.pop("b")

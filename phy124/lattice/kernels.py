@@ -44,9 +44,7 @@ def of_bodies(
 
 
 def of_workers(model_laws: Sequence[tuple[Any, bool]], real: Any, device: str) -> Iterator[Any]:
-    """Yield the kernels of a run; `model_laws` contains each law, and whether the law is
-    viscous.
-    """
+    """Yield the kernels of a run; `model_laws` contains each law, and whether it is viscous."""
     vectors = simd.usable(real, device)
     if vectors:
         yield from (simd.make_kick_simd(), simd.make_drift_simd(), simd.make_follow_simd())

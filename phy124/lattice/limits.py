@@ -32,9 +32,7 @@ two measurements of its distance from walls.
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35
-"""Product of strain rate and substep length above which the limits are measured before every
-substep.
-"""
+"""Strain rate times substep length above which the limits are measured every substep."""
 
 
 class Limits:
@@ -69,12 +67,9 @@ class Limits:
         self.probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Upper bound of the strain since the last measurement of the frequency, and the substep of
-        this measurement.
-        """
+        """Bound of the strain since the last measurement of the frequency, and its substep."""
         self._travel = 0.0
-        """Upper bound of the displacements of points and walls since points near walls were listed
-        [m].
+        """Bound of the displacements of points and walls since points near walls were listed [m].
         """
         self.measured = 0.0
         """Time of the last measurement [s]."""

@@ -1,7 +1,6 @@
 """Contact of surface points on lattices with particle bodies (material point method).
 
-In each substep, contact is computed on the particles' grid after the grid update and before walls
-act.
+In each substep, contact is computed on the particles' grid after the grid update, before walls.
 """
 
 from collections.abc import Callable, Iterator

@@ -48,9 +48,7 @@ def make_nodes(
 
 
 def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.float64]:
-    """Return the node velocities [N,3]: means of the neighbouring cells' velocities, extrapolated
-    with C.
-    """
+    """Return the node velocities [N,3]: means of the cells' velocities, extrapolated with C."""
     v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
     if not v.any() and not C.any():
         return np.zeros((len(lattice), 3))

@@ -21,9 +21,7 @@ from phy124.mpm.model import Model
 FAR = 3.0
 """If two sampled points are closer than this [cells], the surfaces around the points may touch."""
 REACH, NEAR = 1.4, 1.0
-"""Largest distance between points that may touch [cells], within one body and between two
-bodies.
-"""
+"""Largest distance between points that may touch [cells], within and between bodies."""
 LEAST = 0.05
 """Smallest volume ratio for mapping displacements on the surface to the body at rest."""
 AT_ONCE = 16

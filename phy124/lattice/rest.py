@@ -66,9 +66,7 @@ class RestLattice:
     body: NDArray[np.int64]
     """Index of the body of each node [N]."""
     source: NDArray[np.int64]
-    """Index of the node that each node repeats [N]; the node's own index if it repeats no other
-    node.
-    """
+    """Index of the node that each node repeats [N]; its own index if it repeats none."""
 
     @classmethod
     def of(
@@ -80,8 +78,7 @@ class RestLattice:
         spans: Sequence[slice] = (slice(None),),
         copies: NDArray | None = None,
     ) -> RestLattice:
-        """Return the lattices for the integration points of all bodies; no node belongs to two
-        bodies.
+        """Return the lattices for the integration points of all bodies; no node has two bodies.
 
         Args:
             x: Positions of the points at rest [P,3], m; eight consecutive points form a cell.
@@ -133,9 +130,7 @@ class RestLattice:
     def _of_body(
         cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float, copies: NDArray | None
     ) -> RestLattice:
-        """Return the lattice of one body; raise ValueError if the points do not form cells of
-        eight.
-        """
+        """Return the lattice of one body; raise ValueError if points do not form cells of eight."""
         if len(x) % PER_CELL:
             raise ValueError("the number of points is not a multiple of eight; use lattice_of")
         x = np.asarray(x, np.float64) / dx
@@ -200,8 +195,7 @@ class RestLattice:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """Number of the piece to which each cell belongs [C]; 0 for a cell whose nodes have no
-        copies.
+        """Number of each cell's piece [C]; 0 for a cell whose nodes have no copies.
 
         Cells that use the same copy of a node belong to the same piece.
         """
@@ -275,8 +269,7 @@ class RestLattice:
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the accelerations of the points [P], m/s^2, due to forces [P], N, along one
-        direction.
+        """Return the accelerations of points [P], m/s^2, due to forces [P], N, in one direction.
 
         Accelerations are computed only in cells on which forces act, and are 0 elsewhere.
         """
@@ -333,9 +326,7 @@ def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
 
 
 def splines(offset: NDArray) -> NDArray[np.float64]:
-    """Return the quadratic B-spline weights of three nodes [...,3] for offsets from the first
-    node.
-    """
+    """Return quadratic B-spline weights of three nodes [...,3] from offsets to the first."""
     parts = [0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1) ** 2, 0.5 * (offset - 0.5) ** 2]
     return np.stack(parts, axis=-1)
 

@@ -139,8 +139,7 @@ class LatticeSolver:
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        Contact forces and times of measurements are kept, so that live runs are bitwise
-        reproducible.
+        Contact forces and times of measurements are kept: live runs are bitwise reproducible.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -212,9 +211,7 @@ class LatticeSolver:
         """Index of the phase that completes the forces on all nodes."""
 
     def _contact(self) -> list[Named]:
-        """Return the launches of all kinds of contact; all impulses are applied before any is
-        corrected.
-        """
+        """Return the launches of all contact; all impulses are applied before any is corrected."""
         passed, parts = self.walls.passed_on(), (self.walls, self.meetings, self.free, *self.guests)
         everything = [part.stages(passed) for part in parts]
         return [
@@ -288,8 +285,7 @@ class LatticeSolver:
     def carry_nodes(
         self, carry: Callable[[NDArray, NDArray], tuple[NDArray, NDArray]], body: int = 0
     ) -> None:
-        """Set the positions and velocities of a body's nodes, and reset the forces of walls to
-        zero.
+        """Set positions and velocities of a body's nodes, and reset the forces of walls to zero.
 
         Args:
             carry: Function that computes the new positions and velocities [N,3] of the nodes from
@@ -329,8 +325,7 @@ class LatticeSolver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def step(self, kick: float, drift: float) -> float:
-        """Take one substep: change velocities for the time `kick` [s], and displacements for
-        `drift` [s].
+        """Take one substep: change velocities for `kick` [s], and displacements for `drift` [s].
 
         Returns: The time over which displacements changed [s]; shorter than `drift` if a point
         would be squeezed too much.
@@ -343,9 +338,7 @@ class LatticeSolver:
         return drift
 
     def start_step(self, kick: float, drift: float) -> None:
-        """Change the velocities of the nodes by forces and contact: all of a substep but the
-        motion.
-        """
+        """Change velocities of nodes by forces and contact: all of a substep but the motion."""
         self.limits.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock

@@ -134,9 +134,7 @@ class Spectrum:
         return 2 / math.sqrt(self._least) / _shorten(z)
 
     def follow(self) -> None:
-        """Measure the largest frequency in the current state, after the forces of all points are
-        summed.
-        """
+        """Measure the largest frequency in the current state, when all forces are summed."""
         self._complete(ACCELERATE)
         largest = float(np.abs(self._read_a()).max())
         share = MIXED / largest if largest > 0 else 0.0

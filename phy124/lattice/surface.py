@@ -33,9 +33,7 @@ SUPPORTED = 0.5
 FLAT = 0.9
 """A point counts as lying at an edge if the mean normal within a cell is shorter than this."""
 REGULAR = 1e-5
-"""A matrix of second moments is inverted by cofactors if its determinant is at least this fraction
-of its trace cubed.
-"""
+"""Second moments are inverted by cofactors if det / trace^3 is at least this fraction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +72,7 @@ class Surface:
 
     @cached_property
     def flat(self) -> Lazy:
-        """Whether each point is on a flat part of the surface, where neighbouring normals agree
-        [S].
-        """
+        """Whether each point is on a flat part of the surface, where nearby normals agree [S]."""
         compute = partial(_flat_at, self.x, self.normal, self.body, self.dx, KDTree(self.x))
         return Lazy(np.zeros(self.count, bool), compute)
 

@@ -18,9 +18,7 @@ SHARP, CLOSEST = 0.6, 24
 than this. `CLOSEST`: largest number of normals in such a mean.
 """
 ABOVE = 0.3
-"""Integration points that are farther outside of the surface than this are surface points, too
-[cells].
-"""
+"""Integration points farther outside of the surface than this are surface points [cells]."""
 
 
 def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:

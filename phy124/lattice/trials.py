@@ -33,12 +33,9 @@ class Trials:
         """
         self._model, self._crew = model, crew
         self.shape, self.mixed = (model.array(shape, types(model.real).vec3) for _ in range(2))
-        """The next trial shape, and the shape of the last trial, which also contains a share of the
-        accelerations [N,3].
-        """
+        """The next trial shape; the last one, which includes a share of the accelerations [N,3]."""
         self.a, self.u, self.after = (wp.zeros_like(self.shape) for _ in range(3))
-        """Accelerations of the nodes, displacements in the trial, and accelerations due to these
-        displacements [N,3].
+        """Accelerations of the nodes; displacements in the trial; accelerations due to these [N,3].
         """
         self._pool = crew.new_pool()
         self._tries: list[wp.Launch] = []

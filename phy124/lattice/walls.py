@@ -84,9 +84,7 @@ class Nodes:
     u: wp.array
     """Displacements [N,3], m."""
     residue: wp.array
-    """Rounding errors of the displacements [N,3], m; the next substep adds them to the
-    displacements.
-    """
+    """Rounding errors of the displacements [N,3], m, which the next substep adds to these."""
     v: wp.array
     """Velocities [N,3], m/s, half a substep behind the displacements."""
     before: wp.array
@@ -172,9 +170,7 @@ class Walls:
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the recorder of launches that add impulses to clamps' sums; None if there are no
-        clamps.
-        """
+        """Return the recorder of launches that add impulses to clamps' sums; None: no clamps."""
         if not self._clamps:
             return None
         model, _, nodes, tracks = self._around
@@ -321,9 +317,7 @@ class _Contact:
         self._measure(self._count)
 
     def distances(self) -> NDArray[np.float64]:
-        """Return the distance of each point from the wall [S], m; infinite for points on which the
-        wall cannot act.
-        """
+        """Return the distance of each point from the wall [S], m; infinite where it cannot act."""
         self.look()
         movable = self._affected & (self._yields.numpy() > 0)
         gaps: NDArray[Any] = self._gaps.numpy()
@@ -347,9 +341,7 @@ class _Contact:
             self._pass_count()
 
     def closest(self) -> float:
-        """Return the smallest distance [m] of a point from the wall in the last substep; infinite
-        if no point was near.
-        """
+        """Return the smallest distance [m] of a point from the wall; infinite if none is near."""
         return float(self._gap.numpy()[self._near, 3].min(initial=np.inf))
 
     def limit(self, reach: float) -> None:

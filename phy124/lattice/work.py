@@ -34,8 +34,7 @@ class ContactWork:
         *,
         clamped: bool = False,
     ) -> wp.Launch:
-        """Record the launch that sums the work on listed points; parameter 1 is the number of
-        points.
+        """Record the launch that sums the work on listed points; parameter 1 is their number.
 
         Args:
             at: Index of the first of three sums of work.

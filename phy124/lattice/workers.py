@@ -8,9 +8,7 @@ from phy124.mpm.stage import Named
 from phy124.mpm.workers import Timings, run_launches
 
 MEASURE, PLACE = -1, -2
-"""Two tasks besides the phases: measuring the motion of the points, and moving the points with the
-nodes.
-"""
+"""Two tasks besides the phases: to measure the points' motion, and to place the points."""
 
 
 @dataclass

@@ -98,9 +98,7 @@ class Bodies:
         except those due to liquid and weight.
         """
         self._impulses = np.zeros((every, 2, 3))
-        """Impulse of the liquid on each solid and body in the last step, and moment about the
-        origin.
-        """
+        """Impulse of the liquid on each solid and body in the last step, and its moment."""
 
     @property
     def names(self) -> list[str]:
@@ -143,9 +141,7 @@ class Bodies:
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps; the last pressure no longer contributes to the bound of the
-        acceleration.
-        """
+        """End the substeps; the last pressure is no longer in the bound of the acceleration."""
         self.work.end(self.pushes, self.turns, self._drift)
         self.free.finish()
         self.limit = 0.0
@@ -206,9 +202,7 @@ class Bodies:
                     launch.launch()
 
     def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
-        """Compute distances from a body's surface, which is shifted to enclose the body's
-        volume.
-        """
+        """Compute distances from a body's surface, shifted to enclose the body's volume."""
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
         inputs = [shift, cells.lattice, cells.window, box, self._full, self._shares]
@@ -303,9 +297,7 @@ class Bodies:
         return cells.record(worker, kernels.make_yield(real), inputs, outputs)
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the launch that writes the motions of solids and bodies after the pressure has
-        acted.
-        """
+        """Return the launch that writes the motions of solids and bodies after the pressure."""
         inputs = [self._solids.first(walls), self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
         outputs = [step, walls.motions, self._exchanged]
@@ -377,8 +369,7 @@ class Bodies:
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the vibration period [s] of a body on a wall; infinite if liquid surrounds the
-        contact.
+        """Return the period [s] of a body on a wall; infinite if liquid surrounds the contact.
 
         The period is four times the time in which a wave crosses the body.
         """

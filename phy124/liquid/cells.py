@@ -54,9 +54,7 @@ class OverActive:
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and a view [2] of two indices: the first active cell, and the cell
-        after the last.
-        """
+        """Store the launch, and a view [2] of the first active cell and the cell after the last."""
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:
@@ -104,8 +102,7 @@ class Cells:
         return int(np.prod(2 * self.size + 1))
 
     def fit(self, lower: NDArray, upper: NDArray) -> bool:
-        """Fit the window to the particles and a margin around them; return whether the window
-        changed.
+        """Fit the window to the particles and a margin; return whether the window changed.
 
         Args:
             lower: Lowest corner of the particles [3], m.
@@ -146,9 +143,7 @@ class Cells:
     def _allocate(self, count: int) -> None:
         t, real = self._t, self._model.real
         self.sums = self._zeros(self._copies * count, sums(real))
-        """Momentum, mass and volume of the particles at each cell, with one copy for each
-        worker.
-        """
+        """Momentum, mass and volume of the particles at each cell, one copy per worker."""
         self.fills = self._zeros(self._copies * count, t.vec2)
         """Volumes at each cell with quadratic and linear weights, with one copy for each worker."""
         self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
@@ -172,9 +167,7 @@ class Cells:
         self.which = self._zeros(count, int)
         """Index of the solid whose surface is in each cell; -1 if there is none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
-        """Flux out of each cell per unit velocity, and per unit angular velocity, of the solid in
-        `which`.
-        """
+        """Flux out of each cell per unit velocity and angular velocity of the solid in `which`."""
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)

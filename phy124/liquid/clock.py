@@ -80,8 +80,7 @@ class LiquidClock(Clock):
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] from the time of the velocities to that of the
-        positions.
+        """Return the change of kinetic energy [J] from the velocities' time to the positions'.
 
         Args:
             power: Power of the stress [W]; not used, since a projected liquid has none.

@@ -81,9 +81,7 @@ class LatticeBodyWork(BodyWork):
             self._u.assign(-self._solver.nodes_state.u.numpy())
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the substeps since `begin`; the arguments are not used, because the
-        lattices store the forces.
-        """
+        """Add the work of the substeps since `begin`, from the forces that the lattices store."""
         if not self.on:
             return
         crew, nodes, kernel = self._solver.crew, self._solver.nodes_state, make_node_work

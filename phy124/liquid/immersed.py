@@ -201,9 +201,7 @@ class ImmersedSolver:
         self.lattice.bind(forces=of_bodies, boundaries=boundaries, accumulators=sums)
 
     def keep_pushes(self, of_bodies: wp.array, of_liquid: wp.array) -> None:
-        """From now on, sum impulse and work of forces on points, and on particles of the liquid, in
-        one row per worker.
-        """
+        """From now on, sum impulse and work of forces on points and particles, a row per worker."""
         self._pushed = of_bodies
         self.lattice.keep_pushes(of_bodies)
         self.liquid.keep_pushes(of_liquid)

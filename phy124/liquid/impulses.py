@@ -1,6 +1,4 @@
-"""WallImpulses: sums the impulse and moment of each wall on the liquid, and the work of all
-walls.
-"""
+"""WallImpulses: sums each wall's impulse and moment on the liquid, and the walls' work."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, cast

@@ -24,9 +24,7 @@ from phy124.runtime.weakly import weakly
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps. The clock includes the delay of the liquid's
-    velocities.
-    """
+    """The clock of the bodies' substeps, with the delay of the liquid's velocities."""
 
     liquid: LiquidClock
     """The clock of the liquid."""
@@ -45,15 +43,11 @@ class MixedClock(Clock):
 
     @property
     def behind(self) -> float:
-        """Time by which velocities lag behind positions [s]: mass-weighted mean over liquid and
-        bodies.
-        """
+        """Time by which velocities lag behind positions [s]: mean of liquid and bodies by mass."""
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] from the time of the velocities to that of the
-        positions.
-        """
+        """Return the change of kinetic energy [J] from the velocities' time to the positions'."""
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.wet().momentum)
 
 
@@ -94,8 +88,7 @@ class MixedSolver(Solver):
             options: Further arguments of `Solver`.
 
         Raises:
-            InputError: The region of a force contains no particle, or a wall is too thin for the
-                grid.
+            InputError: A force's region contains no particle, or a wall is too thin.
         """
         span = liquid_span(model)
         part = liquid_model(model, span)

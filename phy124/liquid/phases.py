@@ -46,9 +46,7 @@ LAYERS, LAYERS_SHIFT = 4, 2
 `Cells.known`.
 """
 EXTENT = 7
-"""Number of values for the particles' extent: minus the lowest corner, the highest corner, and the
-squared speed.
-"""
+"""Number of values for the extent: minus low corner, high corner, squared speed."""
 
 
 class Phases:
@@ -75,8 +73,7 @@ class Phases:
             workers: The workers, whose phases are recorded.
             free: Rigid solids that move freely.
             bodies: Bodies of other materials.
-            missed: Flag of each worker [W,1]; 1 if any of the worker's particles is outside the
-                window.
+            missed: Flag of each worker [W,1]; 1 if a particle is outside the window.
         """
         self._model, self._state, self._cells = model, state, cells
         self._projection, self._workers, self._missed = projection, workers, missed
@@ -223,9 +220,7 @@ class Phases:
             yield solve.project(cells, cells.pressure, worker)
 
     def _follow(self, worker: int) -> Iterator[list[Recorded]]:
-        """Yield the phases in which a worker changes velocities by the pressure and moves
-        particles.
-        """
+        """Yield the phases in which a worker applies the pressure and moves particles."""
         energies = self.energies
         pressed = energies.of_walls(AT_PRESSURE, worker)
         yield [self._gradient(self._cells.pressure, worker), self._impulses(worker), *pressed]
@@ -447,9 +442,7 @@ class Phases:
         return [*out, *walls.push_out(cells, run, s, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
-        """Return the launches with which a worker sums the volumes [m^3] of its particles over the
-        cells.
-        """
+        """Return the launches with which a worker sums its particles' volumes [m^3] over cells."""
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
         inputs = [volume[run], cells.lattice, cells.window, self._state.x[run]]

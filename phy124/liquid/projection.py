@@ -20,9 +20,7 @@ PARTS = 512
 MOST = 400
 """Largest number of iterations of one solution."""
 CHECK = 8
-"""Number of iterations between two checks of the residual on a GPU, because each check waits for
-the device.
-"""
+"""Number of iterations between two checks of the residual on a GPU, since each one waits."""
 MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
 """Factories of the kernels of an iteration."""
 
@@ -50,9 +48,7 @@ class Projection:
         """Mobility of each solid: its motion per unit impulse, with impulses in the units of q."""
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity of each solid due to a vector of pressures, per part of the
-        cells.
-        """
+        """Velocity and angular velocity of each solid due to pressures, per part of the cells."""
 
     def part(self, worker: int) -> tuple[int, int]:
         """Return the index of a worker's first part, and the number of the worker's parts."""
@@ -69,11 +65,9 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return a worker's launches for solving an equation: begin, then pairs of advance and
-        improve.
+        """Return a worker's launches for an equation: begin, then pairs of advance and improve.
 
-        Three pairs of launches are recorded: for the first iteration, for odd and for even
-        iterations.
+        Three pairs of launches are recorded: for the first, for odd and for even iterations.
 
         Args:
             cells: The cells.

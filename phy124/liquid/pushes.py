@@ -71,9 +71,7 @@ class Pushes:
         """Velocities and their gradients before and after the forces."""
         count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
-        """Momentum gained by particles, and mass of these particles, in each cell; one copy per
-        worker.
-        """
+        """Momentum gained by particles, and their mass, in each cell; one copy per worker."""
 
     def _empty(self, dtype: Any, needed: bool) -> wp.array:
         return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)

@@ -94,13 +94,11 @@ class LiquidSolver:
             threads: Number of CPU threads; None: the fastest number.
             bodies: Bodies of other materials.
             advance_bodies: Function that moves the bodies up to a time [s].
-            whole: All particles of the run, from which positions of walls are determined; None:
-                `model`.
+            whole: All particles of the run, which place the walls; None: `model`.
             acting: Forces, boundaries, sums and planes, as in `bind`.
 
         Raises:
-            InputError: The region of a force contains no particle, or a wall is too thin for the
-                grid.
+            InputError: A force's region contains no particle, or a wall is too thin.
         """
         self.model, self._whole = model, whole or model
         self.state = State.of(model) if state is None else state
@@ -436,8 +434,7 @@ class LiquidSolver:
             self._measure()
 
     def _measure(self) -> None:
-        """Measure the extent and the speed of the particles, and renew the window if it is too
-        small.
+        """Measure the particles' extent and speed, and renew the window if it is too small.
 
         Raises:
             Unstable: A particle is not finite, or too far away.

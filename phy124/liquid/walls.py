@@ -199,8 +199,7 @@ class Walls:
         return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return the launch with which a worker computes the solid fractions of the B-splines in a
-        region.
+        """Return a worker's launch that computes the solid fractions of the B-splines in a region.
 
         The solid fraction of a B-spline is the fraction inside walls.
 

@@ -52,8 +52,7 @@ phy124/kernels/work.py.
 
 @build_once
 def make_touch(shape: str, real: Any, rows: Rows):
-    """Single-thread kernel: finds the points near a wall, and applies the impulses of the last
-    substep.
+    """Single-thread kernel: finds the points near a wall, and applies the last substep's impulses.
 
     `inverse` (of the mass) is zero for nodes in a clamp. `force_out` contains the mean force on
     each point in the last substep [N]; the force is set to zero for a point that has left the wall.
@@ -110,8 +109,7 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_yields(real: Any, rows: Rows):
-    """Kernel over points near a wall: computes each point's velocity change per unit impulse
-    [1/kg].
+    """Kernel over points near a wall: computes the velocity change per unit impulse [1/kg].
 
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
     `whole` is not). Without this rule, an impulse would move the few other nodes violently.
@@ -132,8 +130,7 @@ def make_yields(real: Any, rows: Rows):
 
 @build_once
 def make_resist(response: str, real: Any, rows: Rows):
-    """Single-thread kernel: forward and backward projected Gauss-Seidel sweeps over the points near
-    a wall.
+    """Single-thread kernel: forward and backward Gauss-Seidel sweeps over points near a wall.
 
     After one sweep, a part of each change of the load is not yet balanced, so points drift into the
     wall. Further sweeps follow if the wall holds points in both directions, or if a point is deeper
@@ -219,8 +216,7 @@ def mostly_held(
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Single-thread kernel: computes the gaps between pairs of points, as `make_touch` does for
-    walls.
+    """Single-thread kernel: computes the gaps of pairs of points, as `make_touch` for walls.
 
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the
@@ -294,8 +290,7 @@ def make_meet(real: Any, rows: Rows):
 
 @build_once
 def make_exchange(real: Any):
-    """Single-thread kernel: adds the impulses of pairs of points, and their moments, to a body's
-    sums.
+    """Single-thread kernel: adds impulses and moments of pairs of points to a body's sums.
 
     `sign` is 1 if the points belong to the body on which the summed impulse acts, and -1 otherwise.
     """
@@ -356,8 +351,7 @@ def make_account(real: Any, rows: Rows):
 
 @build_once
 def make_reach(shape: str, real: Any, rows: Rows):
-    """Kernel over the surface points from `start` on: computes the distance of each point from a
-    wall.
+    """Kernel over the surface points from `start` on: computes the distances from a wall.
 
     Args:
         shape: Name of a distance function.
@@ -380,9 +374,7 @@ def make_reach(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_distances(shape: str, real: Any):
-    """Kernel over points: computes the normal of a shape at each point, and the signed distance
-    from the shape [m].
-    """
+    """Kernel over points: computes a shape's normal and the signed distance from it [m]."""
     t = types(real)
     distance = SHAPES[shape]
 

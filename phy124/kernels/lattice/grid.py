@@ -26,9 +26,7 @@ from phy124.kernels.window import strides
 SURFACE = wp.constant(0.5)
 """Volume fraction at the surface of the material."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""A point is in contact only if the volume fraction and its slope [1/cell] are at least these
-values.
-"""
+"""A point is in contact only from this volume fraction and this slope on [1/cell]."""
 
 
 @build_once
@@ -53,8 +51,7 @@ def make_grid_near(real: Any, rows: Rows):
 
 @build_once
 def make_grid_touch(real: Any, rows: Rows):
-    """Single-thread kernel: finds the points that touch the material, and applies the last
-    impulses.
+    """Single-thread kernel: finds the points that touch material, and applies the last impulses.
 
     `fill` is the volume fraction at a node, divided by the mass of the node. For each listed point,
     `gap_out` receives the normal of the material and the distance from the material (infinite if

@@ -50,8 +50,7 @@ def force_on(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), donors:
 
 @build_once
 def make_kick(real: Any):
-    """Kernel over the nodes `start` to `stop`: changes the velocities of nodes by forces and
-    gravity.
+    """Kernel over the nodes `start` to `stop`: changes the velocities by forces and gravity.
 
     `v_before_out` receives the velocities before the kick, which are needed for the work of walls.
     """
@@ -104,9 +103,7 @@ def make_try(real: Any):
 
 @build_once
 def make_compare(real: Any):
-    """Kernel over the nodes from `start` on: computes how a trial displacement changes the
-    accelerations.
-    """
+    """Kernel over the nodes from `start` on: computes how a trial changes the accelerations."""
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
@@ -289,9 +286,7 @@ def make_drift(real: Any):
 
 @build_once
 def make_node_totals(real: Any):
-    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, and mass times
-    position.
-    """
+    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, mass x position."""
 
     @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)
     def node_totals(inverse, rest, u, v, sums_out):

@@ -19,15 +19,11 @@ APART, FACING = wp.constant(3.0), wp.constant(1.0)
 of the other [cells].
 """
 NEARER = wp.constant(0.6)
-"""Two sampled points may touch if their distance is less than this fraction of their distance at
-rest.
-"""
+"""Two samples may touch if their distance is below this fraction of that at rest."""
 BEYOND = wp.constant(0.05)
 """Largest distance beyond the edge of a flat side [cells] at which a point may touch that side."""
 OTHER = wp.constant(-0.2)
-"""Two points count as on the same side of a part if the cosine between their normals is at least
-this value.
-"""
+"""Two points are on one side of a part if the cosine of their normals is at least this."""
 DEEPEST = wp.constant(0.5)
 """Largest depth below the surface of a part [cells] at which a point counts as inside the part.
 Without this limit, the outer sides of two thin parts that lie on each other would be pushed through
@@ -109,8 +105,7 @@ def next_near(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over the sampled points from `start` on: flags the samples near which contact is
-    possible.
+    """Kernel over the samples from `start` on: flags those near which contact is possible.
 
     `x` contains the current positions of the samples, which have been sorted into `cells`.
     """

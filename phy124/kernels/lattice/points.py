@@ -1,5 +1,4 @@
-"""Computes the motion of integration points from the nodes, and the forces that the points exert on
-nodes.
+"""Computes the motion of integration points from the nodes, and the points' forces on nodes.
 
 The 27 nodes of a cell form nine rows of three nodes along z; `rows` contains the first node of each
 row. `offset` is a point's position relative to the first node of its cell [cells]. Eight

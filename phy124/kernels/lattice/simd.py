@@ -32,9 +32,7 @@ APART = 4
 NODES = 256
 """Number of nodes that one thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
-"""Positions of the Gauss points relative to a cell's first node, in the order of the kernels [8,3],
-cells.
-"""
+"""Positions of the Gauss points relative to a cell's first node, in this order [8,3], cells."""
 ALIGNED = 1e-4
 """Largest distance between a point and its Gauss point in a full cell [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"

@@ -45,8 +45,7 @@ def make_solid_begin(real: Any):
     """Single-thread kernel: applies gravity to a solid, and predicts its motion with the walls'
     last impulses.
 
-    `impulses` contains the impulse of each wall at each of the solid's `points` that the wall may
-    touch.
+    `impulses` contains each wall's impulse at each of the solid's `points` that it may touch.
     """
 
     @kernel(f"phy124_lattice_solid_begin_{real.__name__}", real, seconds=0.4)
@@ -151,8 +150,7 @@ def way_out(p: Any, half: Any, m: Any):
 
 @build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
-    """Single-thread kernel: finds the points near a solid, and applies the impulses of the last
-    substep.
+    """Single-thread kernel: finds the points near a solid, and applies the last impulses.
 
     For each listed point, `gap_out` receives the normal of the solid and the distance from the
     solid (infinite if out of reach); `place_out` receives the position of the point. If a flat body
@@ -225,9 +223,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_solid_resist(sticky: bool, real: Any, rows: Rows):
-    """Single-thread kernel: one forward and one backward Gauss-Seidel sweep over points and a
-    solid.
-    """
+    """Single-thread kernel: a forward and a backward Gauss-Seidel sweep of points and solid."""
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"

@@ -24,9 +24,7 @@ from phy124.kernels.transfer import Law
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
 """Index of each measured maximum, and the number of maxima."""
 FLAT = wp.constant(0.05)
-"""Volume ratio below which the strain rate at a point is reduced; otherwise, a flat or inverted
-point would stop the run.
-"""
+"""Volume ratio below which the strain rate of a flat or inverted point is reduced."""
 
 QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""

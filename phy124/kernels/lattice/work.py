@@ -34,8 +34,7 @@ COUNT = 17
 
 @build_once
 def make_node_work(real: Any):
-    """Kernel over the nodes from `start` on: adds the work of the forces on the nodes to the sum
-    with index `at`.
+    """Kernel over the nodes from `start` on: adds the work of the forces on nodes to the sum `at`.
 
     The work of the uniform acceleration is added to the sum `UNIFORM`.
     phy124/kernels/lattice/nodes.py explains `pool` and tied nodes. Tied nodes move with their
@@ -104,8 +103,7 @@ def make_contact_work(real: Any):
     """Single-thread kernel: computes three kinds of work of the impulses on points; adds them to
     the sums `at`, `at` + 1 and `at` + 2.
 
-    The three kinds are the work of the wall's motion, of the normal component of the impulses, and
-    of friction.
+    The three kinds are the work of the wall's motion, of the normal impulses, and of friction.
 
     `gap` contains the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act
     on nodes whose `inverse` is zero.

@@ -78,8 +78,7 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds the motion and the surface response of bodies to the pressure
-    equation.
+    """Kernel over cells: adds bodies' motion and surface response to the pressure equation.
 
     `free` is the number of rigid solids, which are numbered before the first body; `scale` is rho
     dx^3 [kg]. `present` contains the rigid motions of all solids at the start of the step, and
@@ -136,8 +135,7 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over solids and bodies: writes the rigid motions, and sums the impulses of the
-    pressure.
+    """Kernel over solids and bodies: writes the rigid motions, sums the pressure's impulses.
 
     `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """
@@ -174,11 +172,9 @@ def make_answer(real: Any):
 
 @build_once
 def make_body_change(real: Any):
-    """Kernel over the cells of a region: computes a body's velocity change due to the pressure
-    [m/s].
+    """Kernel over a region's cells: computes a body's velocity change by the pressure [m/s].
 
-    `pressed` contains the impulse on the surface in each cell; the impulse acts on the mass at the
-    surface.
+    `pressed` contains the impulse on the surface in each cell, which acts on the mass there.
     """
     t = types(real)
 

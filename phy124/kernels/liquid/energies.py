@@ -158,8 +158,7 @@ def make_face_work(real: Any):
 
 @build_once
 def make_wall_work(real: Any):
-    """Single-thread kernel: adds the work of the first `count` walls since the start of the step to
-    `sums_out`.
+    """Single-thread kernel: adds the work of the first `count` walls in this step to `sums_out`.
 
     The remaining walls are freely moving solids and bodies. `at` is the index of the sum computed
     with the walls' velocities; the next sum is computed with the liquid's velocities.
@@ -206,8 +205,7 @@ def make_shift_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel: adds the impulse and work of forces on particles to the `EXCHANGE` sums, after a
-    step.
+    """Kernel: adds impulse and work of forces on particles to the `EXCHANGE` sums after a step.
 
     `v_kept` and `C_kept` are the values before the forces act; `v_pushed` and `C_pushed` are the
     values afterwards. The arrays of C are empty if no force changes C.

@@ -102,9 +102,7 @@ def head_along(
 
 @build_once
 def make_gains(real: Any):
-    """Kernel: adds each particle's mass, and the momentum gained since `v_kept`, to the eight
-    nearest cells.
-    """
+    """Kernel: adds each particle's mass, and momentum gained since `v_kept`, to eight cells."""
     t = types(real)
 
     @kernel(f"phy124_liquid_gains_{real.__name__}", real, seconds=0.3)
@@ -133,11 +131,9 @@ def make_gains(real: Any):
 
 @build_once
 def make_wall_impulses(real: Any):
-    """Kernel over parts of the listed cells: adds the impulses of the pressure on walls to
-    `sums_out`.
+    """Kernel over parts of the cells: adds the impulses of the pressure on walls to `sums_out`.
 
-    Walls from index `bodies` on are bodies; `pressed_out` receives the opposite impulses on these
-    bodies.
+    Walls from index `bodies` on are bodies; `pressed_out` receives the opposite impulses on these.
     """
     t = types(real)
 

@@ -32,8 +32,7 @@ def between(a: Any, b: Any):
 
 @cache
 def make_mix(real: Any):
-    """Kernel over cells: computes the volume average of a property at the centre and at the low
-    faces.
+    """Kernel over cells: computes a property's volume average at the centre and the low faces.
 
     `fills` contains the sums of volume times property, and `cells` the sums of the volume. In a
     cell without liquid, the average is 1.

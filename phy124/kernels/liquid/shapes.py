@@ -17,9 +17,7 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""The position of a body is computed from a cell's fill only if walls cover at most this fraction
-of the cell's B-spline.
-"""
+"""A body's position is computed from a cell's fill if walls cover at most this fraction."""
 
 
 @wp.func
@@ -236,9 +234,7 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points at half the grid spacing: stores the minimum of the stored distance and
-    the distance from a body.
-    """
+    """Kernel over points at half the spacing: stores the minimum with the distance from a body."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)
@@ -319,9 +315,7 @@ def make_body_openings(real: Any):
 
 @build_once
 def make_body_push_out(real: Any):
-    """Kernel: moves particles of the liquid out of bodies; `wall` is the index of the first
-    body.
-    """
+    """Kernel: moves particles of liquid out of bodies; `wall` is the index of the first body."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)

@@ -136,8 +136,7 @@ def make_jumps(real: Any):
 
 @build_once
 def make_lift(real: Any):
-    """Kernel over parts of the cells: sums the weight of the liquid between cell centres and
-    solids.
+    """Kernel over parts of the cells: sums the liquid's weight between cell centres and solids.
 
     The sums are the impulse on each solid and the moment of this impulse about the solid's centre,
     both divided by rho dx^3.
@@ -186,8 +185,7 @@ def make_lift(real: Any):
 
 @build_once
 def make_kick(real: Any):
-    """Single-thread kernel: applies gravity to a freely moving solid; writes motion, mobility and
-    centre.
+    """Single-thread kernel: applies gravity to a free solid; writes motion, mobility and centre.
 
     `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of the matrix scale
     I^-1 for the inertia I.
@@ -239,8 +237,7 @@ def make_push(real: Any):
 def make_predict(real: Any):
     """Kernel over solids: writes the predicted motion of each solid, without the pressure.
 
-    The predicted motion is the solid's motion without the liquid, plus the response to the sums of
-    `make_lift`.
+    The predicted motion is that without the liquid, plus the response to the sums of `make_lift`.
     """
     t = types(real)
 

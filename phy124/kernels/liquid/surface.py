@@ -152,8 +152,7 @@ def level(
 
 @build_once
 def make_levels(real: Any):
-    """Kernel over cells: converts the sums to velocities, densities, and the distance to the
-    surface.
+    """Kernel over cells: converts sums to velocities, densities, and distance to the surface.
 
     `known_out` contains a bit for each face that has a velocity. `liquid_out` is 1 in cells of
     liquid. `hats_out` is the fraction of the linear kernel that is filled by liquid or solid.

@@ -22,9 +22,7 @@ from phy124.kernels.liquid.spread import normal_at
 from phy124.kernels.liquid.walls import centre_of, point, speed_of
 
 CLOSEST = wp.constant(0.1)
-"""Lower bound of the distance between a face and a wall [cells]; a closer wall would absorb all
-momentum in one step.
-"""
+"""Lower bound of a face's distance from a wall [cells]; a closer wall would take all momentum."""
 
 
 @wp.func

@@ -28,8 +28,7 @@ def code(*pieces: str) -> str:
     """Return the C++ text of the named pieces, joined in order.
 
     Args:
-        pieces: "tile:store" is the piece `store` of tile.h, and "tile" is the text before the first
-            piece.
+        pieces: "tile:store" is the piece `store` of tile.h, "tile" the text before the pieces.
     """
     texts = []
     for piece in pieces:

@@ -1,6 +1,4 @@
-"""Computes the outlines of glass solids on the screen, and their depth order relative to the
-Gaussians.
-"""
+"""Computes outlines of glass solids on the screen, and their depth order with the Gaussians."""
 
 import warp as wp
 
@@ -19,9 +17,7 @@ BEHIND = wp.constant(2)
 THIN = wp.constant(0.2)
 """A box counts as a plate if its thickness is less than this fraction of its width."""
 GIVE = wp.constant(0.3)
-"""An object counts as outside a plate if it penetrates the plate by less than this fraction of half
-the thickness.
-"""
+"""An object is outside a plate if it enters by less than this fraction of half its thickness."""
 
 
 @wp.func

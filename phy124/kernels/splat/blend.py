@@ -143,6 +143,4 @@ def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, we
 gather_tiles_simd = native_kernel(
     "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
 )(gather_pixels.func)
-"""Gather as `gather_pixels` does, on a CPU; tiles are processed one after the other, since they
-have common splats.
-"""
+"""Gather as `gather_pixels` does, on a CPU, tile by tile, since tiles share splats."""

@@ -68,9 +68,7 @@ WET = wp.constant(0.03)
 LEAST_LENGTH = wp.constant(0.1)
 """Lower bound of the length of liquid along an axis."""
 LONG = wp.constant(3.0)
-"""Largest length of liquid along a line of sight, relative to the liquid's smallest length along an
-axis at that point.
-"""
+"""Largest length of liquid in a line of sight, relative to its smallest extent there."""
 RIM = wp.constant(0.3)
 """Length of the normals of discs at the rim of a liquid on a wall.
 
@@ -116,9 +114,7 @@ WHITE = wp.constant(0.9)
 MILKY = wp.constant(0.5)
 """Smallest opacity of a disc that is all foam."""
 THICK = wp.constant(0.65)
-"""Thickness of a disc that is all foam, relative to its radius. The player draws such a thick disc
-without gloss.
-"""
+"""Thickness of a disc that is all foam / radius; the player draws it without gloss."""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
 """Two fractions of foam, between which flecks appear."""
 FLECKS = wp.constant(0.7)

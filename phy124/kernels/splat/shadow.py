@@ -1,6 +1,4 @@
-"""Computes the optical depth of the Gaussians above the floor, along the light, in layers of
-height.
-"""
+"""Computes the optical depth of Gaussians above the floor, along the light, in layers."""
 
 import warp as wp
 
