@@ -150,9 +150,7 @@ class Gaussians:
 
     @property
     def cover(self) -> Array:
-        """Visible area of each Gaussian [N], m^2: opacity times the product of its two longest
-        axes.
-        """
+        """Visible area of each Gaussian [N], m^2: opacity x product of the two longest axes."""
         x, y, z = self.scales.T
         return self.opacities * np.maximum(np.maximum(x * y, y * z), z * x)
 

@@ -33,8 +33,7 @@ from phy124.simulation.setup import Setup
 AFFORDABLE = 0.2
 """Maximum predicted time of the companion run, relative to the original run's dynamics."""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half the time of other solvers.
-"""
+"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half of the time."""
 SAMPLE = 2000
 """Number of Gaussians whose motions in the two runs are compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)

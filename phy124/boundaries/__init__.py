@@ -21,9 +21,7 @@ Kind = Ground | HalfSpace | Press | Container | Box | Sphere | Capsule | Gripper
 BOUNDARIES = Kinds(Boundary, "kind", "boundaries", Kind)
 """`BOUNDARIES.by_name` maps the name of a boundary to its class."""
 AnyBoundary = SerializeAsAny[Annotated[Kind, Field(discriminator="kind"), BOUNDARIES]]
-"""A boundary whose class is one of the `BOUNDARIES` or a registered class
-(phy124/schema/plugins.py).
-"""
+"""A boundary of one of the `BOUNDARIES` or of a registered class (schema/plugins.py)."""
 
 __all__ = [
     "BOUNDARIES",

@@ -30,17 +30,13 @@ lies about 0.65 cells inside the wall, the body therefore rests on the wall's su
 fluid materials sink to this plane, so `REACH` applies only to nodes that belong to no column.
 """
 MARGIN = 2.0
-"""Largest distance of a node in front of a wall [cells] at which the node may respond to the
-wall.
-"""
+"""Largest distance of a node in front of a wall [cells] at which the node may respond."""
 SWEEPS = 2
 """Number of passes per substep over columns that cross near a wall. In each pass, a column uses the
 velocities that the other columns computed in the previous pass.
 """
 THINNEST = 1.0
-"""Smallest half thickness of a solid [cells]; a thinner solid may contain no nodes, which stop
-material.
-"""
+"""Smallest half thickness of a solid [cells]; a thinner one may contain no nodes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 Recorder = Callable[[Grid], "wp.Launch | None"]
 
@@ -54,15 +50,11 @@ class Rest(Protocol):
         ...
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the positions at rest [Q,3], m, of the named object, or of all objects if the name
-        is None.
-        """
+        """Return the positions at rest [Q,3], m, of the named object; None: of all objects."""
         ...
 
     def top_of(self, name: str | None) -> float:
-        """Return the height of the top of the named object [m], or of all objects if the name is
-        None.
-        """
+        """Return the height of the top of the named object [m]; None: of all objects."""
         ...
 
 
@@ -241,15 +233,11 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Return the signed distance [m] below which nodes respond; None if contact is enforced at
-        the surface.
-        """
+        """Return the signed distance [m] below which nodes respond; None: at the surface."""
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return a recorder of the stage for crossing columns, which reaches two cells beyond the
-        bounds.
-        """
+        """Return a recorder of the stage for crossing columns, two cells beyond the bounds."""
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -265,9 +253,7 @@ class Boundary(Section):
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
-        """Return the function that records the wall's kernel launch; `slot` is the slot of the
-        track.
-        """
+        """Return the function that records the wall's launch; `slot` is the slot of the track."""
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
         kernel = self.kernel(model.real, model.dx)
@@ -307,18 +293,14 @@ class Boundary(Section):
         return record
 
     def _wall(self, model: Model, slot: int) -> list[Any]:
-        """Return the kernel inputs that describe the wall: shape, friction, reach, and the track's
-        slot.
-        """
+        """Return the kernel inputs that describe the wall: shape, friction, reach, track."""
         shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
         reach = self.reach(model.dx)
         return [shape, self.friction, REACH * model.dx if reach is None else reach, slot]
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
-    """Return the kernel inputs for contact in columns: the number of layers, and the contact
-    threshold.
-    """
+    """Return the kernel inputs for contact in columns: number of layers, and threshold."""
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
     return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 

@@ -49,9 +49,7 @@ class Clamp(Movable):
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Return "held" for sticky clamps, which act up to their surface; otherwise return
-        `contact`.
-        """
+        """Return "held" for sticky clamps, which act up to their surface; otherwise `contact`."""
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:

@@ -24,9 +24,7 @@ class Plane(Boundary):
     shape: ClassVar[str] = "half_space"
 
     def extent(self, model: Model) -> Corners:
-        """Return the corners [m] of the bounding box, which is all space if the normal is
-        oblique.
-        """
+        """Return the corners [m] of the bounding box; all space if the normal is oblique."""
         point, normal, _ = self.geometry(model)
         return half_bounds(point, normal)
 

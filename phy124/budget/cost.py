@@ -28,13 +28,9 @@ GAUSSIANS = 50_000
 FILLED = 0.19
 """Volume of a typical object, divided by the cube of the object's longest side."""
 DOUBLE = 1.7
-"""Time of a substep in float64, divided by the time of a substep in float32
-(docs/lab/accuracy.md).
-"""
+"""Time of a substep in float64, relative to one in float32 (docs/lab/accuracy.md)."""
 PASS = 0.7
-"""Time of each additional transfer pass, as a fraction of a substep's time
-(docs/lab/transfers.md).
-"""
+"""Time of each further transfer pass, relative to a substep (docs/lab/transfers.md)."""
 STEP = 6.0
 """Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
 VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
@@ -59,13 +55,9 @@ BYTES_PER_NODE = 32
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""
 AT_REST = 450
-"""Memory per Gaussian while it is bound, deformed and drawn [bytes], as measured in
-docs/lab/sizes.md.
-"""
+"""Memory per Gaussian while it is bound, deformed and drawn [bytes] (docs/lab/sizes.md)."""
 HELD = 256e6
-"""Maximum total size of frames that are kept in memory [bytes]. Larger runs compute the frames
-again when they are read.
-"""
+"""Maximum size of frames in memory [bytes]; larger runs compute frames again when read."""
 BYTES_PER_SHAPE = 250
 """Memory per Gaussian on the device that deforms the Gaussians [bytes]."""
 
@@ -111,9 +103,7 @@ USUAL = {
     "cpu": Rates(),
     "cuda": Rates(substep=4.5e-5, particle=3.3e-10, node=1.5e-11, frame=4e-3),
 }
-"""Typical rates for each kind of device; the rates for cuda were measured on an H200
-(docs/lab/cuda.md).
-"""
+"""Typical rates for each kind of device; cuda was measured on an H200 (docs/lab/cuda.md)."""
 
 
 @dataclass(frozen=True)
@@ -175,9 +165,7 @@ class Work:
 
 
 def count_substeps(scene: Scene) -> int:
-    """Estimate the number of substeps until the last frame, from the stability limits and the
-    expected speed.
-    """
+    """Estimate the number of substeps from the stability limits and the expected speed."""
     cells = CELLS if scene.projects and not scene.mixes else CELLS_PER_STEP
     speed = cells * scene.dx / max(largest_speed(scene), 1e-9)
     steps = np.minimum(longest_substeps(scene), speed)
@@ -193,9 +181,7 @@ def count_particles(scene: Scene, gaussians: int = GAUSSIANS) -> int:
 
 
 def count_nodes(scene: Scene) -> int:
-    """Return the number of grid nodes at rest, assuming that each object fills its bounding
-    cube.
-    """
+    """Return the number of grid nodes at rest if each object fills its bounding cube."""
     return len(scene.names) * (scene.resolution.cells + WINDOW) ** 3
 
 

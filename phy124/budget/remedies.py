@@ -20,9 +20,7 @@ scenes, another solver helped in 6 of 6, fewer cells in 4 of 6, half the speeds 
 damping in 0 of 4.
 """
 SOFTER = 16.0
-"""Factor by which a remedy divides Young's modulus E, so that the longest stable substep becomes
-four times as long.
-"""
+"""Factor by which a remedy divides E, so that the longest substep becomes four times longer."""
 
 
 def find_remedies(

@@ -126,8 +126,7 @@ class SceneOptions:
     frames: Annotated[int | None, help_of(Timing, "frames")] = None
     seconds: Annotated[float | None, help_of(Timing, "seconds")] = None
     fps: float | None = None
-    """Frames per second of motion. The duration changes only if --frames or --seconds is also set.
-    """
+    """Frames per second of motion. The duration changes only with --frames or --seconds."""
     view: Annotated[ViewOptions, tyro.conf.arg(name="")] = field(default_factory=ViewOptions)
     seed: Annotated[int | None, help_of(Scene, "seed")] = None
     set: tuple[str, ...] = field(default_factory=tuple)

@@ -53,8 +53,7 @@ class Validate:
     out: Path | None = None
     """Folder for experiments.md, experiments.json and a plot of each experiment."""
     docs: bool = False
-    """Update docs/lab/experiments.md and its plots; this works only in a clone of the repository.
-    """
+    """Update docs/lab/experiments.md and its plots; works only in a clone of the repository."""
     json: bool = False
     """Print only JSON."""
 
@@ -185,8 +184,7 @@ class Stress:
     all: bool = False
     """Run the cases at full length, which takes minutes instead of seconds."""
     device: Device | None = None
-    """Device on which the cases run; by default, they run on the CPU and then on each CUDA device.
-    """
+    """Device on which the cases run; default: the CPU and then each CUDA device."""
     json: bool = False
     """Print only JSON."""
 

@@ -222,8 +222,7 @@ class Grab(Force):
 
 
 MARGIN = 2.0
-"""Safety factor on the acceleration due to a torque; deformation may reduce the moment of inertia.
-"""
+"""Safety factor on the acceleration by a torque, as deformation may reduce the inertia."""
 
 
 class WrenchForce(Force):

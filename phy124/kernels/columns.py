@@ -242,8 +242,7 @@ class Response(NamedTuple):
     acts: Any
     """`(m, above, beyond, u, lightest, full)`: whether material has reached the wall."""
     ratios: Any
-    """`(distances, across) -> g`: ratios of the column's velocities to the first node's velocity.
-    """
+    """`(distances, across) -> g`: a column's velocities relative to its first node's."""
     pushes: Any
     """`(pressed)`: whether the wall acts, from the impulse per mass along its normal."""
     hold: Any

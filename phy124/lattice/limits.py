@@ -69,8 +69,7 @@ class Limits:
         self._strain, self._probed = math.inf, 0
         """Bound of the strain since the last measurement of the frequency, and its substep."""
         self._travel = 0.0
-        """Bound of the displacements of points and walls since points near walls were listed [m].
-        """
+        """Bound of the motion of points and walls since points near walls were listed [m]."""
         self.measured = 0.0
         """Time of the last measurement [s]."""
 

@@ -50,8 +50,7 @@ class RestLattice:
     rows: NDArray[np.int32]
     """First node of each of a cell's nine rows of three nodes along z [C,9]."""
     offset: NDArray[np.float64]
-    """Position of each point relative to its cell's first node [P,3], in cells, about 0.5 to 1.5.
-    """
+    """Position of each point relative to its cell's first node [P,3], cells, 0.5 to 1.5."""
     mass: NDArray[np.float64]
     """Mass of each node, including its tied nodes [N], kg; 0 for a tied node."""
     tied: NDArray[np.int64]

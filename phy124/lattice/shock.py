@@ -27,8 +27,7 @@ the rate of compression, so it is stable up to a fixed compression per substep. 
 cells would invert in impacts at ten times the speed of sound.
 """
 IMPACT = 0.3
-"""If a point moves farther than this in a substep [cells], a wall may squeeze the point too much.
-"""
+"""If a point moves farther in a substep [cells], a wall may squeeze it too much."""
 UNSEEN = 0.6
 """Longest distance that a point may move after its velocity was last measured [cells]. At a wall,
 several short substeps squeeze a point as much as one long substep.

@@ -30,8 +30,7 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""The normal at a point is used for contact with a box up to this depth along the normal [cells].
-"""
+"""The normal at a point is used for contact with a box up to this depth [cells]."""
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""
 

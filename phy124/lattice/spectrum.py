@@ -35,11 +35,9 @@ fastest vibration is below `UNDAMPED`. The fastest vibration then moves through 
 for single iterations, and would grow without viscosity.
 """
 MIXED = 0.1
-"""Size of the accelerations that are added to the shape before an iteration, relative to the shape.
-"""
+"""Size of the accelerations added to the shape before an iteration, relative to the shape."""
 STEADY = 0.05
-"""Largest relative change of the squared frequency between two measurements of a steady frequency.
-"""
+"""Largest relative change of the squared frequency between measurements, if steady."""
 MISSED = 1.1
 """Factor on squared frequencies, because the iterations underestimate frequencies."""
 

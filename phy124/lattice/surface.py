@@ -28,8 +28,7 @@ from phy124.particles.lattice import APART, PER_CELL
 INSIDE = 0.25
 """Depth below the surface at which a point's weights are computed [cells]."""
 SUPPORTED = 0.5
-"""Points are removed if the sum of their weights on nodes that are not tied is smaller than this.
-"""
+"""Points are removed if the sum of their weights on untied nodes is smaller than this."""
 FLAT = 0.9
 """A point counts as lying at an edge if the mean normal within a cell is shorter than this."""
 REGULAR = 1e-5

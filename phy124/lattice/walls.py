@@ -132,8 +132,7 @@ class Walls:
         """
         simple = [(boundary.holds, part) for boundary in boundaries for part in boundary.parts()]
         self.sums = wp.zeros((len(simple), SUMS), dtype=wp.float64, device=model.device)
-        """Impulse, work and moment of each simple wall [W,16] (phy124/kernels/lattice/contact.py).
-        """
+        """Impulse, work and moment of each simple wall [W,16] (kernels/lattice/contact.py)."""
         self.impulses: Impulses | None = None
         """Sums per surface point and node; None unless `keep_impulses` was called."""
         self.work: ContactWork | None = None

@@ -154,8 +154,7 @@ class Bodies:
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Solid fractions of the B-splines, and open fractions of eighths of cells, without bodies.
-        """
+        """Solid fractions of B-splines, and open eighths of cells, without bodies."""
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
         )

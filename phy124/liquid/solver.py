@@ -55,8 +55,7 @@ from phy124.mpm.workers import (
 )
 
 TOLERANCE, LOOSE = 1e-4, 1e-2
-"""Largest residuals of the equations of pressure and of density, relative to the right-hand side.
-"""
+"""Largest residuals of the equations of pressure and density, relative to the right side."""
 SETTLE = 4
 """Number of corrections of the density before the first step."""
 MOST_CELLS = 2**22

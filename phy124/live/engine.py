@@ -42,8 +42,7 @@ FOREVER = 1e8
 KEPT_EVERY = 12
 """Number of frames between two stored states."""
 LOST = 50.0
-"""If the object is farther from the middle of the scene than this [object sizes], the run restarts.
-"""
+"""The run restarts if the object is farther from the scene's middle [object sizes]."""
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30

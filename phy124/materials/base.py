@@ -111,16 +111,12 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the law's parameters for grid spacing `dx` [m] and substeps of `cfl` times the
-        elastic limit.
-        """
+        """Return the law's parameters for spacing `dx` [m] and `cfl` (substep / elastic limit)."""
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """Limit on a Gaussian's longest axis, relative to the axis at rest: `max_stretch` or the
-        default.
-        """
+        """Limit on a Gaussian's longest axis relative to rest: `max_stretch` or the default."""
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
@@ -169,9 +165,7 @@ def viscous_substep(density: float, viscosity: float, dx: float) -> float:
 
 
 class Elastic(Material):
-    """Base class of materials with Young's modulus and Poisson's ratio. `theta` begins with mu and
-    lambda.
-    """
+    """Base class of materials with E and nu; `theta` begins with the Lame parameters mu, lambda."""
 
     scaled: ClassVar[int] = 2
 

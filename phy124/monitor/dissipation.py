@@ -124,9 +124,7 @@ class Dissipation(Observer):
         return {}
 
     def false_gain(self) -> float:
-        """Return the energy [J] that the exchange between liquid and bodies created; zero if none
-        was created.
-        """
+        """Return the energy [J] that the exchange of liquid and bodies created, at least 0."""
         return 0.0
 
     def open(self) -> None:

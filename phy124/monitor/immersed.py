@@ -25,9 +25,7 @@ BODIES = MEAN_PUSH
 
 
 class ImmersedWork(PoolWork, MeanWork):
-    """Computes the external impulse and work, on lattices and on the liquid, from the sums for
-    walls.
-    """
+    """Computes the external impulse and work on lattices and liquid from the sums for walls."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, which sums the impulses of walls on the liquid and on lattices."""

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
-"""Number of nearest particles at rest that are examined: six neighbours, and the particle itself.
-"""
+"""Number of nearest particles at rest that are examined: six neighbours and itself."""
 Opened = dict[str, NDArray]
 
 

@@ -198,9 +198,7 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeContacts(Contacts):
-    """Computes the force of walls on each Gaussian, from impulses on surface points and clamped
-    nodes.
-    """
+    """Computes the walls' force on each Gaussian from impulses on points and clamped nodes."""
 
     in_substeps = False
 
@@ -212,9 +210,7 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the effects report's row for contact forces; they cost less time than the contact
-        itself.
-        """
+        """Return the effects report's row for contact forces; they cost less than contact."""
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:

@@ -34,9 +34,7 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the row of the effects report for the work of each cause; None if there is no
-        liquid.
-        """
+        """Return the effects report's row for the work of each cause; None without liquid."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None

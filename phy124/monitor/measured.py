@@ -44,8 +44,7 @@ class NodesNear:
         self.threads: tuple[int, ...] = ()
         """Shape of the launch of a kernel over segments of rows of these nodes."""
         self.read: list[Any] = []
-        """First inputs of a kernel over these segments: length, box, window, and the grid's nodes.
-        """
+        """First inputs of a kernel over these segments: length, box, window, grid's nodes."""
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes."""
 

@@ -35,8 +35,7 @@ class PoolDissipation(LiquidDissipation):
     """Divides the energy loss of a liquid and of freely moving solids in the liquid by cause."""
 
     _omits_shifts = True
-    """Whether the work of a varying acceleration omits the displacements that restore the density.
-    """
+    """Whether the work of a varying acceleration omits the moves that restore density."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver, and let the solver sum the work from its first step on."""

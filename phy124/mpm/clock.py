@@ -44,11 +44,9 @@ class Clock:
         complete measurement. If the bounds are infinite, the next measurement must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
-        """Time of the last measurement [s]; number of substeps since the last complete measurement.
-        """
+        """Time of the last measurement [s]; number of substeps since the last complete one."""
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """Array on the device: kick and drift of the substep, and time at the substep's start [s].
-        """
+        """Array on the device: the substep's kick and drift, and the time at its start [s]."""
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
         """Last computation of the longest stable substep: inputs and result."""

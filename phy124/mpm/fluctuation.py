@@ -62,11 +62,9 @@ class Fluctuation:
     C: wp.array
     """Velocity gradients [P,3,3], 1/s, without the part that the grid represents."""
     v_noise: wp.array
-    """Remainder of the velocities after several passes [P,3], m/s; zero if there is only one pass.
-    """
+    """Remainder of the velocities after several passes [P,3], m/s; zero after one pass."""
     C_noise: wp.array
-    """Remainder of the gradients after several passes [P,3,3], 1/s; zero if there is only one pass.
-    """
+    """Remainder of the gradients after several passes [P,3,3], 1/s; zero after one pass."""
     still: wp.array
     """A clock with a time step of zero, so that the grid update does not change velocities."""
 

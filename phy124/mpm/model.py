@@ -90,15 +90,11 @@ class Model:
     integration points of a lattice lie below its surface, and free solids have no particles.
     """
     whole: Model | None = None
-    """The model of all bodies, if this model contains only some bodies. The shapes of boundaries
-    depend on all bodies.
-    """
+    """The model of all bodies, for boundaries' shapes, if this one has only some bodies."""
     least_stiffness: float = 1.0
     """Smallest factor on Young's modulus E of a particle."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Function that returns the accelerations [P] due to forces on particles; None if each particle
-    moves independently.
-    """
+    """Returns the accelerations [P] by forces on particles; None: particles are independent."""
 
     @classmethod
     def of(
@@ -339,9 +335,7 @@ def _zero_held(motion: NDArray, model: Model) -> NDArray:
 
 
 def form_of(precision: str, device: str, gradient: str = "affine") -> str:
-    """Return the implementation of the transfers: "spline" if requested, "simd" for float32 on
-    CPUs, otherwise "plain".
-    """
+    """Return the form of the transfers: "spline" on request, "simd" (float32, CPU) or "plain"."""
     if gradient == "spline":
         return "spline"
     return "simd" if device == "cpu" and precision == "float32" else "plain"

@@ -224,9 +224,7 @@ class Solver:
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: advance velocities by the time `kick` [s], and positions and F by
-        `drift` [s].
-        """
+        """Take one substep: velocities by `kick` [s], and positions and F by `drift` [s]."""
         self._measure_if_due()
         self._scatter(kick, drift)
         self.runner.run(GATHER)

@@ -222,9 +222,7 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return the launches of a worker for a wall and a body; the first worker handles some
-        walls alone.
-        """
+        """Return a worker's launches for a wall and a body; the first handles some walls alone."""
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)
@@ -320,9 +318,7 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the launch that updates a worker's part of a body's grid, by default with the
-        run's clock.
-        """
+        """Return the launch that updates a worker's part of a grid, by default with the clock."""
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta
         clock = self.tracks.clock if clock is None else clock

@@ -32,8 +32,7 @@ from phy124.mpm.timestep import Maxima
 from phy124.runtime.cores import free_cores
 
 MIN_PARTICLES = 10_000
-"""Smallest number of particles per worker; with fewer, barriers take more time than threads save.
-"""
+"""Smallest number of particles per worker; with fewer, barriers cost more than they save."""
 GATHER = -1
 """The last phase of a substep; workers wait for each other between phases."""
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
@@ -168,9 +167,7 @@ class Slabs:
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give the workers equal numbers of each group's particles, in memory order or in the order
-        `order` [P].
-        """
+        """Give workers equal numbers of each group's particles, in memory order or `order` [P]."""
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
         for group in self._model.groups:

@@ -31,7 +31,7 @@ lower: `FULLEST` times the filled fraction of the fullest cell.
 HAZE = 0.005
 """Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1
-"""Filled fraction below which a voxel beside one twice as full has no surface points."""
+"""Filled fraction below which a voxel next to one twice as full has no surface points."""
 SLIVER, THIN_SLIVER = 0.15, 0.05
 """A cell is a sliver if its filled fraction is below one of two limits: `THIN_SLIVER` f^2, where f
 is the filled fraction of the fullest cell around it, and `SLIVER` g^2, where g is the smallest

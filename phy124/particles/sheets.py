@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from phy124.particles.cuts import below, between, fill_between
 
 SHORTEST = 0.1
-"""A voxel at the rim of a sheet is filled over at least this fraction of its length across the rim.
-"""
+"""A voxel at a sheet's rim is filled over at least this fraction of its length."""
 ROUNDS, FASTER = 3, 1.5
 """`ROUNDS`: improvements of the planes. `FASTER`: factor on their slow corrections."""
 STEEP = 16
@@ -44,9 +43,7 @@ class Planes(NamedTuple):
     height: NDArray[np.float64]
     """Distances of the planes from the middles of the voxels, along the normals [K]."""
     thick: NDArray[np.float64]
-    """Thicknesses that the material of the surrounding 27 voxels would have, if the sheet crossed
-    all of them [K].
-    """
+    """Thickness of the material of the 27 voxels around, if the sheet crossed all of them [K]."""
     inward: NDArray[np.float64]
     """Unit vectors along the sheets, towards the material of the surrounding 27 voxels [K,3]."""
 

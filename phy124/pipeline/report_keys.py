@@ -325,8 +325,7 @@ class Report(TypedDict):
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None
-    """First frame at rest (`since`), number of `frames` at rest, and number of skipped `substeps`.
-    """
+    """First frame at rest (`since`), `frames` at rest, and number of skipped `substeps`."""
     walls: dict[str, Any] | None
     """Largest and last force [N] and torque [N m] on each wall, with `wrenches` or `contacts`."""
     cleaning: list[str]

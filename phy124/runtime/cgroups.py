@@ -26,8 +26,7 @@ class Mount(NamedTuple):
     group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of the hierarchy in version 1. In version 2, one hierarchy has all controllers.
-    """
+    """Controllers of version 1's hierarchies; in version 2, one hierarchy has them all."""
 
 
 def memory_left(root: Path = ROOT) -> float:

@@ -13,8 +13,7 @@ from phy124.errors import InputError
 CHOICES = "auto, cpu, cuda:0 or another GPU."
 """Help text of the options that take a device."""
 KEPT = 2**30
-"""Amount of freed GPU memory that is kept for the next frame [bytes], because allocation is slow.
-"""
+"""Freed GPU memory that is kept for the next frame [bytes], since allocation is slow."""
 P = ParamSpec("P")
 Made = TypeVar("Made")
 Owner = TypeVar("Owner")

@@ -32,8 +32,7 @@ class Appearance(NamedTuple):
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Limit on each moving Gaussian's longest axis, relative to this axis at rest; may be infinite.
-    """
+    """Limit on each moving Gaussian's longest axis, relative to rest; may be infinite."""
     rounds: NDArray[np.bool_]
     """Mask of the moving Gaussians that become balls when the material is stretched."""
     flows: NDArray[np.bool_]

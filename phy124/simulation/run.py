@@ -99,8 +99,7 @@ class Simulation:
         """Indices of the frames that were repeated with half the substep."""
         self.stopped: str | None = None
         self.remedies: tuple[Remedy, ...] = ()
-        """The reason for a stop, and remedies; None and an empty list unless the run has stopped.
-        """
+        """The reason for a stop, and remedies; None and an empty list without a stop."""
         self.remarks: list[str] = []
         """Further notes for the report."""
         self.most_substeps = math.inf
@@ -462,9 +461,7 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return the function to call after each substep: it runs observers, and checks budget and
-        progress.
-        """
+        """Return the function after each substep: it runs observers, checks budget, reports."""
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver
         last = solver.clock.substeps + self.most_substeps

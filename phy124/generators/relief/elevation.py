@@ -31,9 +31,7 @@ class Raised:
         return np.array([[1, 0, 0], [0, cosine, sine], [0, -sine, cosine]])
 
     def pixels(self, points: Field) -> Field:
-        """Project upright points [N,3] into the image; return positions [N,2] relative to its
-        centre.
-        """
+        """Project upright points [N,3] into the image; return offsets [N,2] from its centre."""
         seen = points @ self.turn.T
         return seen[:, :2] / (1 - seen[:, 2:] / self.distance)
 

@@ -25,8 +25,7 @@ from phy124.generators.relief.shell import DRAWN_IN, Shell
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 LOWEST, HIGHEST = np.radians([3.0, 60.0]).tolist()
-"""Limits of the camera's elevation [radians]. At other elevations, the ring may also stand upright.
-"""
+"""Limits of the camera's elevation [radians]; outside, the ring may also stand upright."""
 OVERLAP = 0.93
 """Smallest overlap (IoU) of the silhouette with the image of the ring."""
 FACING = 0.2

@@ -55,8 +55,7 @@ class Blocks(NamedTuple):
     order: NDArray[np.int32]
     """Cells of each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the points [blocks,8,4,16]; cells that only complete a block have zero volume.
-    """
+    """Constants of the points [blocks,8,4,16]; cells that complete a block have no volume."""
     full: int
     """Number of blocks of full cells; these blocks come first."""
 

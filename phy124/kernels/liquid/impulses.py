@@ -23,8 +23,7 @@ from phy124.kernels.work import IMPULSE, MOVED, TURNED, WORK
 Sums = wp.array3d(dtype=wp.float64)
 vec7d = wp.types.vector(7, wp.float64)
 COLUMNS = 7
-"""Number of sums for each wall: impulse on the liquid [3], moment about the origin [3], and work.
-"""
+"""Number of sums for each wall: impulse on the liquid [3], moment [3], and work."""
 
 
 @wp.func

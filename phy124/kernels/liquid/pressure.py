@@ -19,8 +19,7 @@ from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
 
 NEAREST = wp.constant(0.02)
-"""Lower bound of the distance between the surface and a cell's centre [cells]; limits the pressure.
-"""
+"""Lower bound of a cell centre's distance from the surface [cells]; limits the pressure."""
 COMPRESSIBLE = wp.constant(1.0e-6)
 """Compressibility of a cell: the fraction by which the diagonal matrix entry is increased."""
 

@@ -5,8 +5,7 @@ from phy124.generators.options import Work
 STEPS = 30
 """Number of diffusion steps in LGM's program."""
 STEP = Work(662.4e9, 1045.9e9, 473.6e9)
-"""Work of one step of the U-Net: five frames without the image condition, and five frames with it.
-"""
+"""Work of one step of the U-Net: five frames without the image condition, five with it."""
 AROUND = Work(371.2e9, 3358.3e9, 33.9e9)
 """Work of the text encoder, the image encoder and the autoencoder.
 

@@ -78,8 +78,7 @@ def pose_row(elevation: float, azimuth: float) -> list[float]:
 
 
 SPARE_UNETS = 2.0
-"""The image encoder stays in memory if the free memory exceeds this multiple of the U-Net's size.
-"""
+"""The image encoder stays in memory if free memory exceeds this multiple of the U-Net."""
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256

@@ -186,8 +186,7 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-""""all", which is rarer, is chosen only if its error is below this fraction of the error of "each".
-"""
+"""The rarer "all" is chosen only if its error is below this fraction of that of "each"."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:

@@ -24,8 +24,7 @@ REFINE = 3
 NEAR = 3.0
 """Coarse vertices are refined if |log(density / threshold)| is at most this value."""
 FRAGMENT = 0.01
-"""Separate pieces are removed if their volume is below this fraction of the largest piece's volume.
-"""
+"""Pieces are removed if their volume is below this fraction of the largest volume."""
 BATCH = 1 << 18
 """Number of points between two reports of progress."""
 COUNT = 40_000
