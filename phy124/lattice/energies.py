@@ -187,7 +187,7 @@ class Energies:
         self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of clamps, and the part by their motion, from the sums of both."""
+        """Return the work of clamps and its part by motion, from sums of walls and clamps."""
         if self._walls is None:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]
