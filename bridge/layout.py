@@ -171,7 +171,7 @@ def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Return the indices of at most `limit` of `count` Gaussians; None means no limit.
+    """Choose at most `limit` of `count` Gaussians, and return their indices; None means no limit.
 
     The indices are evenly spaced, so they are the same in every frame and every run.
     """

@@ -195,7 +195,7 @@ def camera_name(side: str) -> str:
 def live_points(profile: Profile | None, asked: int | None) -> int:
     """Return the number of Gaussians per frame of a live profile.
 
-    The result is the number `asked` or, if `asked` is 0 or None, the default.
+    The result is `asked`, or the default if `asked` is 0 or None.
     """
     if profile == "splats":
         return min(asked or LIVE_SPLATS, LIVE_SPLATS)

@@ -71,8 +71,9 @@ class Player:
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
         self.shown = self.dropped = self.skipped = self.loops = 0
-        """Numbers of frames that were shown, dropped because late, and skipped because of `rate`,
-        and number of loops started."""
+        """Number of frames shown, number dropped because they were late, number skipped because of
+        `rate`, and number of loops started.
+        """
         self.finished = False
         self._next = 0
         self._peek = True  # whether to show the next frame even while paused

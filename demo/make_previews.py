@@ -51,7 +51,7 @@ LONGEST = 24
 SIZE, CHIP = 200, 128
 """Sides of the square previews of presets and of materials [pixels]."""
 CLOSE = 0.72
-"""Ratio of the fields of view of a material's preview and a preset's preview."""
+"""Field of view of a material's preview, divided by the field of view of a preset's preview."""
 FILM = (800, 600)
 """Width and height of the video of a finished result [pixels]."""
 LARGEST = 500_000

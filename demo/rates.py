@@ -26,7 +26,9 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that may be attributed to fixed costs."""
 MINIMUM = 0.2
-"""Smallest work of a run that corrects a cost, relative to the work in the first measurement."""
+"""A run corrects a cost only if its work is at least this fraction of the work in the first
+measurement.
+"""
 
 
 class Learned:

@@ -45,7 +45,7 @@ from phy124.simulation.bodies import Placed
 FIRST = (12, 16, 24)
 """Cells across the object on the first levels; an order of convergence needs three levels."""
 STEP = 1.5
-"""Maximum ratio of the cells across the object on a new level to those on the finest level."""
+"""A new level has at most this multiple of the finest level's cells across the object."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
 """Cells across the object on the further grids.
 
@@ -54,7 +54,7 @@ A run on the finest grids takes minutes on two cores, and less than 2 GB of memo
 GUESSED_ORDER = 1.0
 """Order of convergence if the levels do not converge; free surfaces have first order."""
 START = 16
-"""Cells across the object of the grid with which the search for a maximum time begins."""
+"""The search for a maximum time begins on a grid with this number of cells across the object."""
 ATTEMPTS = 2
 """Maximum number of further levels that are run if the first levels do not converge."""
 DENSEST = 4.0

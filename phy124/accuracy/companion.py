@@ -68,7 +68,9 @@ PARTED = 0.1
 
 
 class Factors(NamedTuple):
-    """Ratios of a run's error to the distance between the run and its coarser companion run."""
+    """Factors that convert the distance between a run and its coarser companion run to the run's
+    error.
+    """
 
     about: float
     """Median of the ratio over the measured objects and scenes."""

@@ -40,7 +40,7 @@ WORDS: dict[Motion, str] = {
 ON_LATTICE = ", on a lattice"
 """Text that is appended to the name of a kind of scene or of a feature if lattices are used."""
 MARGIN = 1.25
-"""Maximum ratio of a scene's property to the largest measured value of the property."""
+"""A property of a scene may exceed the property's largest measured value by at most this factor."""
 NEARBY = 0.02
 """Maximum difference by which Poisson's ratio may exceed the measured range."""
 HARDER = {
@@ -95,7 +95,9 @@ def groups(scene: Scene) -> list[str]:
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return each feature paired with the solver; a prediction needs measurements of every pair."""
+    """Return a pair of feature and solver for each feature; a prediction needs measurements of
+    every pair.
+    """
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
 

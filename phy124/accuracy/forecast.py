@@ -41,7 +41,7 @@ SPEED_UP = 0.72
 GROWTH = 2.5
 """The time of a companion run is assumed to grow with this power of the cells across the object."""
 UNSURE = 0.1
-"""Maximum fraction of substeps limited by the particles' speed in a reliable forecast."""
+"""A forecast is reliable if the particles' speed limits at most this fraction of the substeps."""
 GUESS = 1.14
 """Factor that widens the range of the predicted time if the forecast is not reliable."""
 ON_DEVICE = ("simulate", "deform", "render")

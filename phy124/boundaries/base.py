@@ -23,14 +23,14 @@ from phy124.schema.section import Section
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Largest signed distance from a wall [cells] at which a node responds alone, not in a column.
+"""Up to this signed distance from a wall [cells], a node responds alone, not in a column.
 
 A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If this plane
 lies about 0.65 cells inside the wall, the body therefore rests on the wall's surface. Plastic and
 fluid materials sink to this plane, so `REACH` applies only to nodes that belong to no column.
 """
 MARGIN = 2.0
-"""Largest distance of a node in front of a wall [cells] at which the node may respond."""
+"""A node in front of a wall may respond to the wall up to this distance [cells]."""
 SWEEPS = 2
 """Number of passes per substep over columns that cross near a wall. In each pass, a column uses the
 velocities that the other columns computed in the previous pass.

@@ -236,7 +236,7 @@ def _of_numerics(scene: Scene, device: str) -> Iterator[Effect]:
     singular values is the time of Warp's svd3.
     """
     bound = scene.binding == "particles"
-    why = "binding is lattice: Gaussians follow the particles inside and around them"
+    why = "binding is lattice: each Gaussian follows the particles inside and around it"
     yield Effect("one particle for each Gaussian", bound, why)
     double = scene.precision == "float64"
     enough = "single precision is enough: the grid error is larger"

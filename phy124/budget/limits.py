@@ -23,7 +23,7 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""Minimum ratio of the two largest wave speeds for a note about the stiffest part."""
+"""A note names the stiffest part if the two largest wave speeds have at least this ratio."""
 MANY, LONG = 5.0, 20.0
 """A note about the speed of an object is printed if the run needs at least `MANY` times as many
 substeps as at rest, and if this takes at least `LONG` seconds on a CPU.

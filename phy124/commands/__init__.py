@@ -51,7 +51,9 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return, for each command, a class that has only the docstring, for a list of commands."""
+    """Return, for each command, a class with only the command's docstring; used to list the
+    commands.
+    """
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()

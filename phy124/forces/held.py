@@ -1,4 +1,6 @@
-"""Forces on a part of an object: on the particles that are inside a ball at rest."""
+"""Forces on a part of an object. The part consists of the particles that lie inside a ball when the
+object is at rest.
+"""
 
 from __future__ import annotations
 

@@ -163,9 +163,10 @@ class OtherViews(Section):
         default=None,
         ge=0.0,
         le=80.0,
-        description="Angle above the horizontal from which the picture was taken [degrees], such "
-        "as 25 for an object on a table. relief turns the object upright by this angle. Default: "
-        "the angle that a vessel, a ring or a box shows, and 0 for other objects.",
+        description="Angle above the horizontal from which the picture was taken [degrees], "
+        "such as 25 for an object on a table. relief turns the object upright by "
+        "this angle. Default: estimated for a vessel, a ring or a box, and 0 for "
+        "other objects.",
     )
     highlights: Literal["keep", "remove"] = Field(
         default="keep",

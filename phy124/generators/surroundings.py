@@ -31,8 +31,9 @@ FAR = 3.0
 The radius of the object contains the fraction `MOST` of the inner Gaussians.
 """
 THIN = 0.2
-"""Largest standard deviation of the distances of a sky's Gaussians from the centre, relative to
-their mean distance."""
+"""The distances of a sky's Gaussians from the centre have at most this standard deviation, relative
+to their mean.
+"""
 MANY = 0.01
 """A sky must contain at least this fraction of all Gaussians.
 

@@ -21,12 +21,13 @@ COLOURS = 6
 KEEP = 0.12
 """Smallest area of a piece that is kept, relative to the largest piece."""
 PINHOLE = 0.004
-"""Largest area of a hole that is closed, relative to the object's area; larger holes, such as that
-of a handle, remain open."""
+"""Holes of at most this area, relative to the object's area, are closed; larger holes, such as that
+of a handle, remain open.
+"""
 SOFTNESS = 4
 """Radius of the guided filter that softens the edge [pixels]."""
 HINT_REACH = 0.06
-"""Largest distance of a changed outline from a user's mark, relative to the longest side."""
+"""The outline changes only up to this distance from a user's mark, relative to the longest side."""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -4,7 +4,9 @@ import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""Smallest fractions of opaque and of transparent pixels in an alpha that separates an object."""
+"""An alpha separates an object if at least this fraction of the pixels is opaque, and at least this
+fraction is transparent.
+"""
 FAINTEST = 8
 """If even the most opaque pixel of an image has an alpha (0 to 255) below this value, the image
 counts as empty.

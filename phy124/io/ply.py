@@ -106,7 +106,7 @@ def check_names(path: Path, header: Header) -> None:
 
 
 def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
-    """Return the decoded columns by the field names of `Gaussians`, and notes about the columns.
+    """Return the decoded columns, keyed by the fields of `Gaussians`, and notes about the columns.
 
     `check_names` must have accepted the names of the columns of the table, the rows of `vertex`.
 
@@ -243,7 +243,7 @@ def _printable(name: str) -> str:
 SCALE_FLOOR = 1e-12
 """Smallest scale that is written [m]; the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Smallest distance of written opacities from 0 and 1, whose logits are infinite."""
+"""Written opacities are at least this far from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 """Pattern of the comment in which Nerfstudio and Brush state the vertical axis."""

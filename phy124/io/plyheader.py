@@ -34,7 +34,7 @@ CONVERT = "Convert it with `npx @playcanvas/splat-transform IN OUT.ply` and give
 
 @dataclass(frozen=True)
 class Element:
-    """Name of a PLY element, and number, data type and position of its rows."""
+    """A PLY element: its name, and the number, the data type and the position of its rows."""
 
     name: str
     count: int

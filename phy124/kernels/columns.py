@@ -220,7 +220,7 @@ def pressing(pressed: Any):
 
 @wp.func
 def either_way(pressed: Any):
-    """Return True, for a wall that acts on both approaching and departing material."""
+    """Return True: the wall acts on both approaching and departing material."""
     return True
 
 

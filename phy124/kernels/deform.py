@@ -40,8 +40,8 @@ Above the elongation `SOUND_SHAPE`, the Gaussian becomes gradually rounder.
 """
 
 ARM = wp.constant(wp.float64(2.0))
-"""Largest distance between a Gaussian of plastic or fluid material and a carrying particle, as a
-multiple of this distance at rest.
+"""A Gaussian of plastic or fluid material is drawn at most this far from a carrying particle; the
+value is a multiple of their distance at rest.
 """
 
 

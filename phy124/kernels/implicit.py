@@ -13,8 +13,7 @@ Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
 """Distance up to which neighbours repel each other, relative to the target spacing."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""Neighbours that are too close move apart in each round. The distance of this move is this
-fraction of the distance that is missing to the target spacing.
+"""In each round, neighbours that are too close move apart by this fraction of the missing distance.
 """
 SAME_SIDE = wp.constant(wp.float64(0.3))
 """Points count as neighbours if the cosine between their normals is at least this value; otherwise,

@@ -53,7 +53,9 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo a track's period; unchanged if negative or if there is no period."""
+    """Return a time modulo a track's period. A negative time, and a time of a track without a
+    period, is unchanged.
+    """
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at

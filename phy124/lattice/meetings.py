@@ -30,7 +30,7 @@ SAMPLED = 1.5
 
 
 class Meetings:
-    """Contact between all bodies that may touch, and of bodies that may touch themselves."""
+    """Contact between different bodies, and contact between parts of the same body."""
 
     def __init__(
         self,

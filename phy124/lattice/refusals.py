@@ -134,7 +134,9 @@ def _refusals_of_immersed(scene: Any) -> Iterator[Refusal]:
 
 
 def not_immersed(scene: Any) -> bool:
-    """Return whether a scene's projected liquid prevents elastic objects from being lattices."""
+    """Return whether a scene's projected liquid prevents elastic objects from being simulated on
+    lattices.
+    """
     return next(_refusals_of_immersed(scene), None) is not None
 
 

@@ -63,7 +63,7 @@ class RestLattice:
     uniform push therefore accelerates all nodes equally.
     """
     body: NDArray[np.int64]
-    """Index of the body of each node [N]."""
+    """Body index of each node [N]."""
     source: NDArray[np.int64]
     """Index of the node that each node repeats [N]; its own index if it repeats none."""
 
@@ -194,7 +194,7 @@ class RestLattice:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """Number of each cell's piece [C]; 0 for a cell whose nodes have no copies.
+        """For each cell, the number of its piece [C]; 0 if the cell's nodes have no copies.
 
         Cells that use the same copy of a node belong to the same piece.
         """

@@ -37,7 +37,7 @@ for single iterations, and would grow without viscosity.
 MIXED = 0.1
 """Size of the accelerations added to the shape before an iteration, relative to the shape."""
 STEADY = 0.05
-"""Largest relative change of the squared frequency between measurements, if steady."""
+"""A frequency is steady if its square changes by at most this fraction between measurements."""
 MISSED = 1.1
 """Factor on squared frequencies, because the iterations underestimate frequencies."""
 

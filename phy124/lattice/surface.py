@@ -44,10 +44,10 @@ class Surface:
     normal: NDArray[np.float64]
     """Outward normals at rest [S,3]; zero on sheets."""
     body: NDArray[np.int64]
-    """Index of the body of each point [S]."""
+    """Body index of each point [S]."""
     side: NDArray[np.int64]
-    """Number of the piece to which each point belongs [S]; 0 if its nodes have no copies. Points
-    with different numbers above 0 belong to different pieces.
+    """For each point, the number of the piece to which it belongs [S]; 0 if the point's nodes have
+    no copies. Points with different numbers above 0 belong to different pieces.
     """
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""

@@ -49,7 +49,7 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
 
 
 def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float64]:
-    """Return positions [m], normals of length 0 and indices of bodies of integration points [K,7].
+    """Return rows [K,7] for integration points: position [m], normal of length 0, and body index.
 
     Args:
         inner: Indices of the integration points [K].

@@ -43,13 +43,13 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import STILL, Tracks
 
 REACH = 0.6
-"""Distance from a wall up to which the wall holds points that have touched it [cells]."""
+"""A wall holds points that have touched it up to this distance from the wall [cells]."""
 AHEAD, CLOSE, FAR = 2.0, 0.1, 3.0
 """Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`,
 but at most up to `FAR` [cells].
 """
 TOUCHING = 0.5
-"""Distance up to which a wall counts as touching a point that is inside another wall [cells]."""
+"""A wall counts as touching a point inside another wall up to this distance [cells]."""
 DEEP, EXACT = 0.1, 1e-3
 """If a point is deeper than `DEEP` inside a wall, further sweeps over all points follow, until no
 correction displaces a point by more than `EXACT` [cells].
@@ -57,7 +57,7 @@ correction displaces a point by more than `EXACT` [cells].
 STEP = 0.5
 """Increment of the distance up to which points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Gain of the speed at which points inside a wall are moved out. The unit of the gain is (pi / 2
+"""Speed at which points inside a wall are moved out, divided by their depth. The unit is (pi / 2
 H)^2 / dt for a body of H cells and substeps dt at rest. A body that stands on the wall has the
 slowest angular frequency pi c / 2 H. Bodies that stick to a wall also rock and shear, at lower
 frequencies.
@@ -225,15 +225,16 @@ class Walls:
 
     def depth(self) -> tuple[float, int]:
         """Return the largest depth [cells] of a point inside a wall in the last substep, and the
-        wall's index among the walls that are no clamps; the depth is at least 0.
+        wall's index among the walls that are not clamps; the depth is at least 0.
         """
         depths = [0.0, *(-contact.closest() / self._dx for contact in self._contacts)]
         deepest = int(np.argmax(depths))
         return depths[deepest], max(0, deepest - 1)
 
     def pinch(self) -> tuple[float, int, int]:
-        """Return the largest depth [cells] inside a wall of a point that another wall touches, and
-        the indices of both walls among the walls that are no clamps; the depth is at least 0.
+        """Return the largest depth [cells] of a point that is inside one wall while another wall
+        touches it, and the indices of both walls among the walls that are not clamps. The depth is
+        at least 0.
         """
         if len(self._contacts) < 2:
             return 0.0, 0, 0

@@ -24,7 +24,7 @@ up to two cells, and the B-splines around each particle reach two cells further.
 LARGEST = 32
 """Margin around the particles [cells] above which the window is renewed."""
 FAR = 1e3
-"""Distance to the nearest wall [cells] that is stored if no wall is near."""
+"""If no wall is near, this distance to the nearest wall is stored [cells]."""
 
 
 ROOM = 4
@@ -171,7 +171,7 @@ class Cells:
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)
-        """Index of each worker's first active cell; last, the number of active cells."""
+        """Index of each worker's first active cell, followed by the number of active cells."""
         columns = int(self.size[0] * self.size[1])
         self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
         """Lowest and highest cell with particles in each column, with one copy for each worker."""

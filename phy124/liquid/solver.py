@@ -61,7 +61,9 @@ SETTLE = 4
 MOST_CELLS = 2**22
 """Largest number of cells in a window; particles outside the window move along parabolas."""
 BULK = 0.01
-"""Fraction of the particles that may be outside a window of `MOST_CELLS` on each side."""
+"""If a window has `MOST_CELLS` cells, this fraction of the particles may be outside the window on
+each side.
+"""
 
 
 class LiquidSolver:
@@ -134,9 +136,10 @@ class LiquidSolver:
         """Called after each step, before the function that `advance` receives."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
-        """Largest mean excess of the liquid's density that lasted for two frames, and excess at the
-        end of the last frame, relative to the rest density. A shorter excess does not count,
-        because an impact compresses the liquid for a moment even if the liquid can expand.
+        """Largest mean excess of the liquid's density, and excess at the end of the last frame,
+        relative to the rest density; the largest excess must last for two frames. A shorter excess
+        does not count, because an impact compresses the liquid for a moment even if the liquid can
+        expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""

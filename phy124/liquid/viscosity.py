@@ -16,7 +16,9 @@ STAGE = "viscosity"
 
 
 class Viscosity:
-    """Records the sweeps of the viscosity, before which the last pressure is anticipated."""
+    """Records the sweeps of the viscosity. Before the sweeps, the effect of the last pressure is
+    anticipated.
+    """
 
     def __init__(self, model: Model, cells: Cells, mixture: Mixture) -> None:
         """Compute the rates at which velocities diffuse."""

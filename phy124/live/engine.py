@@ -46,8 +46,8 @@ LOST = 50.0
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
-"""Largest number of substeps of a frame, relative to the object at rest. A duck that is a hundred
-times softer, under ten times its weight, needs 23 times as many substeps as at rest.
+"""A frame takes at most this multiple of the substeps that the object needs at rest. A duck that is
+a hundred times softer, under ten times its weight, needs 23 times as many substeps as at rest.
 """
 
 

@@ -111,8 +111,8 @@ class Snow(Elastic):
         default=0.0075,
         ge=1e-4,
         le=0.5,
-        description="Stretch at which snow starts to break. Below nu x compression, pressed snow "
-        "is pushed apart sideways.",
+        description="Stretch at which snow starts to break. If it is below nu x compression, "
+        "pressed snow is pushed apart sideways.",
     )
     hardening: float = Field(
         default=10.0,

@@ -12,7 +12,9 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""Largest RMS distance between equal objects at rest, relative to the object's size."""
+"""Objects count as equal if their RMS distance at rest is at most this value, relative to the
+object's size.
+"""
 SAME_TIME = 1e-6
 """Largest difference between the times of simultaneous frames [s]."""
 

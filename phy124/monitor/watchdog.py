@@ -62,7 +62,7 @@ LEVEL = 0.05
 least energy to which spurious energy is compared.
 """
 CROWDED = 0.1
-"""Mean excess of a projected liquid's density from which its walls count as too narrow."""
+"""The walls are too narrow if the mean excess of a projected liquid's density exceeds this."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss due to rounding, relative to the sum of absolute work."""
 QUIET = 1e-9

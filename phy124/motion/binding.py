@@ -21,7 +21,7 @@ PER_CELL, MOST_CELLS = 2, 256
 particles' bounding box, and largest number of cells per axis.
 """
 FARTHEST = 4.0
-"""Largest distance, in mean particle distances, at which several particles carry a Gaussian. A
+"""Several particles carry a Gaussian only up to this distance, in mean particle distances. A
 Gaussian that is farther away follows only the nearest particle, because the grid does not connect
 material so far apart.
 """

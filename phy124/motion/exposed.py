@@ -24,7 +24,7 @@ class Exposed:
     grains: Gaussians
     """The Gaussians at full size, with the positions of their particles at rest."""
     above: NDArray[np.int32]
-    """Index of the surface Gaussian in which each Gaussian is hidden [G]."""
+    """For each Gaussian, the index of the surface Gaussian that hides it [G]."""
     grain: NDArray[np.int32]
     """For each exposure, the index of the exposed Gaussian [E], 0 to G - 1."""
     frame: NDArray[np.int32]

@@ -342,7 +342,7 @@ class FreeBodies:
         return np.array([*numbers[kernels.VELOCITY : kernels.ANGULAR], *spin], np.float64)
 
     def fastest(self) -> float:
-        """Return an upper bound [m/s] of the speed of all points of all solids."""
+        """Return an upper bound [m/s] of the speed of any point of a solid."""
         if not self.all:  # Lattices call this method several times per substep.
             return 0.0
         pairs = zip(self.motions(), self.all, strict=True)

@@ -72,7 +72,9 @@ class Model:
     origin: tuple[float, float, float]
     """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Substep as a fraction of the elastic limit, on which parameters of the laws depend."""
+    """Substep as a fraction of the elastic limit; some parameters of the laws depend on this
+    fraction.
+    """
     precision: str
     """float32 or float64."""
     device: str

@@ -28,7 +28,7 @@ MAX_NODES = 2**25
 MIN_NODES = 2**20
 """A window may always have this number of nodes."""
 GROWTH = 16
-"""Largest ratio of the number of nodes in a window to the number of nodes in the initial window."""
+"""The number of nodes in a window may grow to this multiple of the number in the initial window."""
 EVERYWHERE = 1e30
 """A coordinate larger than any position [m], but finite in float32."""
 

@@ -24,7 +24,7 @@ from phy124.mpm.workers import put_rows
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Length of a pair's and worker's sums, so that no two workers write to one cache line."""
+"""Length of the sums of a pair and a worker; no two workers write to one cache line."""
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 

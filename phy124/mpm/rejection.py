@@ -24,12 +24,12 @@ from phy124.mpm.tracks import Tracks
 TRIES = 100
 """Largest number of trials; each trial is at most half as long as the trial before."""
 FIRST = 4
-"""Number of substeps at the start that are trials if sudden forces act all the time."""
+"""If sudden forces act all the time, this number of substeps at the start are trials."""
 PULL = 0.1
 """A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
 ROUNDED = 1 - 1e-6
-"""The bounds also cover this fraction of the previous frame. With the fraction 1, rounding could
-include forces that ended just before the previous frame.
+"""The bounds also cover the previous frame, except its first moment; this is the covered fraction.
+With the fraction 1, rounding could include forces that ended just before the previous frame.
 """
 
 

@@ -20,7 +20,7 @@ SOUND_J = (1e-5, 1e6)
 SOUND_F = 1e3
 """Largest norm of a valid deformation gradient."""
 NARROWEST = 1e-5
-"""Smallest valid ratio of the smallest to the largest stretch; below it, J may be wrong."""
+"""If the smallest stretch is below this fraction of the largest one, J may be wrong."""
 MAX_TOTAL = 1e6
 """Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
 AFTER_STRAIN = 1.0

@@ -32,7 +32,7 @@ Key = tuple[float, Vector]
 Over = Literal["", "kick", "drift"]
 """Interval over which a value is averaged: no interval, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
-"""Flag of each of these intervals."""
+"""For each kind of interval, its flag."""
 
 
 class Table(Section):

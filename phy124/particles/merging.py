@@ -19,7 +19,7 @@ from phy124.io.clip import Clip
 COLOUR = 0.1
 """Distance, relative to the object's size, that is equivalent to a colour difference of 1."""
 NEIGHBOURS = 6
-"""Number of nearest neighbours that are searched for a Gaussian's partner."""
+"""Number of nearest neighbours among which a Gaussian's partner is searched."""
 OPAQUE = 0.99
 """Largest opacity of a merged Gaussian."""
 SAMPLES = 5

@@ -39,7 +39,8 @@ class Pieces(NamedTuple):
     voxel with only a trace of material.
     """
     links: NDArray[np.int64]
-    """Distinct pairs of clumps that touch, except voxels with only a trace of material [M,2]."""
+    """Distinct pairs of clumps that touch [M,2]; voxels with only a trace of material are left out.
+    """
 
 
 def find_pieces(
@@ -108,7 +109,8 @@ def find_pieces(
 def find_copies(
     pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return the copies of the 27 nodes that each piece uses [E,27]; None if no node has copies.
+    """Return for each piece the copies of the 27 nodes that it uses [E,27]; None if no node has
+    copies.
 
     Args:
         pieces: The E pieces.

@@ -50,7 +50,9 @@ COARSER = 1.2
 SEAL = 0.065
 """Half the width of the widest gap that is sealed, relative to the longest side."""
 CONNECTED = 6
-"""Smallest mean number of occupied neighbours (of 26) in a connected surface or cloud."""
+"""In a connected surface or cloud, a voxel has on average at least this number of occupied
+neighbours (of 26).
+"""
 MEMORY = 2
 """Number of solids that are kept for later runs with the same objects."""
 

@@ -34,8 +34,9 @@ class Proportions(NamedTuple):
     thickness: float
     """Local thickness that nine tenths of the volume exceed, relative to the longest side."""
     compliance: float
-    """Mean deflection if the object's weight acts sideways, relative to the object's size L and to
-    rho g L / E."""
+    """Mean deflection if the object's weight acts sideways, in units of L rho g L / E, where L is
+    the object's size.
+    """
 
     @classmethod
     def of_report(cls, report: Mapping[str, Any]) -> Proportions | None:

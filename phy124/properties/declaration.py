@@ -14,8 +14,8 @@ from phy124.schema.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2
-"""Largest difference between two bounding boxes, that of the points and that of the object, in the
-length of a side, relative to the longest side.
+"""In each side length, the bounding boxes of the points and of the object may differ by this
+fraction of the longest side.
 """
 
 

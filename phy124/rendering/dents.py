@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 
 PATCH, LARGEST = 0.7, 1 / 48
-"""Size of a patch [cells], and the largest size relative to the longest side of the solid: on
-coarse grids, patches of the first size would be thicker than horns and ears.
+"""Size of a patch [cells], and largest size of a patch, relative to the longest side of the solid.
+On coarse grids, patches of the first size would be thicker than horns and ears.
 """
 SIDE = 0.7
-"""Two points are as far apart as the size of a patch if their unit normals differ by this value."""
+"""A difference of this size between the unit normals of two points counts as much as a distance of
+one patch.
+"""
 NEAR = 12
 """Number of patches to which a plane is fitted, and between which light is interpolated."""
 FLOOR = 0.5

@@ -54,7 +54,8 @@ pixels of four full HD pictures."""
 WAITING = 4
 """Largest number of pictures that wait for an encoder."""
 NEAR = 0.05
-"""Largest RMS distance between the first and the last pose of a video that fades into its start.
+"""A video fades into its start if the RMS distance between its first and its last pose is at most
+this value.
 
 The unit is the object's size.
 """

@@ -18,7 +18,7 @@ LUMP = 0.12
 SIZES = 0.11, 0.06, 0.04
 """Mean sizes of fragments, relative to the longest side; all fragments of a lump have one."""
 WHOLE, BROKEN = 1.06, 1.3
-"""Largest stretch of a fragment drawn as it is, and stretch from which its shape is kept."""
+"""Up to the first stretch, a fragment is drawn as it is; above the second, it keeps its shape."""
 SMALLEST = 0.7
 """If a fragment was packed before it broke, its size is at least this fraction of its size at rest.
 """

@@ -32,7 +32,7 @@ NEARER = 1.1
 The enlargement must be reached in most frames.
 """
 MORE = 1.5
-"""Largest factor by which the camera's distance may grow in order to show a whole container."""
+"""To show a whole container, the camera's distance may grow by at most this factor."""
 FARTHEST = 100.0
 """Largest allowed camera distance of a view, in units of the object's size."""
 

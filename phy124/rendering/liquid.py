@@ -34,7 +34,9 @@ SAMPLE = 8192
 LITTLE = 0.02
 """Lower bound of the fraction of space in front of walls, by which averages are divided."""
 THICKER = 4.0
-"""Largest factor on the volumes of Gaussians in thin parts of the liquid at rest."""
+"""The volumes of Gaussians in thin parts of the liquid at rest are increased by at most this
+factor.
+"""
 CLEAR = 1e6
 """Optical depth of a cell of a liquid that is opaque."""
 

@@ -111,7 +111,7 @@ class Sample:
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
-        """Mask of the moving Gaussians [S]; if no Gaussian moves, of all Gaussians."""
+        """Mask of the moving Gaussians [S]; if no Gaussian moves, all are in the mask."""
         moves: NDArray[np.bool_] = (self.means != self.means[0]).any(axis=(0, 2))
         return moves if moves.any() else ~moves
 

@@ -23,8 +23,10 @@ section 4.2).
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""
 FRUSTUM_MARGIN = 1.3
-"""Largest offset from the image centre at which the projection is linearised, as a fraction of half
-the image (Kerbl et al. 2023)."""
+"""The projection is linearised at the Gaussian's centre. If the centre is farther from the image
+centre than this fraction of half the image, the projection is linearised at this offset (Kerbl et
+al. 2023).
+"""
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""
 

@@ -110,7 +110,7 @@ class Shine:
 
     @property
     def needs_velocities(self) -> bool:
-        """Whether frames that contain their velocities are drawn faster, because of foam."""
+        """Whether drawing is faster if frames contain velocities, which is the case for foam."""
         return any(foams for *_, foams in self._liquids)
 
     @property

@@ -31,7 +31,7 @@ MEMORY_WORDS = (
 )
 """Phrases in messages of libraries that report a lack of memory without a MemoryError."""
 NAMES = {"PIL": "Pillow", "warp": "Warp", "cv2": "OpenCV", "safetensors_rust": "safetensors"}
-"""Names by which users know libraries, by import name, if the names differ."""
+"""Names by which users know libraries whose import names differ; the keys are the import names."""
 
 
 class Kind(Enum):

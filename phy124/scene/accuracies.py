@@ -121,7 +121,7 @@ NAMED = {
     "standard": (
         Accuracy(cells=32),
         "most purposes: cells are half as wide, so bending is more accurate; shorter substeps "
-        "would not help, since each transfer loses as much at any length",
+        "would not help, since each transfer loses as much, however short the substep is",
     ),
     "fine": (
         Accuracy(cells=48, precision="auto"),

@@ -121,7 +121,7 @@ class TurntableCamera(_Circling):
         Args:
             times: Times since the first frame [T], s.
             length: Length of the clip [s], in which the camera makes a full turn.
-            usual: Poses of the view, for values that this camera does not set.
+            usual: Poses of the view, which apply where this camera sets no value.
         """
         return usual.replace(
             azimuth=self.start + 360 * self.turns * times / length,
@@ -152,7 +152,7 @@ class DollyCamera(_Circling):
         Args:
             times: Times since the first frame [T], s. The path ends at the last of these times.
             length: Length of the clip [s]. It is not used.
-            usual: Poses of the view, for values that this camera does not set.
+            usual: Poses of the view, which apply where this camera sets no value.
         """
         end = float(times[-1]) or 1.0
         return usual.replace(
@@ -224,7 +224,7 @@ class PathCamera(Section):
         Args:
             times: Times since the first frame [T], s.
             length: Length of the clip [s]. It is not used.
-            usual: Poses of the view, for values that this camera does not set.
+            usual: Poses of the view, which apply where this camera sets no value.
         """
         values = {}
         for name in Poses._fields:

@@ -17,8 +17,8 @@ from phy124.scene import Scene
 DEEPEST = 1.0
 """Largest overlap allowed at the start [cells]; surfaces are known to within one cell."""
 MOST = 0.1
-"""Largest allowed fraction of the material that starts deeper than `DEEPEST` inside a wall; for a
-smaller fraction, there is a note.
+"""At most this fraction of the material may start deeper than `DEEPEST` inside a wall; a note
+reports any such material.
 """
 
 

@@ -27,7 +27,7 @@ ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
 """Compositing of a pixel ends when the pixel's transmittance falls below this value."""
 GUARD = 1.3
-"""Largest distance from the image centre at which the Jacobian of the projection is evaluated.
+"""The Jacobian of the projection is evaluated at most at this distance from the image centre.
 
 The unit is half the field of view. Farther out, the Jacobian would become very large.
 """

@@ -28,18 +28,17 @@ edges must have.
 `BOTH` is the smallest share of both together.
 """
 SOLID = 0.8
-"""Smallest ratio of the silhouette's area to the area of its convex hull; hourglasses have a
-smaller ratio.
-"""
+"""The silhouette fills at least this fraction of its convex hull; hourglasses fill less."""
 ACROSS, EXPLAINED = 0.15, 0.25
-"""Smallest change of brightness from the axis to a side of a round object, relative to the mean
-brightness.
+"""On a round object, the brightness changes from the axis to a side by at least this value,
+relative to the mean brightness.
 
 `EXPLAINED` is the smallest fraction of the variation within the rows that the shading must explain.
 """
 INNER = 0.92
-"""Largest distance from the middle of a row at which the shading is examined, relative to half the
-row's length."""
+"""The shading is examined up to this distance from the middle of a row, relative to half the row's
+length.
+"""
 NOISE = 0.01
 """Noise of the brightness, relative to its mean."""
 

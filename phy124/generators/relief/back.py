@@ -20,7 +20,9 @@ from phy124.generators.relief.height import nearest_of
 Field = NDArray[np.float64]
 BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
-"""Smallest overlap (IoU) of a silhouette with its mirror image if the image shows the front."""
+"""The image shows the front if its silhouette overlaps the mirror image by at least this value
+(IoU).
+"""
 HANDLE, BODY = 0.4, 0.75
 """Limits of thin parts such as handles.
 
@@ -39,8 +41,7 @@ for a comparison."""
 SHIFTS = 21
 """Number of candidate positions for the axis of symmetry, in the middle half of the silhouette."""
 INSET = 0.03
-"""Distance from the rim at which the colours near the rim are read, relative to the image's
-size."""
+"""The colours near the rim are read at this distance from the rim, relative to the image's size."""
 SHORTER = 6.0
 """Exponent in the weights of rows and columns.
 

@@ -44,7 +44,7 @@ MISFIT = 7.0
 This distance is 2.8 % of the object's longest side, which has 248 pixels.
 """
 FARTHER, WORST = (2.0, 4.0, 8.0), 14.0
-"""Distances of cameras with a weaker perspective, relative to that of the front camera.
+"""Distances of cameras with a weaker perspective, relative to the distance of the front camera.
 
 These cameras are not tried if the misfit of the front camera exceeds the last number [pixels].
 """
@@ -53,8 +53,9 @@ PRECISE = 1e-3
 LONGEST = 12.0
 """Largest ratio of the box's longest side to its shortest side."""
 ASKEW = 8.0
-"""Largest angle in the image between the vertical and the edges of a box that stands upright
-[degrees]."""
+"""In the image, the edges of a box that stands upright deviate from the vertical by at most this
+angle [degrees].
+"""
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 

@@ -26,10 +26,12 @@ FLAT = 0.2
 ARC = 0.15
 """Largest height of an end's arc, as a fraction of the end's width."""
 CURVED, STRAIGHT = 4, 2
-"""Smallest height of a lower edge that counts as an arc, and largest height of an edge that counts
-as a straight line [pixels]."""
+"""A lower edge counts as an arc if its height is at least the first value, and as a straight line
+if its height is at most the second value [pixels].
+"""
 CORNERED = 0.92
-"""Smallest ratio of an end's width where the arc starts to its width at twice the arc's height.
+"""Where the arc of an end starts, the end is at least this fraction as wide as at twice the arc's
+height.
 
 For a ball, this ratio is 0.74.
 """
@@ -37,7 +39,7 @@ RAGGED = 0.03
 """Gaps between the parts of an end are real if they are deeper than this fraction of the end's
 width. Shallower gaps are assumed to be irregularities of the mask."""
 TALL = 0.8
-"""Smallest ratio of the height to the width of an object with a flat end.
+"""An object has flat ends only if the ratio of its height to its width is at least this value.
 
 Flatter objects are assumed to lie, not to stand.
 """

@@ -22,7 +22,7 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 PLAIN = 0.004
-"""Smallest variation of the logarithm of the brightness in a photograph.
+"""In a photograph, the logarithm of the brightness varies by at least this value.
 
 Drawings in plain colours vary less, and show no shading even if the object is round.
 """

@@ -24,8 +24,9 @@ colours."""
 BRIGHT = 0.08
 """Smallest difference in brightness between a highlight and its surroundings."""
 NEUTRAL = 0.15
-"""Largest difference between the amounts of red, green and blue that a highlight adds, relative to
-the largest of the three amounts."""
+"""The amounts of red, green and blue that a highlight adds differ by at most this value, relative
+to the largest of the three amounts.
+"""
 COLOURED = 0.15
 """Smallest saturation of the surroundings of a highlight."""
 FULL = 0.985

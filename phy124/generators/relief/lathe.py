@@ -36,13 +36,15 @@ LEFT, MORE = 0.015, 0.004
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
 EDGE = 1.0
-"""A circle touches the first or last row of the outline if it is at most so far away [pixels]."""
+"""A circle touches the first or last row of the outline if its distance from the row is at most
+this value [pixels].
+"""
 SHALLOW, SLANTED, SMALL_FOOT = 0.5, 0.5, 0.4
 """Largest height of a bowl's visible wall, relative to the radius of its rim.
 
 `SLANTED` is the smallest slope of this wall, relative to the slope at which the camera would not
-see it. The wall of a bowl continues below to a foot, whose radius relative to that of the rim is
-`SMALL_FOOT`.
+see it. The wall of a bowl is continued down to a foot. `SMALL_FOOT` is the foot's radius divided by
+the rim's radius.
 """
 CLEAR = 0.95
 """Fraction of a ring's visible angle in which the image is not stretched too much."""

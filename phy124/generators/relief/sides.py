@@ -57,8 +57,8 @@ def check_side(front: Solid, side: Solid) -> None:
     depth = side_box.size[0] / max(front_box.size)
     if not FLATTEST <= depth <= DEEPEST:
         limit = (
-            "With the picture from the side scaled to the height of the front picture, the object "
-            f"would be {depth:.2g} times as deep as the longest side of its front."
+            "If the picture from the side is scaled to the height of the front picture, the object "
+            f"is {depth:.2g} times as deep as the longest side of its front."
         )
         remedy = "Give pictures that show the whole object, upright in both."
         raise InputError("side", "picture", limit, remedy)

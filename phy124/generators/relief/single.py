@@ -52,7 +52,8 @@ from phy124.generators.relief.vessel import vessel_shell
 CARD = 0.12
 """Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
 BLOCK = 0.8
-"""Largest depth behind a block's rim over which colours change from the mirrored image to the back.
+"""Behind the rim of a block, the colours change from the mirrored image to the back over at most
+this depth.
 
 The unit is half the block's depth.
 """

@@ -26,15 +26,17 @@ Field = NDArray[np.float64]
 SMOOTHING = 0.02
 """Standard deviation of the filter that smooths the thickness, relative to the image's size."""
 CENTRED = 0.06
-"""Largest distance of a row's centre from the axis of revolution, relative to half the object's
-largest width."""
+"""The centre of a row is at most this far from the axis of revolution, relative to half the
+object's largest width.
+"""
 EVERY = 0.97
 """Smallest fraction of the rows that must match a solid of revolution."""
 WAISTED = 0.97
 """A silhouette has a waist if its area is at most this fraction of its convex hull's area."""
 COMPACT = 1.25
-"""Largest ratio of the longer to the shorter side of a convex shape that is assumed to be a solid
-of revolution. Longer shapes may lie on their side, so `stands` must be true for them."""
+"""A convex shape is assumed to be a solid of revolution if the ratio of its longer to its shorter
+side is at most this value. Longer shapes may lie on their side, so `stands` must be true for them.
+"""
 CONVEX = 0.93
 """An outline counts as convex if the silhouette fills at least this fraction of its convex hull."""
 OVERHANG = 3.0
@@ -53,8 +55,9 @@ RIM = 3.0
 SHADED = 0.1
 """Smallest change of brightness across a shaded round object, relative to the mean brightness."""
 FRAME, LEAST_FRAME = 0.2, 4.0
-"""Largest width of a frame, relative to half the object's width, and lower bound of this width
-[pixels]."""
+"""A frame is at most as wide as the first value, relative to half the object's width, or as the
+second value [pixels], whichever is larger.
+"""
 NOISE = 0.01
 """Noise of the brightness, relative to its mean."""
 

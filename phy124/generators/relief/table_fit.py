@@ -31,9 +31,9 @@ Mask = NDArray[np.bool_]
 OVERLAP = 0.85
 """Smallest overlap (IoU) of the silhouette with the image of the table."""
 FIRST, MORE = 0.55, 0.05
-"""Smallest overlap of a coarse drawing, and largest amount by which the overlap is assumed to
-increase in the last fit. Before the fit, a table's silhouette overlaps the best drawing by at least
-0.65, and a dog's by 0.5.
+"""A fit starts only from a coarse drawing whose overlap is at least the first value. The last fit
+is assumed to increase the overlap by at most the second value. Before the fit, a table's silhouette
+overlaps the best drawing by at least 0.65, and a dog's by 0.5.
 """
 SIMPLER = 0.01
 """A table with corners, with a backrest, or seen from behind is chosen only if the overlap
@@ -44,15 +44,17 @@ COARSE, FINE = 4, 2
 BLUR = 1.5
 """Blur of these images, as a standard deviation [pixels]."""
 TRIED = 4
-"""Number of coarse drawings of each item of `SEEN` from which fits start."""
+"""Fits start from this number of coarse drawings of each item of `SEEN`."""
 ROUNDS, ATTEMPTS, DONE = 12, 4, 1e-3
-"""Largest number of rounds of a fit, and of attempts in a round with shorter and shorter steps.
+"""Largest number of rounds of a fit, and largest number of attempts in a round; each attempt takes
+a shorter step.
 
 A fit ends if the error decreases by less than `DONE`, relative to the error.
 """
 GAP, LEGS = 0.12, 0.5
-"""Smallest height of the gaps between legs, relative to the object's height, and largest width of
-all legs together, relative to the object's width."""
+"""The gaps between legs are at least as high as the first value, relative to the object's height.
+All legs together are at most as wide as the second value, relative to the object's width.
+"""
 ELEVATIONS = np.radians([3.0, 14.0, 25.0, 40.0])
 QUARTER, FRONT = np.radians(np.arange(0, 90, 15)), np.radians(np.arange(-72, 90, 24))
 SEEN = (

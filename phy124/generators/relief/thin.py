@@ -34,11 +34,11 @@ OUTER = 0.33
 OUTWARD = 0.5
 """Smallest fraction of the silhouette that belongs to wings."""
 FILLED = 0.55
-"""Smallest fraction of the convex hull that a silhouette with wings fills."""
+"""A silhouette with wings fills at least this fraction of its convex hull."""
 LOWEST = 0.8
 """Smallest ratio of width to height of wings."""
 WIDE = 1.5
-"""Ratio of width to height from which wings are wide."""
+"""Wings are wide if the ratio of their width to their height is at least this value."""
 COMPACT = (0.3, 0.85)
 """Limits of the mean height at the axis, relative to the height of the wings; wide wings may be
 lower. Faces, buses and other compact objects are higher.
@@ -56,7 +56,7 @@ FIN = 1.4
 FINNED = (0.25, 0.9)
 """Limits of the height of the tail's fin, relative to the body."""
 FORE = 0.53
-"""Largest distance of a fish's highest part from its nose, relative to its length."""
+"""The highest part of a fish is at most this far from the nose, relative to the fish's length."""
 TAIL = (0.6, 0.93)
 """Limits of the distance of the narrow part from the nose, relative to the fish's length."""
 NOSE = 0.5
@@ -82,8 +82,8 @@ FLATTENED = 0.6
 GROUND = 0.08
 """Largest distance of a wheel from the ground, relative to the height of the object."""
 ROUND = 0.035
-"""Largest root mean square distance between the lower outline of a wheel and a circle, relative to
-the radius.
+"""The lower outline of a wheel differs from a circle by at most this root mean square distance,
+relative to the radius.
 """
 ARC = 0.75
 """Width of the arc that is compared with a circle, relative to the radius."""

@@ -19,15 +19,16 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CENTRED, EVERY = 0.04, 0.97
-"""Largest distance of a row's centre from the axis, relative to half of the largest width.
+"""The centre of a row is at most this far from the axis, relative to half of the largest width.
 
 `EVERY` is the smallest fraction of the rows that must be centred and without gaps.
 """
 LEAN = 0.04
 """Largest slope of the axis in the image. Perspective lets an object away from the centre lean."""
 ELLIPTIC = 0.03
-"""Largest root mean square distance between an arc and half of an ellipse, relative to the
-ellipse's half width."""
+"""An arc differs from half of an ellipse by at most this root mean square distance, relative to the
+ellipse's half width.
+"""
 LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.7
 """Limits of the ratio of an ellipse's height to its width, for a circle seen from above.
 
@@ -36,15 +37,16 @@ Arcs of a ball have larger ratios than `HIGHEST_VIEW`.
 WALL = 0.3
 """Smallest height of a drum between its arcs, relative to half the width."""
 MORE = 0.1
-"""Largest amount by which a drum's upper arc is higher than its lower arc, relative to half of the
-width. From above, the upper circle appears flatter than the lower.
+"""The upper arc of a drum is higher than the lower arc by at most this value, relative to half of
+the width. From above, the upper circle appears flatter than the lower.
 """
 FULL = 0.97
-"""From the top, the first row with at least this fraction of the largest width is the rim of an
-object.
+"""The rim of an object is the first row from the top with at least this fraction of the largest
+width.
 """
 FLAT_RIM, LOW_RIM = 0.15, 0.5
-"""Largest height of a vessel above its rim, relative to its whole height, for any outline.
+"""Largest height of the part of a vessel above its rim, relative to the whole height, for any
+outline.
 
 `LOW_RIM` applies if the outline is half of an ellipse above the rim, but not below it. If both
 halves are ellipses, the outline is that of an egg.

@@ -118,7 +118,7 @@ FORMATS = {
         ),
         Format(
             "compressed-ply", "compressed PLY of SuperSplat", ".ply",
-            "centres and scales in 10 or 11 bits of a box of 256 Gaussians",
+            "centres and scales in 10 or 11 bits, relative to a box around 256 Gaussians",
             "PlayCanvas, SuperSplat, Spark, Babylon.js", 17, read=compressed_ply.read,
         ),
         Format(

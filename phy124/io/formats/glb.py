@@ -82,7 +82,7 @@ class Primitive(NamedTuple):
     """A glTF primitive whose points are Gaussians."""
 
     attributes: dict[str, int]
-    """Index of the accessor of each attribute, by name."""
+    """For each attribute, by name, the index of its accessor."""
     extension: dict[str, Any]
     """The properties of the extension in this primitive."""
     matrix: NDArray[np.float64]

@@ -143,7 +143,8 @@ BARE = 0.55
 SHORT = 1.0
 """Smallest median of positive scales that may be logarithms."""
 COVERING = (0.6, 6.0)
-"""Smallest and largest ratio of width to spacing of Gaussians that cover an object.
+"""If Gaussians cover an object, the ratio of their width to their spacing is between these two
+values.
 
 Measured ratios are 1.2 to 3.5.
 """

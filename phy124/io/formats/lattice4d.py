@@ -63,7 +63,7 @@ STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""Largest magnitude of the logarithm of a ratio of scales; larger magnitudes are clipped.
+"""The logarithms of ratios of scales are clipped to at most this magnitude.
 
 The ratio itself is at most exp(4) = 55.
 """

@@ -82,7 +82,7 @@ def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArr
 
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""Indices of the three stored components, by the index of the component that is not stored."""
+"""For each component that is not stored, the indices of the three stored components."""
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -36,8 +36,8 @@ from phy124.kernels.work import EXCHANGE, add_exchange
 
 LOOSE = wp.constant(0.5)
 """Walls act on a point only if clamps leave at least this fraction of the point's mobility. Two
-bodies touch at a pair of points only if clamps leave this fraction to at least one of the two
-points.
+bodies touch at a pair of points only if clamps leave this fraction of its mobility to at least one
+of the points.
 """
 NODES = 27
 """Largest number of nodes that carry a surface point."""
@@ -222,9 +222,10 @@ def make_meet(real: Any, rows: Rows):
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the
     vector from the opposite position to the point. The opposite position follows the point along
     the surface, so that the pair's impulses have no moment. When the opposite position moves along
-    the surface, `back` converts this displacement to the coordinates of the body at rest. The
-    weights of the position change by `slopes` times the displacement at rest. A pair is ignored if
-    a position moves farther than `far`, or if the points are farther apart than `reach`.
+    the surface, `back` converts this displacement to the coordinates of the body at rest. This
+    displacement changes the weights of the position by `slopes` times the displacement at rest. A
+    pair is ignored if a position moves farther than `far`, or if the points are farther apart than
+    `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would

@@ -21,11 +21,11 @@ of the other [cells].
 NEARER = wp.constant(0.6)
 """Two samples may touch if their distance is below this fraction of that at rest."""
 BEYOND = wp.constant(0.05)
-"""Largest distance beyond the edge of a flat side [cells] at which a point may touch that side."""
+"""A point may touch a flat side up to this distance beyond the edge of the side [cells]."""
 OTHER = wp.constant(-0.2)
 """Two points are on one side of a part if the cosine of their normals is at least this."""
 DEEPEST = wp.constant(0.5)
-"""Largest depth below the surface of a part [cells] at which a point counts as inside the part.
+"""A point counts as inside a part only up to this depth below the surface of the part [cells].
 Without this limit, the outer sides of two thin parts that lie on each other would be pushed through
 the parts, which creates energy.
 """

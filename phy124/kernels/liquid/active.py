@@ -21,9 +21,9 @@ REACH = wp.constant(4)
 cells, and the particle's B-splines reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""Distance to the surface [cells] that is stored in cells without liquid."""
+"""In cells without liquid, this distance to the surface is stored [cells]."""
 NONE = 1 << 30
-"""Value of the lowest cell that is stored for a column without particles."""
+"""For a column without particles, this value is stored as the lowest cell."""
 
 
 @build_once

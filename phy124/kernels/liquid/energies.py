@@ -24,7 +24,7 @@ uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
 """Indices of three sums: the work of walls from the start of a step up to each of three phases,
-computed with the velocities of the walls. The next index after each of these is the walls' work
+computed with the velocities of the walls. The next index after each of the three has the same work,
 computed with the velocities of the liquid, as in `WallImpulses`.
 """
 COUNT = 9

@@ -11,7 +11,8 @@ from phy124.kernels.liquid.faces import cell_at, inner, local
 from phy124.kernels.liquid.walls import GAP, point, speed_of, to_frame, to_world
 
 NEAR = wp.constant(1.5)
-"""Largest distance from a wall [cells] at which a particle may get behind the wall in a step."""
+"""A particle can get behind a wall in a step only if it is at most this far from the wall [cells].
+"""
 
 
 @build_once

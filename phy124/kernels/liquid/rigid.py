@@ -7,7 +7,7 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
 
 RIGID = wp.constant(5)
-"""First of the six rows of each solid: force and moment J^T s due to a vector s (`solids`)."""
+"""Index of the first solid's first row. A solid has six rows: force and moment J^T s (`solids`)."""
 
 
 @wp.func

@@ -25,8 +25,9 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
     """Return the rank of a solid seen from `eye`: before, among or behind the contents of a box.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
-    the box. If the eye is on the same side as the box, no ray to the box meets the solid before the
-    box. If the eye is on the other side, every ray leaves the solid before reaching the box.
+    the box. If the eye is on the same side of the plane as the box, a ray from the eye to the box
+    does not meet the solid before the box. If the eye is on the other side, every ray leaves the
+    solid before reaching the box.
     """
     if not (finite(low[0] + low[1] + low[2]) and finite(high[0] + high[1] + high[2])):
         return AMONG

@@ -64,11 +64,11 @@ EDGE = wp.constant(0.5)
 WETTED = wp.constant(0.6)
 """Smallest value of phi at which a liquid touches a wall."""
 WET = wp.constant(0.03)
-"""Smallest value of phi that counts as part of a length of liquid."""
+"""A cell belongs to a length of liquid if its phi exceeds this value."""
 LEAST_LENGTH = wp.constant(0.1)
 """Lower bound of the length of liquid along an axis."""
 LONG = wp.constant(3.0)
-"""Largest length of liquid in a line of sight, relative to its smallest extent there."""
+"""Along a ray, liquid has at most this multiple of its smallest length along an axis there."""
 RIM = wp.constant(0.3)
 """Length of the normals of discs at the rim of a liquid on a wall.
 
@@ -135,9 +135,9 @@ class Shape:
     move: float
     """Distance from the Gaussian to the surface, along the normal."""
     fade: float
-    """Fraction of the opacity of a disc that is drawn."""
+    """A disc is drawn with this fraction of its opacity."""
     lower: float
-    """Fraction of the liquid's face on the wall that is drawn."""
+    """The drawn fraction of the liquid's face on the wall."""
     here: float
     """Value of phi."""
     foam: float

@@ -19,9 +19,10 @@ TRIALS = 2000
 SAMPLE = 4000
 """Number of points with which each trial plane is tested."""
 THICKNESS = 0.02
-"""Largest distance of a point that belongs to a trial plane, relative to the scene's spread."""
+"""A point belongs to a trial plane up to this distance, relative to the scene's spread."""
 SIGMAS = 3.0
-"""Largest distance of a point from the final floor, in standard deviations of the distances."""
+"""A point belongs to the final floor up to this distance, in standard deviations of the distances.
+"""
 MIN_FRACTION = 0.1
 """Smallest fraction of all points that a floor must contain."""
 NEAR = 0.7071
@@ -39,7 +40,7 @@ class Floor:
     offset: float
     """Distance from the origin along the normal, in the file's units."""
     tolerance: float
-    """Largest distance of a point that belongs to the floor, in the file's units."""
+    """A point belongs to the floor up to this distance, in the file's units."""
 
     def heights(self, points: NDArray) -> Vectors:
         """Return signed heights [N] of points [N,3] above the floor."""

@@ -51,7 +51,7 @@ FAINT = 2 / 255
 This limits the extent of the sky's shadow.
 """
 UNSEEN = 0.1 / 255
-"""Smallest value of the shade that is visible. Smaller values are set to zero."""
+"""Smallest visible value of the shade. Smaller values are set to zero."""
 FAINTEST = 1e-4
 """Values of a layer's frequency response are neglected if they are below this limit."""
 EDGE = 0.1

@@ -143,8 +143,8 @@ The relative effect is the change of the measurements over the value's range, di
 the measurements.
 """
 ALIKE = 0.12
-"""Smallest allowed singular value of the matrix whose columns are the normalised effects of the
-values on the measurements.
+"""Smallest permitted singular value of a matrix; the columns of this matrix are the normalised
+effects of each value on the measurements.
 
 The singular value is 0 if the effects of two values have the same direction, and 1 if they are
 orthogonal; 0.12 means a correlation of 0.986. Below this limit, the values cannot be separated,

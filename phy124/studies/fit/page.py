@@ -184,7 +184,9 @@ class Comparison:
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return an image [H,W,3] whose colours show pixels in both masks and in only one of them."""
+    """Return an image [H,W,3] in which pixels of both masks, and of only one mask, have different
+    colours.
+    """
     picture = np.full((*seen.shape, 3), 255, np.uint8)
     picture[seen & fitted] = BOTH
     picture[seen & ~fitted] = ONLY_SEEN

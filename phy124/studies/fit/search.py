@@ -104,7 +104,7 @@ LONGEST = 0.15
 SHORTEST = 1e-3
 """The refinement ends when a step is shorter than this fraction of the range."""
 INFORMATIVE = 0.01
-"""Smallest length of a step that updates the derivatives, as a fraction of the range.
+"""A step updates the derivatives if its length is at least this fraction of the range.
 
 The effect of shorter steps is not larger than the random differences between runs.
 """

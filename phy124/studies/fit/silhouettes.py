@@ -114,7 +114,7 @@ class Laid(NamedTuple):
     shift: tuple[float, float]
     """Shift of the frames' upper left corner (right, down), relative to the image's height."""
     shared: float
-    """Intersection over union of two silhouettes: the video's first, and that of the object at
+    """Intersection over union of the video's first silhouette and the silhouette of the object at
     rest.
     """
 

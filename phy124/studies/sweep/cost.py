@@ -105,7 +105,7 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 SAMPLED = 256
 """Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""Weight, per clip, of an additional data point in the fit, at which no work takes no time."""
+"""The fit contains the additional data point (zero work, zero time), with this weight per clip."""
 FEWEST = 3
 """Number of finished clips after which the remaining time is estimated."""
 

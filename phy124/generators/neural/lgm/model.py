@@ -50,7 +50,7 @@ Rotations = Literal["each", "all"]
 """Whether quaternions are normalised for each Gaussian or over all Gaussians of an object.
 
 The weights published before April 2024 were trained with "all" by mistake. The Gaussians of these
-weights were rendered with unnormalised quaternions, which are so small that they have no effect.
+weights were rendered with unnormalised quaternions; these were so small that they had no effect.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16

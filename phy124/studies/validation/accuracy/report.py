@@ -20,7 +20,7 @@ KNOWN = 0.5
 MOVING = 2
 """A level is recommended only if the errors of this many frames after the first are known."""
 GOOD = 0.04
-"""Largest error of a setting that is recommended, as a fraction of the object's size."""
+"""Largest error of a recommended setting, as a fraction of the object's size."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,8 @@ class Report:
     """Longest side of the object at rest [m]."""
     recommendation: str
     promises: dict[str, str]
-    """Name of a preset -> a sentence that says whether its error bound holds in this scene."""
+    """For each preset, by name, a sentence that says whether its error bound holds in this scene.
+    """
     until: float | None = None
     """Time up to which the errors are valid [s]; None if they are valid for the whole motion."""
     closest: float | None = None

@@ -79,7 +79,9 @@ class Experiment:
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of a function between `low` and `high`, where its signs must differ."""
+    """Return the zero of a function between `low` and `high`; the function must have opposite signs
+    at these two points.
+    """
     from scipy.optimize import brentq
 
     return float(brentq(function, low, high))  # pyright: ignore[reportArgumentType]

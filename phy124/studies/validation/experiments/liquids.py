@@ -163,7 +163,10 @@ SLOSHING = Experiment(
 CHANNEL = Experiment(
     name="channel",
     title="Viscous liquid that falls between two plates",
-    source="Started flow between plates (Batchelor 1967, § 4.3): g y (H - y) / (2 ν) less a series",
+    source=(
+        "Flow between plates that starts from rest (Batchelor 1967, § 4.3): g y (H - y) / "
+        "(2 ν), minus a series"
+    ),
     measured="A liquid slab with a viscosity of 0.1 m²/s falls between no-slip plates that are "
     "0.5 m apart; gravity is 2 m/s². The slab's speed after 0.5 s is measured in the middle fifth "
     "of the gap and across the gap [m/s].",
