@@ -14,6 +14,7 @@
     const offer = await (await fetch('phy124/catalogue.json')).json();
     const panel = new Known(element, offer, trigger, (value) => { props.value = value; trigger('change'); });
     watch('value', () => panel.take(props.value));
+    if (props.value?.ways) panel.take(props.value); // the server's answer to a reload came first
     listen(panel);
   }
 

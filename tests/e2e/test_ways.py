@@ -35,7 +35,7 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     assert page.locator("#photo > label > img").get_attribute("src") != before
     assert not page.locator("#brush").is_visible()
     assert not page.get_by_label("Also film it in the photograph").is_visible()
-    page.reload()
+    reload_with_late_catalogue(page)
     again = page.get_by_role("radio", name="Up: y")
     again.wait_for()
     assert again.is_checked(), "what was chosen is kept when the page is loaded again"
@@ -49,3 +49,22 @@ def test_a_file_is_turned_by_keyboard_and_moved(visit, tmp_path):
     chooser.set_input_files(ROOT / "demo" / "examples" / "teddy.png")
     page.wait_for_selector("#cutout img[src]")
     assert first.count() == 0 and visit.complaints == []
+
+
+def reload_with_late_catalogue(page):
+    """Reload the page; the panels get their options after the server's answer to the reload."""
+
+    def hold(route):
+        """Never answer; Playwright sends the request once it is no longer routed."""
+
+    page.route("**/phy124/catalogue.json", hold)
+    with page.expect_response(answers_reload):
+        page.reload(wait_until="commit")
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => setTimeout(done)))")
+    page.unroute("**/phy124/catalogue.json")
+    page.get_by_label("Length", exact=True).wait_for(state="attached")
+
+
+def answers_reload(response):
+    request = response.request
+    return request.url.endswith("/run/predict") and request.post_data_json["data"] == []
