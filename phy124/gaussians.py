@@ -336,14 +336,10 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Rotate the colours, which are functions of direction, with the Gaussians: c'(d) = c(R^T d).
+    """Rotate colours `sh` [N,K,3], functions of direction, with Gaussians by `quats` wxyz [N,4].
 
-    A rotation mixes only harmonics of equal degree. The matrix of each degree is computed, exactly,
-    from the values of the harmonics in fixed directions.
-
-    Args:
-        sh: Coefficients [N,K,3].
-        quats: Rotations wxyz [N,4].
+    That is c'(d) = c(R^T d). A rotation mixes only harmonics of equal degree. The matrix of each
+    degree is computed, exactly, from the values of the harmonics in fixed directions.
     """
     turned = np.array(sh, dtype=np.float64)
     rotations = rotation_matrices(quats)

@@ -165,21 +165,14 @@ def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
 
 
 def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
-    """Return the mean squares [K] of linear combinations of the levels' results.
-
-    Args:
-        rows: Weights of the levels [K,L]; each row sums to zero.
-        apart: Distances between the levels [L,L].
+    """Return the mean squares [K] of combinations of results; `rows` [K,L] are weights that sum to
+    0.
     """
     return np.maximum(-0.5 * np.einsum("ki,ij,kj->k", rows, apart**2, rows), 0.0)
 
 
 def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
-    """Return the RMS distances [L,L] between L results.
-
-    Args:
-        results: Positions [...,3] of the same points in each result.
-    """
+    """Return the RMS distances [L,L] between L results with the same points [...,3]."""
     apart = np.zeros((len(results), len(results)))
     for i, j in combinations(range(len(results)), 2):
         gap = results[i].astype(np.float64) - results[j]

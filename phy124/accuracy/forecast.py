@@ -138,11 +138,7 @@ class Forecast:
         return {**asdict(self), "seconds": self.seconds, "span": self.span}
 
     def compare(self, spent: Mapping[str, float]) -> dict[str, Any]:
-        """Compare the predicted and the measured times, by stage and in total, for the report.
-
-        Args:
-            spent: Measured time of each stage [s].
-        """
+        """Compare the predicted with the measured times `spent` [s], by stage and in total."""
         predicted = {n: s for n, s in self.stages.items() if n not in self.measured and n in spent}
         rows = {
             name: {

@@ -76,12 +76,7 @@ def format_error(kind: Kind, value: float) -> str:
 
 
 def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
-    """Describe how a run met its goal, from the entry `goal` of the run's report.
-
-    Args:
-        goal: The goal, the chosen grid, and the result.
-        seconds: Time of the run [s].
-    """
+    """Describe how a run of `seconds` met its goal, from the entry `goal` of the run's report."""
     target, grid = goal["target"], f"D/{goal['cells']}"
     if goal["unit"] == "seconds":
         return f"asked for at most {target}: {grid}, {seconds:.1f} s"

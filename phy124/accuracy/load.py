@@ -68,13 +68,11 @@ class Load:
         return self.simulation > 1
 
     def span(self, seconds: float, *, unsure: float = 1.0) -> tuple[float, float]:
-        """Return the expected range of a run's time (shortest, longest) [s].
+        """Return the expected range (shortest, longest) [s] of a run that is predicted to take
+        `seconds`.
 
-        Programs that start or end during the run are not predicted.
-
-        Args:
-            seconds: Predicted time of the run under this load [s].
-            unsure: Factor that widens the range.
+        The range is widened by the factor `unsure`. Programs that start or end during the run are
+        not predicted.
         """
         wider = unsure * (BUSY if self.busy else 1.0)
         return MINIMUM / wider * seconds, MAXIMUM * wider * seconds
@@ -87,11 +85,7 @@ class LoadMeter:
     """
 
     def __init__(self, device: str = "cpu") -> None:
-        """Create the meter; the first measurement is taken later.
-
-        Args:
-            device: Warp device of the runs.
-        """
+        """Create the meter for a Warp device; the first measurement is taken later."""
         self.latest = Load()
         """The last measured load; before the first measurement, the load of an idle machine."""
         self._device, self._measured = device, -math.inf

@@ -426,10 +426,9 @@ def run_pilot(
 
 
 def substeps_at_rest(solver: AnySolver) -> float:
-    """Return the number of substeps per second that the initial state needs [1/s].
+    """Return the number of substeps per second that the initial state of a solver needs [1/s].
 
-    Args:
-        solver: The solver before its first substep; a particle solver has measured its limits.
+    A particle solver must have measured its limits.
     """
     if _on_lattice(solver):
         return 1 / solver.limits.substep_at_rest

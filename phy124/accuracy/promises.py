@@ -98,11 +98,7 @@ class Promise:
         return UNMEASURED if self.unmeasured else ""
 
     def off(self, pixels: float | None) -> str:
-        """Describe the error bound of a run in a few words.
-
-        Args:
-            pixels: The error bound in the video [pixels]; None if it is unknown.
-        """
+        """Describe the error bound of a run, also in the video [pixels] if this is known."""
         if self.error is None or pixels is None:
             return UNMEASURED
         return f"off by at most {format_percent(self.error)} ({pixels:.0f} px){self._span}"
@@ -197,12 +193,7 @@ def promise_own(entry: Mapping[str, Any]) -> Promise:
 
 
 def format_percent(fraction: float, digits: int = 2) -> str:
-    """Format a fraction as a percentage, at least 0.01 %: "0.84 %", "12 %".
-
-    Args:
-        fraction: The fraction.
-        digits: Number of significant digits.
-    """
+    """Format a fraction as a percentage of some digits, at least 0.01 %: "0.84 %", "12 %"."""
     percent = 100 * max(fraction, SMALLEST)
     places = max(digits - 1 - math.floor(math.log10(percent)), 0)
     return f"{percent:.{places}f} %"

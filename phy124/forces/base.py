@@ -97,9 +97,7 @@ class Force(Section):
     def track(self, value: Vector, *, mean: bool = True) -> Track:
         """Return a track: the value times the profile between start and end, and zero otherwise.
 
-        Args:
-            value: Value at full strength, in the unit of the force.
-            mean: Whether a substep uses the track's mean over the substep, not the current value.
+        If `mean` is set, a substep uses the track's mean over the substep, not its current value.
         """
         end = FOREVER if self.end is None else self.end
         return Track.of_profile(value, self.profile, self.start, end, mean=mean)

@@ -46,9 +46,7 @@ def surroundings(
 ) -> list[str]:
     """Return sentences about an object's surroundings, and the `--crop` option that removes them.
 
-    Args:
-        gaussians: The Gaussians of a file, in the axes and unit of length of the file.
-        origin: Origin of the Gaussians' coordinates, in the axes and unit of the file [3].
+    The Gaussians and the `origin` [3] of their coordinates have the axes and units of the file.
     """
     visible = np.flatnonzero(gaussians.longest > 0)
     if not len(visible):
@@ -99,9 +97,7 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
 def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
     """Describe a background if there is one; the object is then a small part of the bounding box.
 
-    Args:
-        means: Centres [N,3].
-        seen: Visible area of each Gaussian [N].
+    `means` [N,3] are the Gaussians' centres, `seen` [N] their visible areas.
     """
     low, high = _part(means, seen)
     whole = np.ptp(np.quantile(means, [TAIL, 1 - TAIL], axis=0), axis=0).max()

@@ -86,14 +86,10 @@ class Clamp:
         """Indices of the nodes whose velocities change."""
 
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
-        """Record the launches of one substep.
+        """Record the launches of one substep; other clamps precede or follow this one in the scene.
 
         If a node is inside several active clamps, it belongs to the last of them. A node inside a
         clamp belongs to this clamp even if the node is also at the surface of another clamp.
-
-        Args:
-            earlier: The clamps that precede this clamp in the scene.
-            later: The clamps that follow this clamp in the scene.
         """
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._row, self.slot, nodes.inverse, nodes.rest, nodes.u, tracks.values]

@@ -142,9 +142,7 @@ class Crew:
     def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
         """Return the launches that sum the forces of a worker's points on the nodes.
 
-        Args:
-            worker: The worker.
-            pushes: The tracks of forces on points; None: no force acts on points.
+        `pushes` are the tracks of forces on points; None: no force acts on points.
         """
         outputs = [worker.forces, worker.maxima, self.stray]
         stress = self._stress(worker, self.nodes.u, outputs)
@@ -156,9 +154,7 @@ class Crew:
     def press(self, pushes: wp.array, turns: wp.array) -> None:
         """Replace the lasting forces on the nodes by the forces that accelerate the points.
 
-        Args:
-            pushes: Acceleration of each point [P,3], m/s^2.
-            turns: Moments of the acceleration around each point [P,3,3] (`make_press`).
+        `pushes` [P,3], m/s^2, are accelerations, `turns` [P,3,3] their moments (`make_press`).
         """
         assert self.lasting is not None
         self.lasting.zero_()
@@ -213,13 +209,9 @@ class Crew:
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return the launches that compute the viscous forces on the nodes after the kick.
+        """Return the launches that add a worker's viscous forces after the kick to a pool.
 
         The viscous forces are computed as the forces of a material without stiffness.
-
-        Args:
-            worker: The worker.
-            out: The worker's part of a pool.
         """
         records = []
         for group in self.viscous:

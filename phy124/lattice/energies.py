@@ -107,11 +107,7 @@ class Energies:
             walls.work = meetings.work = free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases that sum work before the nodes move in a substep.
-
-        Args:
-            pushed: Whether forces act on points.
-        """
+        """Insert the phases that sum work before the nodes move; `pushed`: forces act on points."""
         forces = [at.STRESS, at.PUSHED] if pushed else [at.STRESS]
         for index, worker in enumerate(self._crew.workers):
             works = []

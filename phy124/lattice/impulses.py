@@ -38,21 +38,14 @@ class Impulses:
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
         """Record the launch that adds a wall's impulses on nearby points to the sums.
 
-        Args:
-            near: Indices of the points; the launch has one thread per point.
-            force: Mean force on each point in a substep [S,3], N.
+        `near` contains the points, one per thread, `force` [S,3], N, the mean forces in a substep.
         """
         kernel = make_add_impulse(self._model.real)
         launch = self._model.launch(kernel, len(near), [near, force, self._clock], [self.sums])
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the launches of clamps, between launches that sum the momenta of clamped nodes.
-
-        Args:
-            clamps: The launches of all clamps.
-            held: Indices of the nodes that these launches change.
-        """
+        """Return the launches of clamps, with sums of the momenta of the nodes `held`."""
         model, nodes = self._model, self._nodes
         chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)
         kernel = make_add_momentum(model.real)

@@ -203,11 +203,7 @@ class Meeting:
                 launch.set_param_at_index(2, reach)
 
     def follow(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs again if the parts have moved relative to each other.
-
-        Args:
-            x: Current positions of the sampled points [K,3], m.
-        """
+        """Determine the pairs again if the samples' positions x [K,3], m, have moved enough."""
         moved = x - self._seen
         most = 2 * (BETWEEN if self._between else MOVED) * self._model.dx
         self.slack = most - (np.ptp(moved, axis=0).max() if len(x) else 0.0)
@@ -220,11 +216,7 @@ class Meeting:
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs.
-
-        Args:
-            x: Current positions of the sampled points [K,3], m.
-        """
+        """Determine the pairs of the sampled points with positions x [K,3], m."""
         self._seen, self._away = x, False
         flagged = self._flag(x)
         if not flagged.any():

@@ -129,8 +129,7 @@ class Limits:
     def read(self, elapsed: float) -> None:
         """Limit substeps by the largest speed and strain rate; raise Unstable if a body collapsed.
 
-        Args:
-            elapsed: Time since the last measurement [s].
+        The last measurement was `elapsed` seconds ago.
         """
         clock = self._clock
         speed, gradient, clock.closing = self._crew.take_maxima()

@@ -100,9 +100,8 @@ class Material:
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum impulses.
 
-        Args:
-            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
-                there are no clamps.
+        `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
+        any.
         """
         near = self._list, self._points[:2], self.force
         self._passed = None if passed is None else passed.of(*near)

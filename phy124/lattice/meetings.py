@@ -104,9 +104,8 @@ class Meetings:
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum impulses.
 
-        Args:
-            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
-                there are no clamps.
+        `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
+        any.
         """
         stages = [meeting.record(self.work, passed) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
@@ -114,8 +113,7 @@ class Meetings:
     def follow(self, step: float) -> None:
         """Determine the pairs of points again if bodies have moved relative to each other.
 
-        Args:
-            step: Largest distance that a point moves in a substep [m].
+        A point moves at most `step` [m] in a substep.
         """
         if self._place is None:
             return

@@ -53,12 +53,9 @@ class Partners:
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
     ) -> Callable[[NDArray], NDArray[np.bool_]]:
-        """Return a function that flags the sampled points that may touch another part or body [K],
-        from their current positions [K,3], m.
+        """Return a function from positions [K,3], m, of samples to flags [K] of possible contact.
 
-        Args:
-            sample: Indices of the sampled points [K].
-            between: Whether the other part is a different body.
+        `sample` [K] are surface points; `between`: the other part belongs to another body.
         """
         model, arrays, grid, far = self._model, self._arrays, self._grid, FAR * self._model.dx
         vectors, count = self._nodes.rows is SIMD, len(sample)

@@ -213,14 +213,10 @@ class RestLattice:
         return sides
 
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
-        """Return the nodes at a given step from each node [K]; -1 if there is no such node.
+        """Return the nodes at a `step` [K,3] of one node along one axis from `nodes` [K]; -1: none.
 
         If the node at the step has copies, the result is the copy in the same piece as the first
         node: some cell contains both.
-
-        Args:
-            nodes: Indices of nodes [K].
-            step: Steps of one node along one axis [K,3].
         """
         target = self.find(self.index[nodes] + step, self.body[nodes])
         doubtful = np.flatnonzero((target >= 0) & (self.copied[nodes] | self.copied[target]))
@@ -245,10 +241,8 @@ class RestLattice:
         return points
 
     def motion_of(self, points: NDArray[np.int64]) -> scipy.sparse.csr_matrix:
-        """Return the weights of nodes with mass in the motion of integration points [K,N].
-
-        Args:
-            points: Indices of the points [K].
+        """Return the weights of nodes with mass in the motion of the integration points `points`
+        [K,N].
         """
         weights, shape = _weights(self.offset[points]), (len(points), len(self))
         nodes, starts = self.nodes_of(points // PER_CELL), np.arange(len(points) + 1) * 27
@@ -287,13 +281,9 @@ class RestLattice:
         return result
 
     def find(self, index: NDArray, body: NDArray | int = 0) -> NDArray[np.int64]:
-        """Return the indices of the nodes at given grid positions; -1 if there is no node.
+        """Return the indices of the nodes of bodies at grid positions `index` [...,3]; -1: no node.
 
         If a node has copies, the first copy is returned.
-
-        Args:
-            index: Indices of nodes [...,3].
-            body: Indices of the bodies of these nodes [...].
         """
         low, size = self.index.min(axis=0), np.ptp(self.index, axis=0) + 1
         shape = (int(self.body[-1]) + 1, *size.tolist())
@@ -311,12 +301,7 @@ class RestLattice:
 
 
 def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
-    """Return the copies of nodes that the cells of a body use, or None if no node has a copy.
-
-    Args:
-        copies: Copies of all bodies [C,27].
-        span: Points of the body.
-    """
+    """Return the `copies` [C,27] of nodes that the cells of a body use; None if there are none."""
     if copies is None:
         return None
     start, stop = (end // PER_CELL if end is not None else None for end in (span.start, span.stop))

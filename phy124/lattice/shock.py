@@ -85,20 +85,16 @@ class LatticeClock(Clock):
         return limit
 
     def may_crush(self, speed: float, drift: float) -> bool:
-        """Return whether the motion must be measured again before a substep of length `drift`.
+        """Return whether the motion must be measured again before a substep of length `drift` [s].
 
-        Args:
-            speed: Largest speed relative to a wall [m/s].
-            drift: Length of the substep [s].
+        `speed` is the largest speed relative to a wall [m/s].
         """
         way = speed * (self.time + drift - self.seen)
         return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
     def stalls(self, usual: float) -> bool:
-        """Return whether the last `STALLED` substeps are together shorter than one substep at rest.
-
-        Args:
-            usual: Length of a substep at rest [s].
+        """Return whether the last `STALLED` substeps together are shorter than one at rest, `usual`
+        [s].
         """
         taken, elapsed = self.substeps - self._marked[0], self.time - self._marked[1]
         if 0 <= taken < STALLED and elapsed >= 0:
@@ -118,14 +114,10 @@ class LatticeClock(Clock):
 
 
 def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
-    """Return the closing rate above which the artificial viscosity acts [1/s].
+    """Return the closing rate above which the artificial viscosity acts in cells of `dx` [m], 1/s.
 
-    Up to the rate eta / (rho dx^2), the damping eta of the material causes more pressure than the
+    Up to the rate eta / (rho dx^2), the damping eta of the materials causes more pressure than the
     artificial viscosity.
-
-    Args:
-        materials: The materials of all bodies.
-        dx: Side of a cell [m].
     """
     sound = max(material.wave_speed() for material in materials)
     damped = min(1 / (8 * material.viscous_limit(dx)) for material in materials)

@@ -79,9 +79,7 @@ class Solids(FreeBodies):
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
         """Replace the flat walls for the solids; keep the impulses of the last substep.
 
-        Args:
-            planes: The walls.
-            tracks: The tracks to which the walls' displacements are added.
+        The walls' displacements are added to the tracks.
         """
         earlier = self._impulses
         super().bind(planes, tracks)
@@ -109,9 +107,8 @@ class Solids(FreeBodies):
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum impulses.
 
-        Args:
-            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
-                there are no clamps.
+        `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
+        any.
         """
         model, tracks = self._model, getattr(self, "_tracks", None)
         if tracks is None:
@@ -136,8 +133,7 @@ class Solids(FreeBodies):
     def list_near(self, step: float) -> None:
         """List the points that may touch a solid until the next measurement.
 
-        Args:
-            step: Largest distance by which a point or a solid moves in a substep [m].
+        A point or a solid moves at most `step` [m] in a substep.
         """
         dx = self._model.dx
         self._reach_points = min(REACH * dx, 2 * AHEAD * step + CLOSE * dx)
@@ -257,12 +253,7 @@ class _Touch:
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Add launches to the last stage; None adds no launch.
-
-        Args:
-            work: Records launches that sum the work of the impulses for each cause.
-            passed: Records launches that transfer impulses on clamped nodes to clamps.
-        """
+        """Add launches to the last stage, which sum work or pass on impulses; None: no launch."""
         near = self._list, self._points, self.force
         self._passed = None if passed is None else passed.of(*near, self._sums)
         known = self._list, self._points, self._gap, self.force

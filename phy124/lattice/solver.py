@@ -287,10 +287,7 @@ class LatticeSolver:
     ) -> None:
         """Set positions and velocities of a body's nodes, and reset the forces of walls to zero.
 
-        Args:
-            carry: Function that computes the new positions and velocities [N,3] of the nodes from
-                the current values.
-            body: Index of the body.
+        `carry` computes the new positions and velocities [N,3] from the current ones.
         """
         nodes, rest, mine = self.nodes_state, self.lattice.x, self.lattice.body == body
         x, v = (

@@ -78,11 +78,9 @@ class Surface:
     def deform(
         self, points: NDArray[np.int64], u: NDArray
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return F [K,3,3], its cofactors [K,3,3] and the current normals [K,3] of points.
+        """Return F [K,3,3], its cofactors [K,3,3] and the current normals [K,3] of some points [K].
 
-        Args:
-            points: Indices of the points [K].
-            u: Displacements of all nodes [N,3], m.
+        `u` [N,3], m, are the displacements of all nodes.
         """
         F = np.eye(3) + np.swapaxes(u[self.nodes[points]], 1, 2) @ self.slopes[points]
         turned = _cofactors(F)
@@ -97,11 +95,8 @@ class Lazy:
     def __init__(
         self, values: NDArray[Any], compute: Callable[[NDArray[np.int64]], NDArray]
     ) -> None:
-        """Compute nothing yet.
-
-        Args:
-            values: Array for all values; its first axis is the points.
-            compute: Function that computes the values at the points with some indices.
+        """Compute nothing yet; `compute` returns the `values`, whose first axis is the points, at
+        indices.
         """
         self._values, self._compute = values, compute
         self._known = np.zeros(len(values), bool)
@@ -214,12 +209,8 @@ def _nearest_pieces(
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
     """Return weights [S,27] that are 0 in every group except at three consecutive nodes.
 
-    In each group, the three consecutive nodes with the largest sum of weights keep their weights. A
-    copy of a node may be far away in memory from the other nodes of a group.
-
-    Args:
-        nodes: Nodes of the points [S,27].
-        weights: Weights of these nodes [S,27].
+    In each group, the three consecutive `nodes` with the largest sum of weights keep their weights.
+    A copy of a node may be far away in memory from the other nodes of a group.
     """
     nodes, weights = nodes.reshape(-1, 1, 3), weights.reshape(-1, 1, 3)
     start = np.swapaxes(nodes, 1, 2)

@@ -64,15 +64,11 @@ def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float6
 def exact_weights(
     inner: NDArray[np.int64], lattice: RestLattice
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the nodes with mass that move integration points, and their weights [K,27].
+    """Return the nodes with mass that move the integration points `inner`, and weights [K,27].
 
     The nodes form nine groups of three nodes that are consecutive in memory, like the nodes of
     other surface points. If nine groups do not contain all nodes, the weights are corrected to
     reproduce every linear function.
-
-    Args:
-        inner: Indices of the integration points [K].
-        lattice: The lattices at rest.
     """
     nodes, weights = _three_in_a_row(lattice.motion_of(inner))
     x = rows_of(inner, lattice)[:, :3] / lattice.dx
@@ -90,10 +86,8 @@ def exact_weights(
 def _three_in_a_row(motion: scipy.sparse.csr_matrix) -> tuple[NDArray[np.int64], NDArray]:
     """Return the nodes and weights [K,27] of nine groups of three consecutive nodes.
 
-    The groups with the largest weights are chosen, one after another.
-
-    Args:
-        motion: Weights of all nodes in the motion of each point [K,N].
+    The groups with the largest weights are chosen, one after another. `motion` [K,N] are the
+    weights of all nodes in the motion of each point.
     """
     count, sizes = motion.shape[1], np.diff(motion.indptr)
     row = np.repeat(np.arange(len(sizes)), sizes)

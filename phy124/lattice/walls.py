@@ -178,11 +178,8 @@ class Walls:
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum impulses.
 
-        Clamps act before the impulses.
-
-        Args:
-            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
-                there are no clamps.
+        Clamps act before the impulses. `passed` records launches that transfer impulses on clamped
+        nodes to clamps, if there are any.
         """
         every = self._clamps
         records = [clamp.record(every[:i], every[i + 1 :]) for i, clamp in enumerate(every)]

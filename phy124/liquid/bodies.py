@@ -215,11 +215,9 @@ class Bodies:
             self._shifts[body] = min(max(shift, -MOST), MOST)
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
-        """Predict the motion of each solid and body in a step without the liquid.
+        """Predict the motion of solids and bodies in a step without the liquid.
 
-        Args:
-            kick: Duration of the step [s].
-            pull: Uniform acceleration [3], m/s^2.
+        The step takes `kick` [s]; `pull` [3] is the uniform acceleration, m/s^2.
         """
         motions = [*self.free.motions(), *self.motions()]
         expected = motions

@@ -70,12 +70,7 @@ class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
     def __init__(self, model: Model, copies: int) -> None:
-        """Prepare a window without cells.
-
-        Args:
-            model: The particles, and the origin and the spacing of the grid.
-            copies: Number of copies of the sums, one for each worker.
-        """
+        """Prepare a window without cells on the model's grid, with a copy of sums per worker."""
         self._model, self._copies = model, copies
         self._t = types(model.real)
         self.lattice = self._t.vec4(*model.origin, model.dx)

@@ -67,10 +67,8 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def divide(self, rest: float) -> tuple[float, Substep]:
-        """Return the length of the next step [s], and the limit that determined the length.
-
-        Args:
-            rest: Remaining time [s], which is divided into equal steps.
+        """Return the next step's length [s] and limit, if the `rest` [s] is divided into equal
+        steps.
         """
         limit = self.stable()
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
@@ -82,9 +80,7 @@ class LiquidClock(Clock):
     def lag(self, power: float, momentum: NDArray) -> float:
         """Return the change of kinetic energy [J] from the velocities' time to the positions'.
 
-        Args:
-            power: Power of the stress [W]; not used, since a projected liquid has none.
-            momentum: Momentum of all particles [3], kg m/s.
+        `momentum` [3] is in kg m/s; `power` is not used, since a projected liquid has no stress.
         """
         return self.uniform_work(momentum)
 

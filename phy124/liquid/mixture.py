@@ -15,11 +15,7 @@ class Mixture:
     """Properties of the liquids in a run, relative to the reference values of the equations."""
 
     def __init__(self, model: Model) -> None:
-        """Compare the particles' densities and viscosities.
-
-        Args:
-            model: The particles.
-        """
+        """Compare the particles' densities and viscosities."""
         self._model = model
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)
@@ -42,11 +38,7 @@ class Mixture:
         """
 
     def fit(self, count: int) -> None:
-        """Allocate the arrays of a window.
-
-        Args:
-            count: Number of cells.
-        """
+        """Allocate the arrays of a window with `count` cells."""
         model = self._model
         kind = types(model.real).vec4
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)

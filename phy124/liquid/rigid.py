@@ -80,12 +80,7 @@ class FreeSolids:
     """The freely moving solids of a run with a liquid and other materials."""
 
     def __init__(self, model: Model, solids: FreeBodies) -> None:
-        """Store the solids.
-
-        Args:
-            model: All particles of the run.
-            solids: The solids, moved by the solver of the other materials.
-        """
+        """Store the solids, which the solver of the other materials moves."""
         self._model, self._solids = model, solids
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)

@@ -383,11 +383,7 @@ class LiquidSolver:
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure to get the initial guess of a step.
-
-        Args:
-            kick: Time over which the step changes the velocities [s].
-        """
+        """Scale the last pressure to get the initial guess of a step that takes `kick` [s]."""
         scale = kick / self.kick if self.kick > 0 else 0.0
         self._phases.viscosity.carry.fill_(scale)
         self.kick = kick
@@ -407,11 +403,7 @@ class LiquidSolver:
             self._advance_bodies(self.clock.time + drift)
 
     def _move_walls(self, ahead: float = 0.0) -> None:
-        """Update the walls' geometry in the cells, after walls have moved.
-
-        Args:
-            ahead: Time by which positions of bodies of other materials are extrapolated [s].
-        """
+        """Update the walls' geometry in the cells; bodies are extrapolated by `ahead` [s]."""
         self.runner.join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
         if self._bodies is not None:

@@ -85,11 +85,8 @@ class Limits:
         return check_number(field, radius, 0.01 * self.size, 2 * self.size)
 
     def strength(self, modulus: float, radius: float) -> float:
-        """Return the default strength of a hand [N].
-
-        Args:
-            modulus: Modulus of pressure waves in the held material [Pa].
-            radius: Radius of the held material [m].
+        """Return a hand's default strength [N] on material of P-wave `modulus` [Pa] and `radius`
+        [m].
         """
         return min(LIFTS * self.weight, STRAIN * modulus * math.pi * radius**2)
 

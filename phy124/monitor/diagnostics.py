@@ -94,12 +94,7 @@ class Totals:
     """Whether the particles are points on a lattice."""
 
     def __init__(self, model: Model, state: State) -> None:
-        """Record the launches.
-
-        Args:
-            model: The constants of the run.
-            state: The state, over which `read` sums.
-        """
+        """Record the launches; `read` sums over the state."""
         device, sums = model.device, at.SUMS
         self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
         self._counts = wp.zeros(4, dtype=int, device=device)

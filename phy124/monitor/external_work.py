@@ -108,9 +108,8 @@ class ExternalWork(Observer):
     def __init__(self, *, summed: bool = False) -> None:
         """Set all sums to zero.
 
-        Args:
-            summed: Whether the work of a constant acceleration is also summed in every substep,
-                because forces and boundaries may be replaced during the run.
+        `summed`: a constant acceleration's work is also summed in every substep, because forces and
+        boundaries may be replaced during the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}

@@ -101,12 +101,7 @@ class Interior(Observer):
         return frame
 
     def look(self, index: int, x: wp.array) -> None:
-        """Find the exposed particles of a frame in which material is torn.
-
-        Args:
-            index: Index of the frame.
-            x: Positions of the particles [P,3], m.
-        """
+        """Find the exposed particles of a torn frame, from the positions x [P,3], m."""
         lost = self._find_lost(x)
         # Gaps are wider than a particle, so the second layer of particles is also visible.
         alone = np.zeros(len(x), bool)

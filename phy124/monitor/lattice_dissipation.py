@@ -35,13 +35,10 @@ class LatticeDissipation(LiquidDissipation):
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
-        """Return the section of the report [J]: losses, changes of energy, and work of each cause.
+        """Return the report [J] from two diagnostics: losses, changes of energy, work of each
+        cause.
 
         All values refer to the time of the velocities, half a substep before that of the positions.
-
-        Args:
-            first: The diagnostics at the start.
-            last: The current diagnostics.
         """
         works = self._energies.read()
         stiffened = self._external.stored if self._external is not None else 0.0

@@ -158,12 +158,7 @@ class Observer:
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the boundaries `inner` with measuring stages.
-
-        Args:
-            walls: The boundaries of the scene.
-            inner: The boundaries in `walls`, wrapped by earlier observers.
-        """
+        """Return the boundaries of `walls` with measuring stages; `inner`: as wrapped before."""
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
@@ -201,10 +196,9 @@ class Observer:
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame; after a failure, the next attempt halves the substeps.
+        """Prepare an attempt at a frame, with a check after every substep if `closely` is set.
 
-        Args:
-            closely: Whether to check every substep, as in a second attempt.
+        After a failure, the next attempt halves the substeps.
         """
 
     def after_substep(self) -> None:
@@ -230,11 +224,7 @@ class Observer:
         return []
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the observer's section of report.json.
-
-        Args:
-            frames: All frames if they are kept, otherwise none.
-        """
+        """Return the observer's section of report.json; `frames`: all that are kept."""
         return {}
 
     def snapshot(self) -> dict[str, Any]:

@@ -218,11 +218,8 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles outside the largest remaining part of their original
+        """Return the number of particles, at x [P,3], m, outside the largest rest of their first
         piece.
-
-        Args:
-            x: Current positions [P,3], m.
         """
         now = labels(self._spread(x), self._side)
         if now is None or self._body is None or now.max() == 0:
@@ -242,12 +239,7 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the piece index of each particle [P]; None if particles are too scattered.
-
-    Args:
-        x: Positions [P,3], m.
-        side: Side of a cube [m].
-    """
+    """Return each particle's piece [P] in cubes of a `side` [m]; None if x is too scattered."""
     if len(x) == 0 or not np.isfinite(x).all():
         return None
     columns = [_cubes(column, side) for column in x.T]

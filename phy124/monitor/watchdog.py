@@ -148,9 +148,7 @@ class Watchdog(Observer):
     def before_attempt(self, *, closely: bool = False) -> None:
         """Start to sum external work; before the first frame, also start the balance.
 
-        Args:
-            closely: Whether each substep is checked for non-finite particles, before they affect
-                their neighbours.
+        `closely`: each substep is checked for non-finite particles, before they affect neighbours.
         """
         self._closely = closely
         if not self._begun:

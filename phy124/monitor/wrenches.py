@@ -134,12 +134,7 @@ class Wrenches(Observer):
         return replace(frame, wrenches=self.contacts(self._solver, self._fps))
 
     def contacts(self, solver: AnySolver, fps: float) -> dict[str, Wrench]:
-        """Return the mean wrench on each wall and in each pair since the start of the frame.
-
-        Args:
-            solver: The particles, and the sums of impulses between objects.
-            fps: Frames per second.
-        """
+        """Return the mean wrench on each wall and in each pair since the start of the frame."""
         arrays = (solver.model.mass, solver.state.x)
         mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
         centre = mass @ x / mass.sum()
@@ -259,11 +254,9 @@ def simple_wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return for each name the largest force, the time of this force, and the last wrench.
+    """Return for each name the largest force, its time, and the last wrench.
 
-    Args:
-        frames: All frames of a run; frames before the first substep have no forces.
-        names: Names of walls or pairs.
+    Frames before the first substep have no forces. Names are those of walls or pairs.
     """
     if not frames or frames[-1].wrenches is None:
         return None

@@ -70,20 +70,16 @@ class Clock:
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy at the time of the positions, minus that at the time of the
-        velocities [J].
+        """Return the kinetic energy at the positions' time minus that at the velocities' time [J].
 
-        Args:
-            power: Power of the stress [W].
-            momentum: Momentum of all particles [3], kg m/s; not used here.
+        `power` is the power of the stress [W]; the momentum is not used here.
         """
         return -self.last_dt / 2 * power
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work of the uniform acceleration since the kick [J]; `lag` includes this work.
+        """Return the uniform acceleration's work since the kick [J], which is a part of `lag`.
 
-        Args:
-            momentum: Momentum of all particles after the last kick [3], kg m/s.
+        `momentum` [3] is that of all particles after the last kick, kg m/s.
         """
         return 0.0
 
@@ -128,11 +124,8 @@ class Clock:
             self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
-        """Write the length of a substep to the array on the device.
-
-        Args:
-            kick: Time step for velocities [s].
-            drift: Time step for positions and F [s].
+        """Write the substep's `kick` (for v) and `drift` (for x and F) [s] to the array on the
+        device.
         """
         values = (kick, drift, self.time)
         if self._shared is not None:
@@ -141,13 +134,7 @@ class Clock:
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep; after a violent substep, the next substep starts with a
-        measurement.
-
-        Args:
-            drift: Time step for positions and F [s].
-            violent: Whether the substep was violent.
-        """
+        """Count a finished substep of length `drift` [s]; after a violent one, measure first."""
         self.time += drift
         self.substeps += 1
         self.since_measured += 1

@@ -196,11 +196,8 @@ class FreeBodies:
         return math.ceil(far / self._model.dx + MARGIN)
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Replace the flat walls with which the solids collide.
-
-        Args:
-            planes: The walls.
-            tracks: The tracks of the run, to which the walls' displacements are added.
+        """Replace the flat walls with which the solids collide; their motions are added to the
+        tracks.
         """
         if not self.all:
             return
@@ -308,12 +305,10 @@ class FreeBodies:
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Return the mean wrench of each particle body on each solid, in the order of `names`.
+        """Return the mean wrench of each particle body on each solid in the `seconds` since
+        `begin`.
 
-        The torques are taken about the origin.
-
-        Args:
-            seconds: Time since `begin` [s].
+        The order is that of `names`; torques are about the origin.
         """
         sums = -(self._total() - self._begun)[:, self._met] / seconds
         rows = sums.reshape(-1, kernels.EXCHANGE)

@@ -158,11 +158,9 @@ class Grid:
 
 
 def grids_of(model: Model, *, apart: bool = False) -> list[Grid]:
-    """Return one grid for each body; all grids are on the same lattice.
+    """Return one grid for each body, all on the same lattice.
 
-    Args:
-        model: The constants of the run.
-        apart: Whether momenta and velocities of nodes are stored in two arrays.
+    If `apart` is set, momenta and velocities of nodes are stored in two arrays.
     """
     runs = [model.particles(body) for body in range(model.bodies)]
     options: dict[str, Any] = {"real": model.real, "device": model.device, "apart": apart}

@@ -75,11 +75,7 @@ class Outliers:
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
-        """Adapt the box to the particles; return whether the particles must be measured again.
-
-        Args:
-            corners: Lowest and highest corner of each body's particles [3], m.
-        """
+        """Adapt the box to the corners of bodies [3], m; return whether to measure again."""
         if self.bounded:
             lower = np.min([low for low, _ in corners], axis=0)
             upper = np.max([high for _, high in corners], axis=0)

@@ -118,12 +118,10 @@ class Pairs:
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Return for each pair the mean wrench of the first body on the second, about the origin.
+        """Return each pair's mean wrench of the first body on the second in the `seconds` since
+        `begin`.
 
-        The wrench of the second body on the first is the opposite.
-
-        Args:
-            seconds: Time since `begin` [s].
+        The torque is about the origin. The wrench of the second body on the first is the opposite.
         """
         sums = (self._total() - self._begun) / seconds
         return {

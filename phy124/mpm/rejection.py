@@ -110,9 +110,7 @@ class StepRejection:
     def interval(self, clock: Clock, calm: float) -> int:
         """Return the number of substeps until speeds must be measured; the user's if it is safe.
 
-        Args:
-            clock: Clock with the last measurement.
-            calm: Strain up to which no material stiffens significantly.
+        Up to the strain `calm`, no material stiffens significantly.
         """
         every, extremes, dx = clock.measure_every, clock.extremes, self._model.dx
         if every <= MEASURE_EVERY or not extremes.stiffness > 0:

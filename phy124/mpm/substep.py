@@ -242,10 +242,7 @@ class Recorder:
     def _clear(self, index: int, *, velocities: bool = False) -> Iterator[Named]:
         """Yield the launches that clear a worker's nodes before the scatter.
 
-        Args:
-            index: Index of the worker.
-            velocities: Whether to clear `Grid.nodes` instead of the momenta, if the two are
-                separate arrays.
+        `velocities`: clear `Grid.nodes` instead of the momenta, if these are separate arrays.
         """
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_

@@ -300,11 +300,9 @@ class Tracks:
     def record(
         self, clock: wp.array | None = None, outputs: Sequence[wp.array] | None = None
     ) -> wp.Launch:
-        """Return the launch that samples every track.
+        """Return the launch that samples every track by a clock [3], s, by default that of the run.
 
-        Args:
-            clock: Kick, drift and time [3], s; None: use the clock of the run.
-            outputs: Arrays for values and rates; None: `values` and `rates`.
+        The outputs are arrays for values and rates, by default `values` and `rates`.
         """
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]
         inputs = [*tables, self.clock if clock is None else clock]

@@ -188,11 +188,9 @@ class Slabs:
         self.divide(np.concatenate(orders))
 
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
-        """Fit the nodes of every slab to the slab's particles; return whether the nodes changed.
+        """Fit the slabs' nodes to their particles; return whether the nodes changed.
 
-        Args:
-            rows: Measurements of the particles of each part [parts,COUNT].
-            force: Whether the common window has changed.
+        `rows` [parts,COUNT] are measurements; `force`: the common window has changed.
         """
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):

@@ -105,11 +105,8 @@ def cells_of(points: Particles) -> Particles:
 
 
 def points_of(cells: Particles, points: Particles) -> Particles:
-    """Return the points of some cells, in the order and with the materials of the cells.
-
-    Args:
-        cells: Some of the cells of `points`, in any order.
-        points: All points.
+    """Return the points of some cells of `points`, in the order and with the materials of the
+    cells.
     """
     every = cells_of(points).x
     rows = np.concatenate([every, cells.x])

@@ -27,11 +27,8 @@ SAMPLES = 5
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:
-    """Assign each point to one of `count` groups [N] by repeatedly merging pairs of neighbours.
-
-    Args:
-        places: Points [N,D] in any number D of dimensions.
-        count: Desired number of groups, at least 1.
+    """Assign each point [N,D] to one of `count` groups [N] by repeatedly merging pairs of
+    neighbours.
     """
     label = np.arange(len(places))
     while len(places) > count:

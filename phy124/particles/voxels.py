@@ -63,11 +63,7 @@ class Voxels(NamedTuple):
 
 
 def find_voxels(filled: NDArray) -> Voxels:
-    """Return the filled parts of the voxels of a grid.
-
-    Args:
-        filled: Filled fraction of each voxel [X,Y,Z].
-    """
+    """Return the filled parts of the voxels of a grid from their filled fractions [X,Y,Z]."""
     filled = filled.astype(np.float64)
     padded, index = np.pad(filled, 2), np.argwhere(filled > 0)
     fraction, normal = filled[tuple(index.T)], np.zeros(index.shape)

@@ -202,13 +202,10 @@ class Recording:
 
 
 def take_up(out: Path | None, context: RunContext) -> tuple[Simulation | None, Recording]:
-    """Return the interrupted run in a folder and the run's recording, if the run can be continued.
+    """Return the interrupted run in a folder and its recording, if the run can be continued.
 
-    Frame files of killed runs without a saved state are removed.
-
-    Args:
-        out: The folder; None: nothing is written.
-        context: Device, threads, progress and stopwatch.
+    Frame files of killed runs without a saved state are removed. Without a folder, nothing is
+    written.
     """
     if out is not None:
         sweep(out)

@@ -81,11 +81,9 @@ class Affine:
         self._fit: Any = scipy.sparse.csr_matrix((values.ravel(), places), (3 * m, n))
 
     def fit(self, x: NDArray[np.float32], prior: NDArray) -> NDArray[np.float32]:
-        """Return the transposed deformation gradient of each group [m,3,3].
+        """Return the transposed deformation gradient of each group [m,3,3], from x [n,3], m.
 
-        Args:
-            x: Positions of the points [n,3], m, relative to any point near them.
-            prior: Transposed deformation gradients for directions in which a group has no extent.
+        `prior` is used in directions in which a group has no extent.
         """
         F = (self._fit @ x).reshape(-1, 3, 3)
         return F + self._share @ prior

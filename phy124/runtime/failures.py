@@ -62,11 +62,7 @@ class Failure:
 
 
 def failure(problem: BaseException) -> Failure:
-    """Explain the exception that stopped the run.
-
-    Args:
-        problem: The exception; for an `Incomplete`, its cause, and then the saved results.
-    """
+    """Explain the exception that stopped the run; for an `Incomplete`, its cause and results."""
     if isinstance(problem, Incomplete):
         return _incomplete(problem)
     problem = _refusal(problem) or problem

@@ -64,11 +64,9 @@ def refuse_unprojectable(scene: Any) -> None:
 
 
 def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
-    """Yield the field, the value and a description of each feature that is not supported.
+    """Yield field, value and description of features that are not supported.
 
-    Args:
-        scene: The scene.
-        mixes: Whether some materials are not liquids.
+    `mixes`: some materials are not liquids.
     """
     yield from _of_objects(scene)
     for wall in () if mixes else scene.boundaries:

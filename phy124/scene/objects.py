@@ -151,10 +151,8 @@ class SceneObject(Object):
         return np.array(self.sides) / max(self.sides) * self.size / 2
 
     def solid(self, pairs: Sequence[Pair]) -> Movable:
-        """Return the boundary that represents this object in collisions, moving along its path.
-
-        Args:
-            pairs: The scene's pairs, which define friction and contact.
+        """Return the boundary that moves along the object's path, with the pairs' friction and
+        contact.
         """
         half = self.half
         centre = np.array([*self.place, self.lift + half[2]])

@@ -17,12 +17,7 @@ class Spent:
     """
 
     def __init__(self, team: Team, device: str) -> None:
-        """Set the time to zero.
-
-        Args:
-            team: The threads that simulate.
-            device: Warp device.
-        """
+        """Set the time of a team of threads on a Warp device to zero."""
         self._team, self._on_cpu = team, device == "cpu"
         self.earlier = 0.0
         """Time spent in earlier `counting` contexts [s]."""

@@ -202,12 +202,7 @@ def _texture(
 
 
 def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
-    """Return the back of a flat card [H,W,3], which has the front's most common colour everywhere.
-
-    Args:
-        picture: Colours of the front [H,W,3].
-        inside: Mask of the silhouette [H,W].
-    """
+    """Return the back of a flat card [H,W,3]: everywhere the front's most common colour."""
     return np.broadcast_to(most_common(picture[inside]), picture.shape)
 
 

@@ -44,9 +44,7 @@ class Plane:
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
         """Return the rows [N] of the face, and whether each row belongs to the plane or the bevel.
 
-        Args:
-            columns: Columns of the points before projection [N].
-            z: Coordinates of the points towards the camera [N].
+        `columns` [N] are the points' columns before projection, `z` [N] is towards the camera.
         """
         flat = self.level / self.view.k(z) + self.view.middle[1]
         outline = np.interp(columns, np.arange(len(self.outline)), self.outline)

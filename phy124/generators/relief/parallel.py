@@ -40,9 +40,7 @@ class Profile:
     def nearness(self, y: Field, distance: float) -> tuple[Field, Field]:
         """Return how near each row's thickest point and nearest edge are to the other camera.
 
-        Args:
-            y: Rows relative to the object's centre [N].
-            distance: Distance of the other camera from the centre, pixels.
+        `y` [N] are rows relative to the object's centre; the camera's `distance` is in pixels.
         """
         columns = np.arange(self.w.shape[1]) - self.middle[0]
         far = 1 - columns / distance

@@ -119,11 +119,8 @@ def _with_feet(w: Field, picture: Continued) -> Field:
 
 
 def round_thickness(silhouette: Silhouette, size: int) -> Field:
-    """Return squared half thicknesses [H,W] for which each part is as deep as it is wide.
-
-    Args:
-        silhouette: The silhouette.
-        size: Size of the object, pixels.
+    """Return squared half thicknesses [H,W] for which each part, in pixels, is as deep as it is
+    wide.
     """
     _ = silhouette.factors  # a thread computes them meanwhile
     return _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
@@ -238,10 +235,8 @@ def is_block(picture: Continued) -> bool:
 def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
     """Return the squared half thicknesses of a solid of revolution with a vertical axis.
 
-    Args:
-        silhouette: The silhouette, extended beyond flat ends.
-        picture: Mask of the object. A vessel is as deep at its brim as it is wide, whatever the
-            height of the brim is.
+    The silhouette extends beyond flat ends. By `picture`, the object's mask, a vessel is as deep at
+    its brim as it is wide, whatever the height of the brim is.
     """
     inside, body = silhouette.inside, picture.body
     left, right = silhouette.sides()

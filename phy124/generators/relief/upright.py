@@ -258,9 +258,7 @@ def _inner_distance(solid: Mask) -> Field:
 def _is_pointed(heights: NDArray[np.int_], length: float) -> bool:
     """Return whether a protruding part ends in a sharp edge, like the rim of a bowl.
 
-    Args:
-        heights: Height of the part in each of its columns, from the tip [pixels].
-        length: Length by which the part protrudes [pixels].
+    `heights` are those of the part's columns from the tip, `length` is the part's; both in pixels.
     """
     tip = heights[: max(1, round(TIP * length))]
     return bool(tip.mean() < POINTED * heights.max())

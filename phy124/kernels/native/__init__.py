@@ -25,10 +25,9 @@ FOLDER = Path(__file__).parent
 
 
 def code(*pieces: str) -> str:
-    """Return the C++ text of the named pieces, joined in order.
+    """Return the C++ text of pieces, joined in order.
 
-    Args:
-        pieces: "tile:store" is the piece `store` of tile.h, "tile" the text before the pieces.
+    "tile:store" is the piece `store` of tile.h, "tile" the text before the pieces.
     """
     texts = []
     for piece in pieces:

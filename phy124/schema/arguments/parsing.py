@@ -177,9 +177,7 @@ def _no_empty_defaults() -> Iterator[None]:
 def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -> Iterator[None]:
     """Within this context, replace functions of a tyro module, if this version has them.
 
-    Args:
-        module: The module's name.
-        wrappers: Functions that return a replacement, by the name of the replaced function.
+    `wrappers` return the replacements, by the names of the functions.
     """
     try:
         place = import_module(f"tyro.{module}")

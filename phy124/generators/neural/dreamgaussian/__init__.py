@@ -9,12 +9,7 @@ if TYPE_CHECKING:
 
 
 def make_dreamgaussian(*, device: str | None = None, steps: int | None = None) -> DreamGaussian:
-    """Return the generator `dreamgaussian`.
-
-    Args:
-        device: Device for the generator; None: a GPU if there is one.
-        steps: Number of optimisation steps; None: the default.
-    """
+    """Return the generator `dreamgaussian` for a device (None: a GPU if there is one) and steps."""
     from phy124.generators.neural.dreamgaussian.generator import DreamGaussian
 
     return DreamGaussian(device=device, steps=steps)
