@@ -411,12 +411,7 @@ def _sum_preparation(runs: _Runs) -> float:
 
 
 def _choose_next(
-    cells: int,
-    wanted: list[int],
-    preparing: float,
-    forecast: Forecast,
-    left: float,
-    kept: float,
+    cells: int, wanted: list[int], preparing: float, forecast: Forecast, left: float, kept: float
 ) -> int:
     """Return the next grid to forecast; 0 if there is none.
 

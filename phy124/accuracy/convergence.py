@@ -93,8 +93,7 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
         return Convergence(None, (error,) * levels, note=note, exact=exact)
     if apart[-2, -1] >= apart[0, -1] or not apart[np.triu_indices(levels, 1)].all():
         return Convergence(
-            None,
-            why_not="no convergence: results on finer grids are no closer together",
+            None, why_not="no convergence: results on finer grids are no closer together"
         )
     observed = _observe_order(h, apart)
     trusted = float(np.clip(observed, *TRUSTED))

@@ -99,10 +99,7 @@ class Rates:
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
-USUAL = {
-    "cpu": Rates(),
-    "cuda": Rates(substep=4.5e-5, particle=3.3e-10, node=1.5e-11, frame=4e-3),
-}
+USUAL = {"cpu": Rates(), "cuda": Rates(substep=4.5e-5, particle=3.3e-10, node=1.5e-11, frame=4e-3)}
 """Typical rates for each kind of device; cuda was measured on an H200 (docs/lab/cuda.md)."""
 
 

@@ -75,12 +75,7 @@ class Effects:
         return cls(tuple(ran), tuple(left_out))
 
     def data(
-        self,
-        *,
-        particles: int = 0,
-        substeps: int = 0,
-        nodes: int = 0,
-        threads: int = 1,
+        self, *, particles: int = 0, substeps: int = 0, nodes: int = 0, threads: int = 1
     ) -> dict[str, Any]:
         """Return the lists of effects as plain data for the report.
 

@@ -86,10 +86,7 @@ class Export:
 
     clip: tyro.conf.Positional[Path]
     """clip.safetensors made by `phy124 generate`."""
-    to: Annotated[
-        str,
-        tyro.conf.arg(help=f"Format. {TO}; {FRAMES}", metavar="FORMAT"),
-    ]
+    to: Annotated[str, tyro.conf.arg(help=f"Format. {TO}; {FRAMES}", metavar="FORMAT")]
     frame: int | None = None
     """Index of the frame to write, starting at 0. By default, frame 0 is written, or all frames if
     the format can store motion. In the file's name, frames are numbered from 0001, as with --all.

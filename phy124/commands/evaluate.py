@@ -52,11 +52,7 @@ class Evaluate:
         clip = Clip.load(self.clip)
         out = self.out or self.clip.parent / "evaluation.json"
         weights, bars = search_first(self.weights), Bars(quiet=self.json)
-        with (
-            replacing(out) as path,
-            weights,
-            bars,
-        ):  # refuses an unwritable file
+        with replacing(out) as path, weights, bars:  # refuses an unwritable file
             model, missing = self._model()
             videos = self._videos(clip, bars)
             result = evaluate(clip, videos, model=model, missing=missing)

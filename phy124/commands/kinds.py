@@ -19,11 +19,7 @@ PICTURES = (
     ".heic",
     ".heif",
 )
-KINDS = {
-    **dict.fromkeys(PICTURES, "a picture"),
-    ".safetensors": "a clip",
-    ".toml": "a scene",
-}
+KINDS = {**dict.fromkeys(PICTURES, "a picture"), ".safetensors": "a clip", ".toml": "a scene"}
 """Kind of a file by the ending of its name."""
 SIGNS = {
     b"ply\n": "a file of Gaussians",

@@ -59,12 +59,7 @@ class Part(NamedTuple):
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        point: Vector | None,
-        radius: float,
-        field: str,
-        name: str | None = None,
+        cls, model: Model, point: Vector | None, radius: float, field: str, name: str | None = None
     ) -> Part:
         """Return the part of an object within a radius of a point, at rest.
 

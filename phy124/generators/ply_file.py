@@ -81,10 +81,7 @@ class Reading(Section):
             verb = "is" if len(options) == 1 else "are"
             limit = f"{' and '.join(options)} {verb} for a file of Gaussians."
             raise InputError(
-                name,
-                source,
-                limit,
-                f"Give a file of Gaussians, or remove {' and '.join(options)}.",
+                name, source, limit, f"Give a file of Gaussians, or remove {' and '.join(options)}."
             )
 
 

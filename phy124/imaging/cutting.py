@@ -15,8 +15,7 @@ class Cutting(Section):
     """Options for segmenting the object of an image."""
 
     foreground: str = Field(
-        default="auto",
-        description=f"Method that segments the object: auto, {', '.join(METHODS)}.",
+        default="auto", description=f"Method that segments the object: auto, {', '.join(METHODS)}."
     )
     mask: Path | None = Field(
         default=None,

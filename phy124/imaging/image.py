@@ -53,10 +53,7 @@ DEADLINE = isolated.Deadline(30.0)
 
 
 def open_image(
-    path: str | os.PathLike[str],
-    *,
-    field: str = "image",
-    deadline: isolated.Deadline = DEADLINE,
+    path: str | os.PathLike[str], *, field: str = "image", deadline: isolated.Deadline = DEADLINE
 ) -> Image.Image:
     """Open a photograph upright, as RGBA in sRGB, with sides of at most `WORK_SIDE` pixels.
 
@@ -76,10 +73,7 @@ def open_image(
 
 
 def open_mask(
-    path: str | os.PathLike[str],
-    *,
-    field: str = "mask",
-    minimum: int = MIN_SIDE,
+    path: str | os.PathLike[str], *, field: str = "mask", minimum: int = MIN_SIDE
 ) -> Image.Image:
     """Open a mask or map that belongs to an image, in the same way as `open_image`.
 

@@ -18,15 +18,7 @@ import warp as wp
 
 from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
-from phy124.kernels.columns import (
-    RESPONSES,
-    add_rows,
-    along_wall,
-    hold_back,
-    relative,
-    tie,
-    xyz,
-)
+from phy124.kernels.columns import RESPONSES, add_rows, along_wall, hold_back, relative, tie, xyz
 from phy124.kernels.distance import SHAPES
 from phy124.kernels.grid import velocity_of
 from phy124.kernels.reduction import load

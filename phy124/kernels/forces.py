@@ -158,10 +158,7 @@ def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
 
 
 @kernel("phy124_held_forget")
-def forget(
-    means_out: wp.array(dtype=wp.vec3d),
-    second_out: wp.array(dtype=wp.mat33d),
-):
+def forget(means_out: wp.array(dtype=wp.vec3d), second_out: wp.array(dtype=wp.mat33d)):
     """Set the means of a group to zero."""
     for i in range(2):
         means_out[i] = wp.vec3d()

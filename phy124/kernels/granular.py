@@ -4,11 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from phy124.kernels.elastic import (
-    fixed_corotated,
-    fixed_corotated_energy,
-    fixed_corotated_modulus,
-)
+from phy124.kernels.elastic import fixed_corotated, fixed_corotated_energy, fixed_corotated_modulus
 from phy124.kernels.hencky import log_strain
 from phy124.kernels.spectral import (
     deviator,

@@ -147,22 +147,14 @@ def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:
         gradients_out[i] = wp.vec3d(surface_at[1], surface_at[2], surface_at[3])
 
     @kernel(module, seconds=0.5)
-    def orient(
-        surface: Surface,
-        points: wp.array[wp.vec3d],
-        normals_out: wp.array[wp.vec3d],
-    ):
+    def orient(surface: Surface, points: wp.array[wp.vec3d], normals_out: wp.array[wp.vec3d]):
         i = wp.tid()
         surface_at = gradient(surface, points[i])
         slope = wp.vec3d(surface_at[1], surface_at[2], surface_at[3])
         normals_out[i] = -slope / wp.max(wp.length(slope), wp.float64(1e-12))
 
     @kernel(module, seconds=0.5)
-    def project(
-        surface: Surface,
-        rounds: int,
-        points_out: wp.array[wp.vec3d],
-    ):
+    def project(surface: Surface, rounds: int, points_out: wp.array[wp.vec3d]):
         i = wp.tid()
         p = points_out[i]
         for _ in range(rounds):

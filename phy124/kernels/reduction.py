@@ -131,10 +131,7 @@ def store(matrices: wp.array(dtype=wp.mat33d), particle: int, value: wp.mat33d):
 
 @native_kernel("phy124_barrier", code("reduction:meet"))
 def meet(
-    parties: int,
-    spins: int,
-    counter_out: wp.array(dtype=int),
-    ticket_out: wp.array(dtype=int),
+    parties: int, spins: int, counter_out: wp.array(dtype=int), ticket_out: wp.array(dtype=int)
 ):
     """Check the barrier up to `spins` times; clear `ticket_out[0]` when all have arrived."""
     ...

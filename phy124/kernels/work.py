@@ -60,12 +60,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
     @wp.func_native(code("reduction:change"))
     def change(
-        first: int,
-        each: int,
-        stride: int,
-        mass: kinds.reals,
-        v: kinds.vec3s,
-        kept: kinds.vec3s,
+        first: int, each: int, stride: int, mass: kinds.reals, v: kinds.vec3s, kept: kinds.vec3s
     ) -> wp.vec4d:
         """Return the changes of momentum and kinetic energy since the velocities `kept` were
         stored.

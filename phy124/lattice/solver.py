@@ -22,11 +22,7 @@ from phy124.lattice.limits import Limits
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.motion import make_nodes
 from phy124.lattice.rest import RestLattice
-from phy124.lattice.shock import (
-    LatticeClock,
-    in_shock_only,
-    largest_calm_rate,
-)
+from phy124.lattice.shock import LatticeClock, in_shock_only, largest_calm_rate
 from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface

@@ -440,11 +440,7 @@ def kernels(
         several: Whether to yield also the kernels of contact between bodies.
     """
     rows = rows_for(real, device)
-    yield from (
-        make_place(real, rows),
-        make_meet(real, rows),
-        make_resist("separate", real, rows),
-    )
+    yield from (make_place(real, rows), make_meet(real, rows), make_resist("separate", real, rows))
     yield make_flag_simd() if rows is SIMD else make_flag(real)
     yield from (make_expose(real, rows), make_partner(real))
     if several:

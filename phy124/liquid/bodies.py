@@ -342,12 +342,7 @@ class Bodies:
         self.limit = float(self._most.numpy()[0])
 
     def _press_film(
-        self,
-        cells: Cells,
-        tracks: Tracks,
-        sums: wp.array,
-        densities: wp.array | None,
-        index: int,
+        self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, index: int
     ) -> None:
         """Add the pressure of the film between a body and fixed walls."""
         real, solid = self._model.real, self.first + index

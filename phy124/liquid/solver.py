@@ -23,16 +23,7 @@ from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.phases import Phases
 from phy124.liquid.projection import Projection
 from phy124.liquid.walls import Walls, walls_of, walls_of_bodies, walls_of_solids
-from phy124.mpm import (
-    Accumulator,
-    Attachable,
-    FreeBodies,
-    FreeBody,
-    Grid,
-    Model,
-    State,
-    Unstable,
-)
+from phy124.mpm import Accumulator, Attachable, FreeBodies, FreeBody, Grid, Model, State, Unstable
 from phy124.mpm.free import Plane
 from phy124.mpm.grid import grids_of
 from phy124.mpm.outliers import Outliers

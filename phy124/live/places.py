@@ -217,11 +217,7 @@ def check_object(scene: Scene, field: str, name: str | None) -> str | None:
 
 def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
     """Return the centre of mass [3], m, of each object with particles and each free rigid solid."""
-    x, mass, body = (
-        _positions(run),
-        run.setup.particles.mass.astype(np.float64),
-        _objects(run),
-    )
+    x, mass, body = _positions(run), run.setup.particles.mass.astype(float), _objects(run)
     numbers = [number for number in range(len(run.scene.names)) if (body == number).any()]
     free, poses = run.solver.free, run.solver.free.poses()
     return {

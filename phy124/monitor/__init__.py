@@ -26,11 +26,7 @@ from phy124.monitor.lattice import (
 from phy124.monitor.lattice_dissipation import LatticeDissipation
 from phy124.monitor.liquid import LiquidDissipation
 from phy124.monitor.observer import Observer
-from phy124.monitor.pool_dissipation import (
-    ImmersedDissipation,
-    MixedDissipation,
-    PoolDissipation,
-)
+from phy124.monitor.pool_dissipation import ImmersedDissipation, MixedDissipation, PoolDissipation
 from phy124.monitor.pool_work import PoolWork
 from phy124.monitor.sleep import Sleep
 from phy124.monitor.softening import Softening

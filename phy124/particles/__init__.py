@@ -20,12 +20,7 @@ from phy124.particles.cleaning import (
     size_transform,
     visible_area,
 )
-from phy124.particles.seeding import (
-    BINDINGS,
-    fill,
-    is_in_box,
-    make_particles,
-)
+from phy124.particles.seeding import BINDINGS, fill, is_in_box, make_particles
 from phy124.particles.solid import Solid, find_solid
 
 __all__ = [

@@ -163,9 +163,7 @@ def _find_sheets(
     return parts.number[thin], normal[thin], centre
 
 
-def _find_rods(
-    parts: _Parts,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def _find_rods(parts: _Parts) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Find the voxels of rods, such as stems, that are too thin to have full voxels.
 
     Returns:

@@ -167,14 +167,7 @@ def simulate(
         refuse_unfilmable(scene)
     png = None if cutout is None else cutout.png()
     folder = RunFolder(
-        Path(out),
-        context,
-        dict(about or {}),
-        keep,
-        png,
-        films=films,
-        rescues=rescues,
-        error=error,
+        Path(out), context, dict(about or {}), keep, png, films=films, rescues=rescues, error=error
     )
 
     def run_scene() -> tuple[Simulation, Clip]:

@@ -23,14 +23,7 @@ from phy124.errors import InputError
 from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 from phy124.io.clip import Clip
 from phy124.io.files import staging
-from phy124.io.rasters import (
-    MIDDLE,
-    load_exr,
-    sixteen_bits,
-    step_of,
-    write_exr,
-    write_png16,
-)
+from phy124.io.rasters import MIDDLE, load_exr, sixteen_bits, step_of, write_exr, write_png16
 from phy124.rendering.framing import cameras
 from phy124.rendering.projection import NEAR
 from phy124.rendering.render import BLACK, Renderer
@@ -121,13 +114,7 @@ def refuse_unkept(clip: Clip, view: View) -> None:
         raise InputError("view.outputs", "force", limit, remedy)
 
 
-def write_outputs(
-    clip: Clip,
-    view: View,
-    side: str,
-    folder: Path,
-    context: RunContext,
-) -> Path:
+def write_outputs(clip: Clip, view: View, side: str, folder: Path, context: RunContext) -> Path:
     """Write the outputs of one side into the folder SIDE-outputs, with a description in JSON.
 
     Args:

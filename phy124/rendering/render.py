@@ -34,11 +34,7 @@ MAX_PAIRS = 1 << 24
 """Largest number of splats in the lists of tiles; further tiles are blended in other groups."""
 TILES_PER_SPLAT = 4
 """Expected number of tiles that a splat touches; used to allocate memory for the first picture."""
-BLENDS = {
-    "simd": blend.blend_tiles_simd,
-    "plain": blend.blend_tiles,
-    "pixel": blend.blend_pixels,
-}
+BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
 """Variants of the blending stage. `simd`: one tile per thread in vectorised C++ (CPU only).
 `plain`: the same in Warp. `pixel`: one pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd

@@ -95,10 +95,7 @@ class Scene(Section):
     boundaries: tuple[AnyBoundary, ...] = Field(
         default=(Ground(),), description="Solid walls and other constraints on the motion."
     )
-    accuracy: AccuracyName | Accuracy = Field(
-        default="standard",
-        description=describe_accuracy(),
-    )
+    accuracy: AccuracyName | Accuracy = Field(default="standard", description=describe_accuracy())
     binding: Literal["particles", "lattice"] = Field(
         default="lattice",
         description="lattice: Gaussians follow a lattice of particles, which is faster; "

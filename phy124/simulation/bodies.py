@@ -28,13 +28,7 @@ from phy124.materials import AnyMaterial
 from phy124.motion.scenery import Scenery
 from phy124.mpm import FreeBody
 from phy124.particles import Cleaning, Particles, clean, make_particles
-from phy124.particles.lattice import (
-    PER_CELL,
-    cells_of,
-    lattice_of,
-    points_of,
-    repeat_for_points,
-)
+from phy124.particles.lattice import PER_CELL, cells_of, lattice_of, points_of, repeat_for_points
 from phy124.particles.scatter import scatter
 from phy124.particles.solid import Solid, find_interior
 from phy124.particles.thickness import Proportions, measure_proportions
@@ -278,11 +272,7 @@ def _with_particles(placed: Placed, spacing: float) -> Body:
         particles = cells_of(points)
     else:
         particles = make_particles(
-            alone,
-            interior,
-            density=scene.material.density,
-            spacing=spacing,
-            binding=scene.binding,
+            alone, interior, density=scene.material.density, spacing=spacing, binding=scene.binding
         )
     particles = number_among_all(particles, belonging)
     particles, moves = assign_materials(particles, gaussians.means, scene, placed.crop)

@@ -54,9 +54,7 @@ class Plane:
     def normals(self, columns: Field, z: Field) -> Field:
         """Return unit normals before projection [N,3]; the arguments are those of `rows`."""
         tilt = np.where(
-            self.rows(columns, z)[1],
-            0.0,
-            -self.level / self.view.distance / self.view.k(z) ** 2,
+            self.rows(columns, z)[1], 0.0, -self.level / self.view.distance / self.view.k(z) ** 2
         )
         normals = self.sign * np.stack([np.zeros_like(z), np.ones_like(z), tilt], axis=1)
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)

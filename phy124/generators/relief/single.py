@@ -10,12 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phy124.generators.relief.angular import is_angular
-from phy124.generators.relief.back import (
-    BackLook,
-    card_back,
-    choose_look,
-    plain_back,
-)
+from phy124.generators.relief.back import BackLook, card_back, choose_look, plain_back
 from phy124.generators.relief.boards import board_shell
 from phy124.generators.relief.boxes import Cuboid, find_box
 from phy124.generators.relief.caps import Cap, colour_cap, make_cap

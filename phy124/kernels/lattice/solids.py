@@ -229,11 +229,7 @@ def make_solid_resist(sticky: bool, real: Any, rows: Rows):
     kind = "sticky" if sticky else "separate"
     limit = LIMITS[kind]
 
-    @kernel(
-        f"phy124_lattice_solid_resist_{kind}_{rows.name}{real.__name__}",
-        real,
-        seconds=0.6,
-    )
+    @kernel(f"phy124_lattice_solid_resist_{kind}_{rows.name}{real.__name__}", real, seconds=0.6)
     def solid_resist(
         near,
         count,

@@ -13,12 +13,7 @@ import warp as wp
 from phy124.kernels.arguments import types
 from phy124.kernels.build import build_once, kernel
 from phy124.kernels.elastic import safe_volume, signed_volume
-from phy124.kernels.lattice.points import (
-    PER_CELL,
-    inverse_rows,
-    slopes_at,
-    spread_slopes,
-)
+from phy124.kernels.lattice.points import PER_CELL, inverse_rows, slopes_at, spread_slopes
 from phy124.kernels.transfer import Law
 
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3

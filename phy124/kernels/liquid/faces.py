@@ -98,12 +98,7 @@ def make_sum_copies(real: Any, width: int):
 
     @kernel(f"phy124_liquid_sum_copies_{width}_{real.__name__}", real, seconds=0.2)
     def sum_copies(
-        worker: int,
-        active: Ints,
-        ends: Ints,
-        count,
-        copies: int,
-        cells_out: wp.array(dtype=vector),
+        worker: int, active: Ints, ends: Ints, count, copies: int, cells_out: wp.array(dtype=vector)
     ):
         n = entry(active, ends, worker, wp.tid())
         if n < 0:

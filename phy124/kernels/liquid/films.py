@@ -31,12 +31,7 @@ def make_contact(real: Any):
 
     @kernel(f"phy124_liquid_contact_{real.__name__}", real, seconds=0.2)
     def contact(
-        window,
-        region: Box,
-        level: t.reals,
-        still: t.vec4s,
-        open: t.vec4s,
-        contact_out: t.vec3s,
+        window, region: Box, level: t.reals, still: t.vec4s, open: t.vec4s, contact_out: t.vec3s
     ):
         cell = cell_of(wp.tid(), region[1]) + region[0]
         size = window[1]

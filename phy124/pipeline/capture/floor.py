@@ -79,9 +79,7 @@ def find_floor(points: NDArray, up: Vectors | None = None) -> Floor:
     against = up @ normal < 0 if up is not None else (above[rest] < 0).sum() > rest.sum() / 2
     sign = -1.0 if against else 1.0
     floor = Floor(
-        sign * normal,
-        float(sign * (offset * spread + middle @ normal)),
-        float(tolerance * spread),
+        sign * normal, float(sign * (offset * spread + middle @ normal)), float(tolerance * spread)
     )
     _check(x, floor)
     return floor

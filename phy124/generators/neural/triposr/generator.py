@@ -53,12 +53,7 @@ class TripoSrGenerator:
         self.weights, self.field = weights, field
 
     def __call__(
-        self,
-        image_rgba: Image_,
-        *,
-        seed: int = 0,
-        progress: Progress = silent,
-        count: int = COUNT,
+        self, image_rgba: Image_, *, seed: int = 0, progress: Progress = silent, count: int = COUNT
     ) -> Gaussians:
         """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 

@@ -12,14 +12,7 @@ from phy124.lattice.solver import LatticeSolver
 from phy124.materials import Rigid
 from phy124.mpm import Solver
 from phy124.studies.validation.accuracy.problems import angular_momentum
-from phy124.studies.validation.bodies import (
-    find_zeros,
-    host,
-    lattice,
-    make_solver,
-    record,
-    turning,
-)
+from phy124.studies.validation.bodies import find_zeros, host, lattice, make_solver, record, turning
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)

@@ -41,9 +41,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
     clip = Simulation(prepare(gaussians, quick(setting), RunContext(device=setting.device))).run()
     return [
         at_most(
-            "files that are read although one number in them makes a Gaussian invalid",
-            unsound,
-            0,
+            "files that are read although one number in them makes a Gaussian invalid", unsound, 0
         ),
         equal("all rows with NaN were dropped and counted", dropped == len(names)),
         equal("a file with many bad numbers gives a complete clip", clip.report["complete"]),
