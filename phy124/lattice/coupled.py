@@ -121,15 +121,9 @@ class CoupledSolver(Solver):
     def bind(
         self, *, uniform: Sequence[Attachable] = (), walls: Sequence[Any] = (), **acting: Any
     ) -> None:
-        """Replace forces, boundaries and sums, from the next substep on.
+        """Replace forces, boundaries and sums from the next substep on, as `Solver.bind` does.
 
-        Args:
-            uniform: The forces on the lattices, which must be uniform.
-            walls: The boundaries for the lattices.
-            acting: The arguments of `Solver.bind`.
-
-        Raises:
-            InputError: As in `__init__`.
+        The lattices have the `uniform` forces and the boundaries `walls`.
         """
         self.lattice.bind(forces=uniform, boundaries=walls)
         super().bind(**acting)
@@ -138,15 +132,8 @@ class CoupledSolver(Solver):
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take substeps of stable length.
-
-        Args:
-            until: The time at which to stop [s].
-            after: Called after each substep.
-            each: Not used; `after` is called after each substep in any case.
-
-        Raises:
-            Unstable: A particle left the grid's window, or a value is not finite.
+        """Take substeps of stable length, as `Solver.advance` does; `after` is called after each of
+        them.
         """
         lattice = self.lattice
         lattice.rejection.begin(self.clock.time, until)

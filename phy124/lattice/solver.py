@@ -133,19 +133,9 @@ class LatticeSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Any] = (),
     ) -> None:
-        """Replace forces, boundaries and sums, from the next substep on.
+        """Replace forces, boundaries and sums from the next substep on, as `Solver.bind` does.
 
         Contact forces and times of measurements are kept: live runs are bitwise reproducible.
-
-        Args:
-            forces: Forces, in the order in which they act.
-            boundaries: Boundaries, in the order in which they act.
-            accumulators: Sums that are updated in every substep.
-            planes: Flat walls with which freely moving solids collide.
-
-        Raises:
-            InputError: The region of a force contains no particle, or a clamp fixes only some
-                directions; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)
@@ -252,15 +242,10 @@ class LatticeSolver:
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take substeps of stable length, then move the points with the nodes.
+        """Take substeps of stable length, as `Solver.advance` does, then move the points with the
+        nodes.
 
-        Args:
-            until: The time at which to stop [s].
-            after: Called after each substep.
-            each: Not used; `after` is called after each substep in any case.
-
-        Raises:
-            Unstable: A value is not finite.
+        `after` is called after each substep.
         """
         self.rejection.begin(self.clock.time, until)
         self.clock.interval = min(self.clock.interval, self.limits.interval())

@@ -9,9 +9,7 @@ docs/design/liquids.md describes the method.
 
 from typing import TYPE_CHECKING
 
-if (
-    TYPE_CHECKING
-):  # Solvers are imported where they are created, because most runs need only one solver.
+if TYPE_CHECKING:  # A run imports only the solver that it needs.
     from phy124.lattice.solver import LatticeSolver
     from phy124.liquid.immersed import ImmersedSolver
     from phy124.liquid.solver import LiquidSolver

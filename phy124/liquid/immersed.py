@@ -180,17 +180,10 @@ class ImmersedSolver:
         planes: Sequence[Plane] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
     ) -> None:
-        """Replace forces, boundaries and sums, from the next step on.
+        """Replace forces, boundaries and sums from the next step on, as `Solver.bind` does.
 
-        Args:
-            forces: Forces, as in `__init__`.
-            boundaries: Boundaries for the bodies.
-            accumulators: Sums that are updated in every substep.
-            planes: Not used; there are no freely moving solids.
-            walls: The boundaries for the liquid, with their names.
-
-        Raises:
-            InputError: As in `__init__`.
+        `walls` are the boundaries for the liquid, with their names. No freely moving solid exists,
+        so `planes` are not used.
         """
         self._accumulators = list(accumulators)
         of_liquid, of_bodies = (
@@ -219,15 +212,8 @@ class ImmersedSolver:
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of the liquid; the bodies' substeps follow each step.
-
-        Args:
-            until: The time at which to stop [s].
-            after: Called after each substep.
-            each: Not used; `after` is called after each substep in any case.
-
-        Raises:
-            Unstable: A value is not finite, or a particle is too far away.
+        """Take steps of the liquid, each followed by the bodies' substeps, as
+        `LiquidSolver.advance` does.
         """
         self._after = after
         self.lattice.pairs.begin()

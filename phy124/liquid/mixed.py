@@ -155,17 +155,10 @@ class MixedSolver(Solver):
         pushed: bool = False,
         **acting: Any,
     ) -> None:
-        """Replace forces, boundaries and sums, from the next step on.
+        """Replace forces, boundaries and sums from the next step on, as `Solver.bind` does.
 
-        Args:
-            forces: Forces, in the order in which they act.
-            uniform: The uniform forces among the forces.
-            walls: The boundaries, with their names, for the liquid.
-            pushed: Whether any force acts on particles.
-            acting: Further arguments of `Solver.bind`.
-
-        Raises:
-            InputError: For the same reasons as in `__init__`.
+        The liquid has the `uniform` forces, and the boundaries with their names, `walls`. `pushed`
+        is set if any force acts on particles.
         """
         if self._liquid is not None and self.bodies is not None:
             self.bodies.pushed = pushed
@@ -178,15 +171,8 @@ class MixedSolver(Solver):
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of the liquid; the bodies' substeps follow each step.
-
-        Args:
-            until: The time at which to stop [s].
-            after: Called after each substep.
-            each: Whether `after` must be called after each substep.
-
-        Raises:
-            Unstable: A particle left the grid's window, or a value is not finite.
+        """Take steps of the liquid, each followed by the bodies' substeps, as `Solver.advance`
+        does.
         """
         self._after, self._each = after, each
         self.rejection.begin(self.clock.time, until)

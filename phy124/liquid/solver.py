@@ -144,17 +144,8 @@ class LiquidSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """Replace forces, walls and sums, from the next step on.
-
-        Args:
-            forces: Forces, in the order in which they act.
-            boundaries: Boundaries with their names.
-            accumulators: Sums that are updated in every step.
-            planes: Flat walls with which the freely moving solid collides.
-
-        Raises:
-            InputError: The region of a force contains no particle, or a wall is too thin for the
-                grid; in this case nothing has changed.
+        """Replace forces, walls and sums from the next step on, as `Solver.bind` does; boundaries
+        have names.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)
@@ -213,16 +204,7 @@ class LiquidSolver:
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of stable length.
-
-        Args:
-            until: The time at which to stop [s].
-            after: Called after each step.
-            each: Not used; `after` is called after each step in any case.
-
-        Raises:
-            Unstable: A value is not finite, or a particle is too far away.
-        """
+        """Take steps of stable length, as `Solver.advance` does; `after` follows each step."""
         self._fit()
         started, named = time.perf_counter(), self._seconds()
         self._begin(until)

@@ -51,11 +51,8 @@ class LiquidDissipation(Dissipation):
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
         """Return the energy [J] lost to viscosity, to friction at walls, and to numerical errors.
 
-        Args:
-            gained: Current energy of the liquid minus its initial energy, minus the work of all
-                forces and walls.
-            rubbed: Minus the work of walls, which includes friction.
-            stored: Elastic energy, which is zero for a liquid.
+        `gained` is for the liquid, `rubbed` is minus the work of walls, which includes friction,
+        and `stored` is zero.
         """
         works = self._energies.read()
         lost = rubbed + works.walls - gained
@@ -65,13 +62,8 @@ class LiquidDissipation(Dissipation):
         return Loss(viscous, friction, lost - viscous - friction)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return the work [J] that changed the kinetic energy, and the parts [J] of the numerical
-        loss.
-
-        Args:
-            loss: Lost energy by cause.
-            change: Change of the kinetic energy.
-            stored: Elastic energy, which is zero for a liquid.
+        """Return the work [J] that changed the kinetic energy by `change`, and parts of the
+        numerical loss.
         """
         works = self._energies.read()
         return {

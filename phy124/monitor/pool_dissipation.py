@@ -71,11 +71,7 @@ class PoolDissipation(LiquidDissipation):
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
         """Return the energy [J] lost to the materials, to contact, and to numerical errors.
 
-        Args:
-            gained: Energy of liquid and bodies, minus their initial energy, minus the work of all
-                forces and walls.
-            rubbed: Minus the work of walls, which includes friction.
-            stored: Change of the elastic energy.
+        The arguments are those of `Dissipation.loss`, for liquid and bodies together.
         """
         works, bodies = self._energies.read(), self._of_bodies(stored)
         lost = rubbed + works.walls + bodies["walls"] - gained
@@ -85,13 +81,7 @@ class PoolDissipation(LiquidDissipation):
         return Loss(material, contact, lost - material - contact)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return the changes of energy, the work of each cause, and the numerical losses [J].
-
-        Args:
-            loss: Lost energy by cause.
-            change: Change of the energy.
-            stored: Change of the elastic energy.
-        """
+        """Return the changes of energy, the work of each cause, and the numerical losses [J]."""
         works, bodies = self._energies.read(), self._of_bodies(stored)
         projection = self._projection()
         external = self._external
@@ -173,15 +163,7 @@ class MixedDissipation(PoolDissipation):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress in a worker's part.
-
-        Args:
-            part: A worker's particles of one law.
-            worker: Index of the worker.
-            model: The particles' constants.
-            state: The state after the gather.
-            tracks: Quantities that change over time.
-        """
+        """Record the launch that sums the work of the stress in a worker's part."""
         return self._stress.record(part, worker, model, state, tracks)
 
     @classmethod
