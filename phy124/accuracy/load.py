@@ -13,8 +13,10 @@ from phy124.runtime.cores import cores
 
 SPIN = 0.3
 """Duration of a load measurement [s]."""
-ENOUGH, LONGEST = 0.2, 4.0
-"""Minimum CPU time and maximum duration of a busy-waiting thread, in units of `SPIN`."""
+ENOUGH = 0.2
+"""Minimum CPU time of a busy-waiting thread, in units of `SPIN`."""
+LONGEST = 4.0
+"""Maximum duration of a busy-waiting thread, in units of `SPIN`."""
 BLOCK = bytes(1 << 18)
 """Data whose checksum busy-waiting threads compute without Python's global lock."""
 ALONE = 0.93

@@ -38,30 +38,28 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
     from phy124.simulation.bodies import Placed
 
-PROBE, MIN_PROBE = 20, 6
-"""Maximum and minimum number of substeps of a probe."""
-LONGEST_PROBE, ROUNDS = 0.6, 5
-"""Maximum total duration [s] and maximum number of the probes, whose median is used.
-
-Probes of large objects have fewer substeps.
-"""
+PROBE = 20
+"""Maximum number of substeps of a probe; probes of large objects have fewer."""
+MIN_PROBE = 6
+"""Minimum number of substeps of a probe."""
+LONGEST_PROBE = 0.6
+"""Maximum total duration of the probes [s]."""
+ROUNDS = 5
+"""Maximum number of probes, whose median is used."""
 GRAPH_PROBE = (20, 120)
 """Numbers of substeps of the two probes on a GPU.
 
 A substep on a GPU takes so little time that the fixed cost of a frame would dominate a single
 probe. The difference of the two probes does not contain this fixed cost.
 """
-FILMED, TRIES = (2, 6), 2
-"""Numbers of frames of the two test videos, and number of repetitions.
-
-The fastest repetition is used. The two lengths separate the fixed cost of a video from the cost per
-frame.
-"""
-SHORT_STEP, LONG_STEP = 1e-3, 0.1
-"""`SHORT_STEP` is assumed if the stable substep at rest is longer than `LONG_STEP` [s].
-
-A viscous liquid at rest may have a stable substep of minutes, until forces act.
-"""
+FILMED = 2, 6
+"""Numbers of frames of the test videos, to separate the cost of a video from that per frame."""
+TRIES = 2
+"""Number of repetitions of a test video; the fastest is used."""
+SHORT_STEP = 1e-3
+"""Substep that is assumed [s] if the stable substep at rest is longer than `LONG_STEP`."""
+LONG_STEP = 0.1
+"""A viscous liquid at rest may have a stable substep of minutes, until forces act [s]."""
 NODE_STAGES = ("clear", "grid")
 """Stages, besides boundaries, whose time is proportional to the number of nodes."""
 
@@ -286,11 +284,10 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 
 CELLS = 16
 """Cells across the object in the pilot run."""
-EXCESS, ON_LATTICE = 0.8, 1.2
-"""Exponents for the additional substeps that a motion needs compared with the rest state. The
-number of additional substeps is assumed to be proportional to cells^(1 + EXCESS), and on lattices
-to cells^(1 + ON_LATTICE).
-"""
+EXCESS = 0.8
+"""The substeps that a motion needs in addition to rest are proportional to cells^(1 + EXCESS)."""
+ON_LATTICE = 1.2
+"""The same exponent for bodies on lattices."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 

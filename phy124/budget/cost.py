@@ -33,16 +33,16 @@ PASS = 0.7
 """Time of each further transfer pass, relative to a substep (docs/lab/transfers.md)."""
 STEP = 6.0
 """Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
-VECTOR, PLAIN, LAUNCHES = 0.25, 2.4, 3600.0
-"""Times of a lattice's substep, in units of the time per particle (docs/lab/forecasts.md). `VECTOR`
-and `PLAIN` are the times per lattice point: with kernels for the CPU's vector units, and with other
-kernels. `LAUNCHES` is the time to launch the kernels.
-"""
-UNDAMPED, DAMPED = 1.5, 0.235
-"""Two properties of a lattice that determine its substep. `UNDAMPED` is the longest stable substep
-of an undamped lattice at rest, in units of sqrt(cfl) dx / c. `DAMPED` is the damping ratio of the
-fastest vibration, in units of dx / c divided by the viscous limit.
-"""
+VECTOR = 0.25
+"""Time per lattice point with kernels for vector units, relative to that of a particle."""
+PLAIN = 2.4
+"""Time per lattice point with other kernels, relative to that of a particle."""
+LAUNCHES = 3600.0
+"""Time to launch the kernels of a lattice's substep, relative to that of a particle."""
+UNDAMPED = 1.5
+"""Longest stable substep of an undamped lattice at rest, in units of sqrt(cfl) dx / c."""
+DAMPED = 0.235
+"""Damping ratio of a lattice's fastest vibration, in units of dx / c / viscous limit."""
 WINDOW = 11
 """Number of nodes per axis in the grid's window, in addition to the nodes across the object."""
 GRAVITY = 9.81

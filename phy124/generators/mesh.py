@@ -34,20 +34,19 @@ if TYPE_CHECKING:
 
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Up and front directions that each file format prescribes."""
-STL_HEAD, STL_ROW = 84, 50
-"""Size of a binary STL file's header, and size of each triangle [bytes]. The last four bytes of the
-header are the number of triangles."""
+STL_HEAD = 84
+"""Size of a binary STL file's header [bytes], which ends in the number of triangles."""
+STL_ROW = 50
+"""Size of each triangle in a binary STL file [bytes]."""
 LARGEST = 200_000_000
 """Largest file size [bytes]; larger files are refused before they are read."""
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh file."""
-COUNT, OBJECT_COUNT = 24_000, 50_000
-"""Approximate numbers of Gaussians of a mesh: as a further object of a scene, and as the first
-object.
-
-With the smaller number, edges just look straight.
-"""
+COUNT = 24_000
+"""Number of Gaussians of a mesh as a further object of a scene; edges just look straight."""
+OBJECT_COUNT = 50_000
+"""Number of Gaussians of a mesh as the first object of a scene."""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh whose file contains no colours."""
 FAR = 100.0

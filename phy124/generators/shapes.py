@@ -19,9 +19,10 @@ LIGHT = (0.35, 0.25, 0.9)
 """Direction towards the light with which the shape is shaded."""
 AMBIENT = 0.72
 """Brightness of surfaces whose normal is perpendicular to the direction of the light."""
-CHECKS, CONTRAST = 8, 0.05
-"""Number of checker squares along the longest side, and contrast of the checker pattern. The
-pattern makes the motion of the shape visible."""
+CHECKS = 8
+"""Number of checker squares along the longest side, which make the motion visible."""
+CONTRAST = 0.05
+"""Contrast of the checker pattern."""
 Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Points [N,3] and outward unit normals [N,3]."""
 

@@ -18,9 +18,10 @@ from phy124.imaging.lab import measure_change, to_lab
 Solid = NDArray[np.bool_]
 GAP = 0.03
 """Smallest area of a gap in the outline, as a fraction of the object's area."""
-SIDE, MARGIN = 200, 3
-"""Longest side to which the object is reduced before a rim is searched, and width of the margin
-around it [pixels]."""
+SIDE = 200
+"""Longest side to which the object is reduced before a rim is searched [pixels]."""
+MARGIN = 3
+"""Width of the margin around the reduced object [pixels]."""
 UPPER = 0.5
 """Fraction of the object's height, from the top, in which the centre of the rim may lie."""
 WIDE = 0.2

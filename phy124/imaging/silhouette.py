@@ -24,9 +24,10 @@ SIDE = 320
 """Longest side at which the outline is examined [pixels]."""
 FAINT = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
-WIDE, FITTED = 2.0, 640
-"""Half the width of a soft edge [pixels] in an image whose longest side is `FITTED`. In larger
-images, the width increases in proportion."""
+WIDE = 2.0
+"""Half the width of a soft edge in an image whose longest side is `FITTED` [pixels]."""
+FITTED = 640
+"""Longest side from which the width of soft edges increases in proportion [pixels]."""
 HALF = 25
 """The alpha of a half-transparent pixel differs from 0 and from 255 by at least this value."""
 AROUND = 0.125

@@ -27,11 +27,10 @@ from phy124.motion.packing import Packed, pack, unpack
 from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
-VERSION, MOTION = "1", "2"
-"""Format versions.
-
-Version 1 stores the Gaussians of every frame; version 2 a motion that yields the Gaussians.
-"""
+VERSION = "1"
+"""Format version that stores the Gaussians of every frame."""
+MOTION = "2"
+"""Format version that stores a motion, which yields the Gaussians."""
 SPARE = " " * 8192
 """Spare space in the header, so that a longer report can replace the first report."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")

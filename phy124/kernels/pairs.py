@@ -39,10 +39,10 @@ of a sum: the gaps at the four neighbouring nodes, each minus the node's gap. Th
 between two splines would give 1/4; the larger value is fitted to measurements with balls
 (docs/lab/contact-force.md).
 """
-STEEPER, TRUSTED = wp.constant(10.0), wp.constant(4.0)
-"""`STEEPER`: the larger this value, the faster the normal changes from the mean of two slopes to
-the steeper slope. `TRUSTED`: factor on the squared slope of a body that never moves.
-"""
+STEEPER = wp.constant(10.0)
+"""The larger, the faster the normal changes from the mean of two slopes to the steeper one."""
+TRUSTED = wp.constant(4.0)
+"""Factor on the squared slope of a body that never moves."""
 
 
 @wp.func

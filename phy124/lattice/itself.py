@@ -34,10 +34,10 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
-MOVED, BETWEEN = 0.6, 0.15
-"""The distances of two parts of a body (`MOVED`), or of two bodies (`BETWEEN`), are compared again
-after twice this relative displacement [cells].
-"""
+MOVED = 0.6
+"""Two parts of a body are compared again after twice this relative displacement [cells]."""
+BETWEEN = 0.15
+"""The same for two bodies."""
 SLID = 0.4
 """The pairs are determined again after a point has moved this far along the other surface."""
 FRICTION = 0.5

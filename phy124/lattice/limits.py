@@ -24,11 +24,10 @@ from phy124.mpm.workers import run_timed
 
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
-STRAIN, WAY = 0.25, 0.25
-"""`STRAIN`: the largest vibration frequency is measured again after this strain, or after twice
-this strain while the frequency is steady. `WAY`: largest displacement of a point [cells] between
-two measurements of its distance from walls.
-"""
+STRAIN = 0.25
+"""The largest frequency is measured again after this strain, or twice this if it is steady."""
+WAY = 0.25
+"""Largest way of a point between measurements of its distance from walls [cells]."""
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35

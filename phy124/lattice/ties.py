@@ -18,11 +18,10 @@ CORNER = 0.01
 cells, the points of the cell are only slightly strained, so large forces would turn the cell inside
 out.
 """
-LIGHT, GIVING = 0.02, 0.2
-"""Nodes that are not tied get at least the mass `LIGHT`; the added mass is taken from nodes with at
-least the mass `GIVING`. Both values are relative to the mass of a node inside the body. Lighter
-nodes would vibrate too fast in squeezed parts of the body.
-"""
+LIGHT = 0.02
+"""Least mass of untied nodes, relative to a node inside; lighter nodes vibrate too fast."""
+GIVING = 0.2
+"""Least mass of nodes that give the added mass, relative to a node inside."""
 BENT, THIN = 3.0, 0.6
 """`BENT`: weight of the products of two coordinates in the fit of the donors' weights; in thin
 parts, these weights reproduce such products as well as possible. In these parts, each donor has
@@ -31,10 +30,12 @@ bent plate would not follow its
 curvature: a plate with a thickness of 0.3 cells on the border of two layers of cells would be 20 %
 too stiff.
 """
-DONORS, NEAR, FAR = 27, 3.0, 6.0
-"""The motion of a tied node is extrapolated from at most `DONORS` nodes closer than `NEAR` [cells],
-or than `FAR` if the nearer nodes do not determine it.
-"""
+DONORS = 27
+"""Largest number of nodes from which the motion of a tied node is extrapolated."""
+NEAR = 3.0
+"""Largest distance of these nodes [cells]."""
+FAR = 6.0
+"""Largest distance of these nodes if the nearer nodes do not determine the motion [cells]."""
 
 
 def tie_light(

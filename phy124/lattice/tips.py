@@ -13,10 +13,10 @@ from scipy.spatial import KDTree
 from phy124.lattice.rest import ROW, RestLattice
 from phy124.particles.lattice import PER_CELL
 
-SHARP, CLOSEST = 0.6, 24
-"""`SHARP`: a part counts as a tip, a hair or a sheet if the mean normal within a cell is shorter
-than this. `CLOSEST`: largest number of normals in such a mean.
-"""
+SHARP = 0.6
+"""A part is a tip, a hair or a sheet if the mean normal within a cell is shorter than this."""
+CLOSEST = 24
+"""Largest number of normals in such a mean."""
 ABOVE = 0.3
 """Integration points farther outside of the surface than this are surface points [cells]."""
 

@@ -30,10 +30,10 @@ from phy124.mpm.tracks import Tracks
 
 STAGE = "bodies"
 """Name of the stages in reports."""
-FIRST, MOST = 8, 0.7
-"""`FIRST`: number of steps in which the surface of a new body is shifted until the enclosed volume
-is right. `MOST`: largest shift [cells].
-"""
+FIRST = 8
+"""Number of steps in which a new body's surface is shifted until it encloses the right volume."""
+MOST = 0.7
+"""Largest shift of a body's surface [cells]."""
 
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]

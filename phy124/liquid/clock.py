@@ -24,11 +24,10 @@ DIFFUSED = 5.0
 the number of iterations for viscosity below about 200.
 """
 
-RESOLVED, AVERAGED = 4.0, 1.5
-"""A body below a liquid vibrates. Either there are at least `RESOLVED` steps in a period of the
-vibration, or at least `AVERAGED` periods in a step. Between these limits, the pressure of the last
-step would amplify the vibration.
-"""
+RESOLVED = 4.0
+"""Smallest number of steps in a period of a body's vibration, unless `AVERAGED` holds."""
+AVERAGED = 1.5
+"""Smallest number of periods in a step; between both, the last pressure amplifies vibrations."""
 
 
 class LiquidClock(Clock):

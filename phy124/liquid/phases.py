@@ -40,11 +40,10 @@ from phy124.mpm.stage import Named, Recorded, launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
-LAYERS, LAYERS_SHIFT = 4, 2
-"""Number of layers of faces outside the liquid to which velocities (`LAYERS`) and displacements
-(`LAYERS_SHIFT`) are extrapolated. Both numbers are even, so that the flags of the last layer are in
-`Cells.known`.
-"""
+LAYERS = 4
+"""Layers of faces outside the liquid to which velocities are extrapolated; even (`Cells.known`)."""
+LAYERS_SHIFT = 2
+"""Layers of faces outside the liquid to which displacements are extrapolated; even, too."""
 EXTENT = 7
 """Number of values for the extent: minus low corner, high corner, squared speed."""
 

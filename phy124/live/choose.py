@@ -21,8 +21,12 @@ TRIED = 12
 """Number of cells across the object in the trial, unless a largest error is requested."""
 SPARE = 0.8
 """The computation of a frame may take this fraction of the interval between frames."""
-WARM, FRAMES, SECONDS = 2, 6, 0.2
-"""Numbers of warm-up and timed frames of a trial, and time limit for the timed frames [s]."""
+WARM = 2
+"""Number of warm-up frames of a trial."""
+FRAMES = 6
+"""Number of timed frames of a trial."""
+SECONDS = 0.2
+"""Time limit for the timed frames [s]."""
 COST_POWER = 4
 """Exponent of the time of substeps as a function of the number of cells. With more cells, there are
 more particles and shorter substeps.

@@ -43,14 +43,14 @@ did not.
 """
 REACH = 1.5
 """Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""
-LOOSE, FLAKE = 2e-3, 8
-"""A separated piece has at least the fraction `LOOSE` of all elastic particles, and at least
-`FLAKE` particles.
-"""
-ALONE, STURDY = 1.0, 1e9
-"""`ALONE`: a particle has no neighbours if its spacing at rest is larger than this [cells].
-`STURDY`: stretch that no particle reaches.
-"""
+LOOSE = 2e-3
+"""Smallest fraction of all elastic particles in a separated piece."""
+FLAKE = 8
+"""Smallest number of particles in a separated piece."""
+ALONE = 1.0
+"""A particle has no neighbours if its spacing at rest is larger than this [cells]."""
+STURDY = 1e9
+"""Stretch that no particle reaches."""
 FAR = 4096
 """Number of cubes along an axis above which empty space is removed before pieces are labelled."""
 MOST = 50_000_000

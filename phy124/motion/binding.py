@@ -16,10 +16,10 @@ from phy124.kernels.carriers import CARRIERS
 from phy124.motion.blocks import BlockLauncher, Step
 from phy124.runtime.cores import cores
 
-PER_CELL, MOST_CELLS = 2, 256
-"""Parameters of the search for carrying particles: mean number of particles in a cell of the
-particles' bounding box, and largest number of cells per axis.
-"""
+PER_CELL = 2
+"""Mean number of particles in a cell of the search for carrying particles."""
+MOST_CELLS = 256
+"""Largest number of cells of this search along each axis of the particles' bounding box."""
 FARTHEST = 4.0
 """Several particles carry a Gaussian only up to this distance, in mean particle distances. A
 Gaussian that is farther away follows only the nearest particle, because the grid does not connect

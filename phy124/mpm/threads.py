@@ -20,10 +20,10 @@ import warp as wp
 from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
-ROUNDS, NAP = 20, 5e-5
-"""Number of spins at a barrier that only yield the core, and duration of the sleep between the
-later spins [s].
-"""
+ROUNDS = 20
+"""Number of spins at a barrier that only yield the core."""
+NAP = 5e-5
+"""Duration of the sleep between the later spins [s]."""
 SPINS = 100_000
 """Number of checks of the barrier per spin if every thread has a core; otherwise one check."""
 Task = Callable[[int], None]

@@ -40,15 +40,14 @@ SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "foll
 `window`: recording launches for a moved window. `repair`: resetting broken deformations. `follow`:
 the functions that are called after each substep (progress, budget and observers).
 """
-NODES, GROWN = 16, 1.25
-"""Thresholds for dividing the particles again. `NODES`: the slabs have more than this number of
-nodes per particle, which also limits the memory. `GROWN`: the ratio of the slabs' nodes to the
-window's nodes has grown by this factor since the last division.
-"""
-GAP, LINE = 1, 4
-"""`GAP`: gap between two slabs [nodes], because SIMD code reads one additional node. `LINE`: nodes
-per cache line; no two workers write to one cache line.
-"""
+NODES = 16
+"""Particles are divided again only if slabs have more nodes per particle; limits the memory."""
+GROWN = 1.25
+"""Growth of the ratio of slabs' to window's nodes from which particles are divided again."""
+GAP = 1
+"""Gap between two slabs [nodes], because SIMD code reads one additional node."""
+LINE = 4
+"""Nodes per cache line; no two workers write to one cache line."""
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
 """Seconds and number of launches, keyed by the name of the stage."""

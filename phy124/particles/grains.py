@@ -27,9 +27,10 @@ NEAREST = 0.5
 OPACITY = 0.95
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the luminance (Rec. 709)."""
-PATCH, CELLS = 0.06, 48
-"""Standard deviation of the filter that averages the brightness around a Gaussian, relative to the
-object's size; number of cells per axis of the filter's grid."""
+PATCH = 0.06
+"""Standard deviation of the filter of the brightness around a Gaussian, relative to the object."""
+CELLS = 48
+"""Number of cells of the filter's grid along each axis."""
 BRIGHTEST = 99.0
 """After tinting, this percentile of the brightness is at most white."""
 COARSEST = 0.005

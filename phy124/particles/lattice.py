@@ -24,10 +24,10 @@ from phy124.particles.solid import MEMORY, Solid
 
 PER_CELL = 8
 """Number of integration points in a cell."""
-SMALLEST, FULLEST = 1e-3, 0.1
-"""Smallest filled fraction of a cell with integration points. In bodies of needles, the limit is
-lower: `FULLEST` times the filled fraction of the fullest cell.
-"""
+SMALLEST = 1e-3
+"""Smallest filled fraction of a cell with integration points."""
+FULLEST = 0.1
+"""In bodies of needles, the limit is this multiple of the fullest cell's fraction, if lower."""
 HAZE = 0.005
 """Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1

@@ -24,16 +24,16 @@ THIN = 1.2
 """Thickness [voxels] below which a part counts as a sheet, which has two surfaces in a voxel."""
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
-NOISE, VEIL = 1e-4, 0.15
-"""Voxels of sheets are filled only once, without refinement, if their filled fraction is at most
-`NOISE` or the sheet is at most `VEIL` thick [voxels]. Resampling leaves many such voxels around a
-body.
-"""
-ROUND, WIDE, LONG = 3.5, 0.45, 2.5
-"""`ROUND`: largest cross-section of a rod [voxels^2]. `WIDE`: largest second moment perpendicular
-to the rod [voxels^2], computed from the filled fractions of the surrounding 125 voxels. `LONG`:
-smallest ratio of the second moment along the rod to the second moment perpendicular to it.
-"""
+NOISE = 1e-4
+"""Filled fraction of sheets' voxels up to which they are not refined, as resampling leaves many."""
+VEIL = 0.15
+"""Thickness of sheets up to which they are not refined [voxels]."""
+ROUND = 3.5
+"""Largest cross-section of a rod [voxels^2]."""
+WIDE = 0.45
+"""Largest second moment across a rod in the surrounding 125 voxels [voxels^2]."""
+LONG = 2.5
+"""Smallest ratio of the second moment along the rod to that across it."""
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
 SAMPLES, FINER = 6, 10

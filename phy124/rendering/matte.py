@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import SH_C0
 
-SMOOTH, WIDE, SPARE = 1.4, 3.0, 6
-"""Standard deviations of two filters [cells]: for the normals, and for the occlusion (applied after
-the first filter); and width of the empty margin around the grains.
-"""
+SMOOTH = 1.4
+"""Standard deviation of the filter for the normals [cells]."""
+WIDE = 3.0
+"""Standard deviation of the second filter, for the occlusion [cells]."""
+SPARE = 6
+"""Width of the empty margin around the grains [cells]."""
 TAILS = 2.5
 """Distance at which the filters are cut off [standard deviations]."""
 MOST = 2_000_000

@@ -31,9 +31,10 @@ SAMPLE = 8192
 
 The sampled Gaussians have evenly spaced indices.
 """
-MOST_VALUES, FEWEST = 1 << 20, 128
-"""Largest product of the number of Gaussians in the sample and the number of frames. For longer
-clips the sample is reduced, but to no fewer Gaussians than `FEWEST`."""
+MOST_VALUES = 1 << 20
+"""Largest product of sampled Gaussians and frames; for longer clips, the sample is reduced."""
+FEWEST = 128
+"""Smallest number of Gaussians in the sample."""
 BLOCK = 64
 """Number of frames that are processed at a time."""
 VISIBLE = 0.1
@@ -47,12 +48,10 @@ Single drops therefore have no effect.
 """
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
-CLOSE, TRIES = 0.98, 8
-"""Two conditions that end the search for a zoom.
-
-`CLOSE`: the camera is nearly at the smallest allowed distance, or farther away; the value is a
-fraction of this distance. `TRIES`: the search has made this number of trials.
-"""
+CLOSE = 0.98
+"""A search for a zoom ends if the camera is farther than this part of the smallest distance."""
+TRIES = 8
+"""Largest number of trials in a search for a zoom."""
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08

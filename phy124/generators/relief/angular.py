@@ -21,12 +21,10 @@ SHORTEST = 20.0
 """Smallest length of a straight edge [pixels]. The longest side of the object has 248 pixels."""
 TILTED = 3.0
 """Largest angle between an edge and the vertical or the horizontal [degrees]."""
-EITHER, BOTH = 0.15, 0.4
-"""Smallest share of the outline that vertical edges must have, and smallest share that horizontal
-edges must have.
-
-`BOTH` is the smallest share of both together.
-"""
+EITHER = 0.15
+"""Smallest share of the outline that vertical, and that horizontal edges must have."""
+BOTH = 0.4
+"""Smallest share of the outline that vertical and horizontal edges must have together."""
 SOLID = 0.8
 """The silhouette fills at least this fraction of its convex hull; hourglasses fill less."""
 ACROSS, EXPLAINED = 0.15, 0.25

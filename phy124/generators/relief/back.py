@@ -50,15 +50,16 @@ and along the column. The shorter of the two has the larger weight.
 """
 COARSE = 3.0
 """Standard deviation of the filter that separates colours from fine texture [pixels]."""
-PATCH, STEP, OFFSET = 20, 10, 3
-"""Side of a square patch of texture, spacing of the patches on the back, and spacing of the patches
-on the front from which they are copied [pixels]."""
-QUIET, STRONG = 0.4, 0.07
-"""Fraction of the front's patches that may be copied; the patches with the least texture are used.
-
-`STRONG` is the standard deviation above which texture is weakened, because strong texture shows the
-edges of features.
-"""
+PATCH = 20
+"""Side of a square patch of texture [pixels]."""
+STEP = 10
+"""Spacing of the patches on the back [pixels]."""
+OFFSET = 3
+"""Spacing of the patches on the front from which those on the back are copied [pixels]."""
+QUIET = 0.4
+"""Fraction of the front's patches that may be copied: those with the least texture."""
+STRONG = 0.07
+"""Standard deviation from which texture is weakened, since it shows the edges of features."""
 BINS = 10
 """Number of bins per channel of the histogram that counts the colours of a flat card."""
 ALIKE = 6

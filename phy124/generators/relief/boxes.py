@@ -18,24 +18,22 @@ from phy124.generators.relief.shell import DRAWN_IN
 from phy124.generators.relief.surface import View
 
 Field = NDArray[np.float64]
-TOLERANCES, OVERLAP = (0.01, 0.007, 0.004), 0.98
-"""Limits for a hexagon that approximates the silhouette.
-
-`TOLERANCES` are tolerances, relative to the outline's length, which are tried in turn. `OVERLAP` is
-the smallest overlap (IoU).
-"""
-ROUGH, LONG, BLUNT, ROUNDED = 1.5, 0.06, 8.0, 0.95
-"""Limits for a hexagon with rounded corners.
-
-The numbers are the largest distance of the outline from its straight edges [pixels], the smallest
-length of an edge, relative to the outline's length, the smallest angle between two edges [degrees],
-and the smallest overlap (IoU) with the hexagon.
-"""
-LOWEST_VIEW, ELONGATED = 10.0, 4.0
-"""Smallest elevation of the camera that sees a box with rounded corners [degrees].
-
-`ELONGATED` is the largest ratio of this box's longest side to its shortest side.
-"""
+TOLERANCES = 0.01, 0.007, 0.004
+"""Tolerances of an approximating hexagon, relative to the outline's length; tried in turn."""
+OVERLAP = 0.98
+"""Smallest overlap (IoU) of such a hexagon with the silhouette."""
+ROUGH = 1.5
+"""Largest distance of an outline with rounded corners from its straight edges [pixels]."""
+LONG = 0.06
+"""Smallest length of an edge between rounded corners, relative to the outline's length."""
+BLUNT = 8.0
+"""Smallest angle between two edges with a rounded corner [degrees]."""
+ROUNDED = 0.95
+"""Smallest overlap (IoU) of an outline with rounded corners with the hexagon."""
+LOWEST_VIEW = 10.0
+"""Smallest elevation of the camera that sees a box with rounded corners [degrees]."""
+ELONGATED = 4.0
+"""Largest ratio of the longest to the shortest side of a box with rounded corners."""
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
 MISFIT = 7.0

@@ -17,11 +17,10 @@ SEEN = 0.7
 The front edge is the lowest line of the object in the image. The height of the end's corners has
 the remaining weight. If the end consists of separate feet, the weight of the front edge is 1.
 """
-STRIP, BLUR = 8, 12.0
-"""Height of the image strip that provides the colours of an end, and blur of these colours.
-
-The unit is pixels; the blur is a standard deviation.
-"""
+STRIP = 8
+"""Height of the image strip that provides the colours of an end [pixels]."""
+BLUR = 12.0
+"""Blur of these colours, as a standard deviation [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,10 @@ REACH = 0.2
 
 The unit is the size of the image.
 """
-STRETCH, BLURS = 1.0, (0.0, 1.5, 3.0, 6.0)
-"""Blur of the image per unit of stretch, and available levels of blur [pixels].
-
-Steep surfaces stretch the image.
-"""
+STRETCH = 1.0
+"""Blur of the image per unit of stretch by a steep surface [pixels]."""
+BLURS = 0.0, 1.5, 3.0, 6.0
+"""Available levels of blur [pixels]."""
 FRINGE = 2.0
 """Width of the silhouette's edge in which colours are ignored [pixels]."""
 

@@ -36,12 +36,12 @@ Radii and half thicknesses are relative to the image's size.
 """
 DISC = 0.4
 """Relative radius above which the outline is close to a disc."""
-GROUND, TOUCH, FOOT = 0.1, 0.03, 0.35
-"""Height of the lowest part of an object, in which feet and wheels are separate.
-
-`TOUCH` is the largest height of a foot's lowest point above the ground. Both numbers are relative
-to the object's height. `FOOT` is the largest width of a foot, relative to that of the object.
-"""
+GROUND = 0.1
+"""Height of the lowest part, with separate feet and wheels, relative to the object's height."""
+TOUCH = 0.03
+"""Largest height of a foot's lowest point above ground, relative to the object's height."""
+FOOT = 0.35
+"""Largest width of a foot, relative to that of the object."""
 SHARPNESS = 4
 """Exponent of the smooth minimum of the round shape and the limit."""
 

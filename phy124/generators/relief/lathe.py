@@ -28,11 +28,10 @@ elevation, as for a ball, the outline shows no elevation.
 """
 HALVINGS = 3
 """Number of times the step between these elevations is halved."""
-LEFT, MORE = 0.015, 0.004
-"""Largest fraction of the silhouette that the circles leave empty.
-
-`MORE` is the largest amount by which this fraction may exceed its minimum over all elevations.
-"""
+LEFT = 0.015
+"""Largest fraction of the silhouette that the circles leave empty."""
+MORE = 0.004
+"""Largest excess of this fraction over its minimum over all elevations."""
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
 EDGE = 1.0

@@ -18,21 +18,24 @@ from numpy.typing import NDArray
 from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
-HUES, GREY = 7, 0.06
-"""Number of groups of pixels by hue, and saturation below which a pixel is grey."""
+HUES = 7
+"""Number of groups of pixels by hue."""
+GREY = 0.06
+"""Saturation below which a pixel is grey."""
 EVERY = 3
 """Spacing of the pixels that are used for the fit [pixels]."""
 EDGE = 4
 """Width of the edge of the silhouette whose pixels are not used for the fit [pixels]."""
 DARKEST = 0.03
 """Constant that is added to the brightness before its logarithm is taken."""
-PRIOR, SAMPLES = 0.3, 60.0
-"""Expected length of the light vector s, and number of independent samples in an image."""
-LIMIT, FRONTAL = 0.3, 0.2
-"""Largest length of s across the view, and largest component of s towards the camera.
-
-The component towards the camera is not negative, as photographs are rarely lit from behind.
-"""
+PRIOR = 0.3
+"""Expected length of the light vector s."""
+SAMPLES = 60.0
+"""Number of independent samples in an image."""
+LIMIT = 0.3
+"""Largest length of s across the view."""
+FRONTAL = 0.2
+"""Largest component of s towards the camera; at least 0, as light is rarely from behind."""
 CERTAIN = (0.08, 0.16)
 """Two lengths of s.
 

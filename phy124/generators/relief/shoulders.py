@@ -24,17 +24,14 @@ HEIGHT = 0.03
 """Largest height of the edge, relative to the object's width."""
 SLOPE = 0.25
 """Largest mean slope of the edge."""
-COVERED, SIDE = 0.5, 0.12
-"""The edge must be visible over at least this fraction of the body's width.
-
-It must also be visible over at least this fraction of each side of the body. `SIDE` is the width of
-a side, relative to the body's width.
-"""
-WIDE, LOW = 0.35, 0.35
-"""Smallest width of the body, relative to the object's width.
-
-`LOW` is the smallest height of the body below the edge, relative to the body's width.
-"""
+COVERED = 0.5
+"""The edge must be visible over this fraction of the body's width, and of each of its sides."""
+SIDE = 0.12
+"""Width of a side, relative to the body's width."""
+WIDE = 0.35
+"""Smallest width of the body, relative to the object's width."""
+LOW = 0.35
+"""Smallest height of the body below the edge, relative to the body's width."""
 LENGTH = 0.2
 """Height of the mirror image of the body, relative to the image's height."""
 THINNEST = 1.0

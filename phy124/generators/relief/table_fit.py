@@ -39,8 +39,10 @@ SIMPLER = 0.01
 """A table with corners, with a backrest, or seen from behind is chosen only if the overlap
 increases by this amount.
 """
-COARSE, FINE = 4, 2
-"""Factors by which images for the fit are reduced."""
+COARSE = 4
+"""Factor by which images are reduced for the first fit."""
+FINE = 2
+"""Factor by which images are reduced for the last fit."""
 BLUR = 1.5
 """Blur of these images, as a standard deviation [pixels]."""
 TRIED = 4
@@ -77,13 +79,14 @@ MOST = Sizes(*[np.inf] * 14)._replace(elevation=0.7, rear=1.2, tops=1.0, feet=1.
 """Limits of the values."""
 HIGHEST = 0.69
 """Largest elevation that can be determined from a silhouette [radians]."""
-THIN, SLENDER, LOW, INWARD = 0.5, 0.2, 0.3, 0.9
-"""Limits of the proportions of a table; cars and animals exceed these limits.
-
-The top is at most `THIN` times as thick as the legs are high. Relative to half the length of a side
-of the top, the half thickness of a leg is at most `SLENDER`, and the height of the legs is at least
-`LOW`. The feet are at least `INWARD` times as far from the centre as the legs' upper ends.
-"""
+THIN = 0.5
+"""Largest thickness of a table's top, relative to the length of its legs; cars have more."""
+SLENDER = 0.2
+"""Largest half thickness of a leg, relative to half the length of a side of the top."""
+LOW = 0.3
+"""Smallest height of the legs, relative to half the length of a side of the top."""
+INWARD = 0.9
+"""Smallest distance of the feet from the centre, relative to that of the legs' upper ends."""
 
 
 def find_table(

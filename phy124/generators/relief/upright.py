@@ -53,37 +53,32 @@ halves are ellipses, the outline is that of an egg.
 """
 EGG = 0.9
 """Smallest height of the two arcs of an egg together, relative to the whole height."""
-NARROWER, FOOT, WIDENING = 0.75, 0.12, 0.03
-"""Largest width of a vessel near its foot, relative to its largest width; a drum is wider.
-
-`FOOT` is the height at which this width is measured, relative to the object's height. `WIDENING` is
-the largest amount by which the vessel may become wider below its rim.
-"""
-UPPER, TIP_HEIGHT, TAPERED, HIGHER = 0.22, 0.1, 0.46, 0.6
-"""Limits of outlines that end in a tip, such as those of shields and briefs.
-
-`UPPER` is the upper fraction of the height, in which the rim must lie. `TIP_HEIGHT` is a height
-near the tip, relative to the object's height. At this height, the width is at most `TAPERED` times
-the largest width. `HIGHER` is the smallest ratio of height to width. Lower outlines may be those of
-bowls without a foot.
-"""
-STEP, SPAN = 0.12, 0.03
-"""Largest decrease of a vessel's half width over a short height, relative to the largest half
-width.
-
-`SPAN` is this height, relative to the height of the object. Sleeves end more abruptly.
-"""
-THIN, REACH = 0.4, 0.05
-"""Largest thickness of a handle, relative to the thickest part of the object.
-
-`REACH` is the smallest length by which a handle protrudes, relative to the object's size.
-"""
-TIP, POINTED = 0.2, 0.3
-"""Length of the tip of a protruding part, as a fraction of the part's length.
-
-If the mean height of the tip is at most `POINTED` times the height of the part, the part is a sharp
-rim instead of a handle.
-"""
+NARROWER = 0.75
+"""Largest width of a vessel near its foot, relative to its largest width; a drum is wider."""
+FOOT = 0.12
+"""Height at which this width is measured, relative to the object's height."""
+WIDENING = 0.03
+"""Largest amount by which a vessel may become wider below its rim."""
+UPPER = 0.22
+"""Upper fraction of the height in which the rim of an outline with a tip, as of a shield, lies."""
+TIP_HEIGHT = 0.1
+"""A height near the tip, relative to the object's height."""
+TAPERED = 0.46
+"""Largest width at this height, relative to the largest width."""
+HIGHER = 0.6
+"""Smallest ratio of height to width of an outline with a tip; bowls without a foot are lower."""
+STEP = 0.12
+"""Largest decrease of a vessel's half width over `SPAN`, relative to the largest half width."""
+SPAN = 0.03
+"""A height, relative to the object's height; sleeves end more abruptly."""
+THIN = 0.4
+"""Largest thickness of a handle, relative to the thickest part of the object."""
+REACH = 0.05
+"""Smallest length by which a handle protrudes, relative to the object's size."""
+TIP = 0.2
+"""Length of the tip of a protruding part, as a fraction of the part's length."""
+POINTED = 0.3
+"""Largest mean height of the tip of a sharp rim, which is no handle, relative to the part."""
 FEWEST = 16
 """Smallest number of rows of a vessel or a drum."""
 BELOW = 0.08

@@ -24,11 +24,10 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 
 SIZE = 320
 """Width and height of the network's input [pixels]."""
-CLOSER, AROUND = 1.4, 0.15
-"""An object is segmented again, with surroundings, if it can be enlarged by this factor.
-
-`AROUND` is the width of the surroundings, relative to the object's longest side.
-"""
+CLOSER = 1.4
+"""An object is segmented again, with surroundings, if it can be enlarged by this factor."""
+AROUND = 0.15
+"""Width of the surroundings, relative to the object's longest side."""
 AGREED = 0.85
 """A repeated segmentation is used if its overlap (IoU) with the first mask is at least this value.
 """

@@ -13,11 +13,10 @@ from phy124.kernels.native import code
 
 SIDEWAYS = 0.75
 """Largest distance along the surface between a point and the opposite position [cells]."""
-APART, FACING = wp.constant(3.0), wp.constant(1.0)
-"""`APART`: points belong to different parts if they are farther apart than this at rest [cells].
-`FACING`: points face each other across a gap if, at rest, each point is at least this far in front
-of the other [cells].
-"""
+APART = wp.constant(3.0)
+"""Points belong to different parts if they are farther apart than this at rest [cells]."""
+FACING = wp.constant(1.0)
+"""Points face each other if, at rest, each is at least this far in front of the other [cells]."""
 NEARER = wp.constant(0.6)
 """Two samples may touch if their distance is below this fraction of that at rest."""
 BEYOND = wp.constant(0.05)

@@ -29,12 +29,10 @@ from phy124.simulation.placing import find_placement
 VISIBLE = 0.1
 """The floor is detected from Gaussians with at least this opacity."""
 NEIGHBOURS = 8
-USUAL, LONG = 6.0, 3.0
-"""Two thresholds for the distance from a Gaussian to its eighth neighbour.
-
-A Gaussian is a floater if this distance is at least `USUAL` times the median over all Gaussians and
-at least `LONG` times the Gaussian's largest standard deviation.
-"""
+USUAL = 6.0
+"""Least distance of a floater from its eighth neighbour, relative to the median distance."""
+LONG = 3.0
+"""Least such distance relative to the Gaussian's largest standard deviation."""
 
 
 @dataclass(frozen=True)

@@ -95,10 +95,14 @@ def _blocks(shape: tuple[int, ...]) -> Groups:
 
 ALIGN_BLUR = 2.0
 """Standard deviation of the filter that blurs silhouettes during alignment [pixels]."""
-STEP, LONGEST_STEP, SETTLED, ROUNDS = 0.5, 8.0, 0.01, 20
-"""Parameters of the alignment: distance for central differences, longest step, step length below
-which the alignment ends [pixels], and maximum number of steps.
-"""
+STEP = 0.5
+"""Distance for central differences in the alignment [pixels]."""
+LONGEST_STEP = 8.0
+"""Longest step of the alignment [pixels]."""
+SETTLED = 0.01
+"""Step length below which the alignment ends [pixels]."""
+ROUNDS = 20
+"""Largest number of steps of the alignment."""
 LEAST = 0.6
 """Smallest allowed intersection over union of two aligned silhouettes.
 
