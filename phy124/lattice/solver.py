@@ -133,9 +133,19 @@ class LatticeSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Any] = (),
     ) -> None:
-        """Replace forces, boundaries and sums from the next substep on, as `Solver.bind` does.
+        """Replace forces, boundaries and sums, from the next substep on.
 
         Contact forces and times of measurements are kept: live runs are bitwise reproducible.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries, in the order in which they act.
+            accumulators: Sums that are updated in every substep.
+            planes: Flat walls with which freely moving solids collide.
+
+        Raises:
+            InputError: The region of a force contains no particle, or a clamp fixes only some
+                directions; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)

@@ -180,10 +180,17 @@ class ImmersedSolver:
         planes: Sequence[Plane] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
     ) -> None:
-        """Replace forces, boundaries and sums from the next step on, as `Solver.bind` does.
+        """Replace forces, boundaries and sums, from the next step on.
 
-        `walls` are the boundaries for the liquid, with their names. No freely moving solid exists,
-        so `planes` are not used.
+        Args:
+            forces: Forces, as in `__init__`.
+            boundaries: Boundaries for the bodies.
+            accumulators: Sums that are updated in every substep.
+            planes: Not used; there are no freely moving solids.
+            walls: The boundaries for the liquid, with their names.
+
+        Raises:
+            InputError: As in `__init__`.
         """
         self._accumulators = list(accumulators)
         of_liquid, of_bodies = (

@@ -155,10 +155,17 @@ class MixedSolver(Solver):
         pushed: bool = False,
         **acting: Any,
     ) -> None:
-        """Replace forces, boundaries and sums from the next step on, as `Solver.bind` does.
+        """Replace forces, boundaries and sums, from the next step on.
 
-        The liquid has the `uniform` forces, and the boundaries with their names, `walls`. `pushed`
-        is set if any force acts on particles.
+        Args:
+            forces: Forces, in the order in which they act.
+            uniform: The uniform forces among the forces.
+            walls: The boundaries, with their names, for the liquid.
+            pushed: Whether any force acts on particles.
+            acting: Further arguments of `Solver.bind`.
+
+        Raises:
+            InputError: For the same reasons as in `__init__`.
         """
         if self._liquid is not None and self.bodies is not None:
             self.bodies.pushed = pushed

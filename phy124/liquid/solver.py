@@ -144,8 +144,17 @@ class LiquidSolver:
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """Replace forces, walls and sums from the next step on, as `Solver.bind` does; boundaries
-        have names.
+        """Replace forces, walls and sums, from the next step on.
+
+        Args:
+            forces: Forces, in the order in which they act.
+            boundaries: Boundaries with their names.
+            accumulators: Sums that are updated in every step.
+            planes: Flat walls with which the freely moving solid collides.
+
+        Raises:
+            InputError: The region of a force contains no particle, or a wall is too thin for the
+                grid; in this case nothing has changed.
         """
         model, state = self.model, self.state
         tracks = Tracks(real=model.real, device=model.device)

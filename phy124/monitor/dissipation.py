@@ -78,8 +78,14 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress in a worker's part, as
-        `Observer.record` does.
+        """Record the launch that sums the work of the stress in a worker's part.
+
+        Args:
+            part: A worker's particles of one law.
+            worker: Index of the worker.
+            model: The particles' constants.
+            state: The state after the gather.
+            tracks: Quantities that change over time.
         """
         assert self._sums is not None
         run, group = part.particles, part.group

@@ -163,7 +163,15 @@ class MixedDissipation(PoolDissipation):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress in a worker's part."""
+        """Record the launch that sums the work of the stress in a worker's part.
+
+        Args:
+            part: A worker's particles of one law.
+            worker: Index of the worker.
+            model: The particles' constants.
+            state: The state after the gather.
+            tracks: Quantities that change over time.
+        """
         return self._stress.record(part, worker, model, state, tracks)
 
     @classmethod
