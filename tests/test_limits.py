@@ -80,6 +80,16 @@ def test_heights_beyond_float32_are_refused():
     assert run(**{"object.size": 0.05, **changes}).setup.particles.x.max() < 621
 
 
+def test_cells_of_liquids_take_more_memory_than_nodes():
+    water = Scene.named("water")
+    compressible = water.replaced({"accuracy": {"liquid": "compressible"}})
+    assert (water.projects, compressible.projects) == (True, False)
+    more = (
+        estimate_memory(water, 10, 10, 1e5, 1)[0] - estimate_memory(compressible, 10, 10, 1e5, 1)[0]
+    )
+    assert 0.3e9 < more < 0.5e9
+
+
 def test_clips_beyond_the_memory_are_refused(monkeypatch):
     monkeypatch.setattr("phy124.budget.limits.free_memory", lambda: 2e6)
     with pytest.raises(InputError, match=r"GB of memory, .* Use a coarser accuracy or fewer"):

@@ -11,6 +11,7 @@ from phy124.budget.remedies import find_speedups
 from phy124.errors import InputError
 from phy124.forces import Gravity, ZoneForce
 from phy124.kernels.liquid.active import make_forget
+from phy124.liquid.cells import needed_cells, restrict
 from phy124.liquid.solver import LiquidSolver
 from phy124.monitor.diagnostics import describe_substep
 from phy124.mpm import FreeBody
@@ -202,6 +203,29 @@ def test_solver_may_advance_to_the_time_it_has():
 
 def test_liquid_without_walls_falls_freely():
     solver = run(liquid(block((0, 0, 0), (0.5, 0.5, 0.5), 8), 8), 12)
+    duration = solver.clock.time - solver.clock.last_dt / 2
+    np.testing.assert_allclose(solver.state.v.numpy()[:, 2], -G * duration, rtol=1e-4)
+
+
+def test_window_of_a_wide_sheet_keeps_most_of_it(rng):
+    sheet = rng.uniform((-5, -4, 0), (5, 4, 0.1), (10000, 3))
+    lower, upper, outside = restrict(sheet, 0.1, 1e5)
+    sides = needed_cells(lower, upper, 0.1)
+    assert 0.99e5 < sides.prod() <= 1.0001e5
+    assert sides[0] == pytest.approx(sides[1]) and sides[2] == pytest.approx(21, abs=0.1)
+    assert outside / 10000 == pytest.approx(1 - (0.1 * sides[0]) ** 2 / 80, abs=0.03)
+
+
+def test_particles_outside_the_largest_window_are_counted_and_fall(monkeypatch):
+    monkeypatch.setattr("phy124.liquid.solver.MOST_CELLS", 20000)
+    assert run(liquid(block((0, 0, 0), (0.5, 0.5, 0.5), 8), 8), 2).outliers.most == 0
+    x = block((-3, -3, 0), (3, 3, 0.125), 8)
+    solver, other = liquid(x, 8), liquid(x, 8)
+    run(solver, 2)
+    assert solver.cells.count < 25000
+    assert 0.2 < solver.outliers.most / len(x) < 0.8
+    other.restore(solver.snapshot())
+    assert other.outliers.most == solver.outliers.most
     duration = solver.clock.time - solver.clock.last_dt / 2
     np.testing.assert_allclose(solver.state.v.numpy()[:, 2], -G * duration, rtol=1e-4)
 

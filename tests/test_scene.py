@@ -221,9 +221,13 @@ def test_change_of_law_keeps_requested_values():
         ("size", "object.size or view.size"),
         ("E", "material.E"),
         ("materal", "material"),
+        ("view.width", "size"),
+        ("object.height", "lift"),
+        ("material.youngs_modulus", "E"),
+        ("accuracy.grid", "cells or transfer or blend"),
     ],
 )
-def test_a_key_without_its_section_is_found(key, meant):
+def test_key_without_its_section_or_of_similar_meaning_is_found(key, meant):
     with pytest.raises(
         InputError, match=rf"{key} = 3: there is no such key\. Did you mean {meant}\?"
     ):

@@ -52,6 +52,10 @@ BYTES_PER_PARTICLE = 400
 BYTES_PER_POINT = 1100
 """Memory per lattice point, including the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
+BYTES_PER_CELL = 4 * 1000
+"""Memory per cell that a projected liquid needs at rest [bytes]. A cell takes 1 kB, and in a basin
+the liquid needs four times as many cells as at rest.
+"""
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""
 AT_REST = 450
@@ -301,6 +305,7 @@ def estimate_memory(
     """
     double = 2 if scene.precision == "float64" else 1
     each = BYTES_PER_POINT if _only_lattices(scene) else BYTES_PER_PARTICLE
-    state = double * (each * particles + BYTES_PER_NODE * nodes)
+    node = BYTES_PER_CELL if scene.projects else BYTES_PER_NODE
+    state = double * (each * particles + node * nodes)
     memory = state + min(BYTES_PER_GAUSSIAN * gaussians * frames, HELD) + AT_REST * gaussians
     return memory, state + BYTES_PER_SHAPE * gaussians

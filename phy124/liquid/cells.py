@@ -23,12 +23,51 @@ up to two cells, and the B-splines around each particle reach two cells further.
 """
 LARGEST = 32
 """Margin around the particles [cells] above which the window is renewed."""
+MOST_CELLS = 2**22
+"""Largest number of cells in a window, whatever `Outliers.allowed` is."""
+BULK = 0.01
+"""Fraction of the particles that may be outside a restricted window on each side."""
 FAR = 1e3
 """If no wall is near, this distance to the nearest wall is stored [cells]."""
 
 
 ROOM = 4
 """A solid changes distances and open fractions up to this distance [cells]."""
+
+
+def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
+    """Return the sides [3] of the window over a box [cells], with its margins."""
+    return (upper - lower) / dx + 2 * MARGIN
+
+
+def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]:
+    """Return the corners [3], [3] of a box [m] whose window has at most `most` cells, and the
+    number of particles outside this window.
+
+    The longest sides of the particles' bounding box are shortened to a common length.
+
+    Args:
+        x: Positions of the particles [P,3], m.
+        dx: Width of a cell [m].
+        most: Largest number of cells.
+    """
+    x = x.astype(np.float64)
+    lower, upper = np.quantile(x, (BULK, 1 - BULK), axis=0)
+    half = dx * (_shorten(needed_cells(lower, upper, dx), most) / 2 - MARGIN)
+    middle = np.median(x, axis=0)
+    lower, upper = np.maximum(lower, middle - half), np.minimum(upper, middle + half)
+    inside = (x > lower - MARGIN * dx) & (x < upper + MARGIN * dx)
+    return lower, upper, int((~inside.all(axis=1)).sum())
+
+
+def _shorten(sides: NDArray, most: float) -> NDArray:
+    """Shorten the longest sides of a box [3] so that their product is at most `most`."""
+    ordered = np.sort(sides)
+    for kept in range(3):
+        length = (most / ordered[:kept].prod()) ** (1 / (3 - kept))
+        if length <= ordered[kept]:
+            return np.minimum(sides, length)
+    return sides
 
 
 class Region:

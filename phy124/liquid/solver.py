@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phy124.boundaries import Boundary
 from phy124.liquid.bodies import Advance, Bodies
-from phy124.liquid.cells import Cells
+from phy124.liquid.cells import MOST_CELLS, Cells, needed_cells, restrict
 from phy124.liquid.clock import LiquidClock
 from phy124.liquid.energies import Energies
 from phy124.liquid.impulses import WallImpulses
@@ -49,12 +49,6 @@ TOLERANCE, LOOSE = 1e-4, 1e-2
 """Largest residuals of the equations of pressure and density, relative to the right side."""
 SETTLE = 4
 """Number of corrections of the density before the first step."""
-MOST_CELLS = 2**22
-"""Largest number of cells in a window; particles outside the window move along parabolas."""
-BULK = 0.01
-"""If a window has `MOST_CELLS` cells, this fraction of the particles may be outside the window on
-each side.
-"""
 
 
 class LiquidSolver:
@@ -312,6 +306,7 @@ class LiquidSolver:
             **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
             "pushes": self._phases.pushes.snapshot(),
             "impulses": self.impulses.snapshot(),
+            "ballistic": self.outliers.most,
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -330,6 +325,7 @@ class LiquidSolver:
             self._bodies.restore(snapshot["bodies"])
         self.cells.restore(snapshot["cells"])
         self.impulses.restore(snapshot["impulses"])
+        self.outliers.most = snapshot.get("ballistic", 0)
         self._fitted = self.cells.count > 0
         if self._fitted:
             self._record()
@@ -431,14 +427,15 @@ class LiquidSolver:
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners of the particles' bounding box [m]; ignore a few distant particles."""
-        if np.prod((upper - lower) / self.model.dx + 20) <= MOST_CELLS:
+        """Return the corners [m] of the particles' bounding box, or of its part that has room in
+        the largest window; particles outside the window move along parabolas.
+        """
+        most = min(self.outliers.allowed, MOST_CELLS)
+        if np.prod(needed_cells(lower, upper, self.model.dx)) <= most:
             return lower, upper
-        x = self.state.x.numpy().astype(np.float64)
-        lower, upper = np.quantile(x, (BULK, 1 - BULK), axis=0)
-        side = self.model.dx * (MOST_CELLS ** (1 / 3) - 20)
-        middle = np.median(x, axis=0)
-        return np.maximum(lower, middle - side / 2), np.minimum(upper, middle + side / 2)
+        lower, upper, outside = restrict(self.state.x.numpy(), self.model.dx, most)
+        self.outliers.most = max(self.outliers.most, outside)
+        return lower, upper
 
     def _record(self) -> None:
         """Record the launches for the current window, and write the walls into its cells."""

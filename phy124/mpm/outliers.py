@@ -47,7 +47,8 @@ class Outliers:
         # The extent of the particles at rest, without single distant particles.
         runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
         first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
-        self._allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
+        self.allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
+        """Largest number of nodes in a window that contains all particles."""
         self.most, self.changed = 0, False
         """Largest number of outliers so far; whether the last measurement changed the indices."""
 
@@ -83,10 +84,10 @@ class Outliers:
                 measured = self._beyond()
                 self._centre((lower + upper) / 2)
                 return self.changed or not np.array_equal(measured, self.indices.numpy())
-        if not self.bounded and sum(self._nodes(*pair) for pair in corners) <= self._allowed:
+        if not self.bounded and sum(self._nodes(*pair) for pair in corners) <= self.allowed:
             return False
         x = self._state.x.numpy().astype(np.float64)
-        side = self._model.dx * (self._allowed ** (1 / 3) - 3 * MARGIN)
+        side = self._model.dx * (self.allowed ** (1 / 3) - 3 * MARGIN)
         self._half, self.bounded = np.full(3, side / 2), True
         # The box is centred at a particle, so that at least one particle is inside.
         self._centre(x[np.abs(x - np.median(x, axis=0)).max(axis=1).argmin()])

@@ -1,6 +1,7 @@
 """Turn validation errors of pydantic into messages that state the limit and a remedy."""
 
 import difflib
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeVar
 
@@ -10,6 +11,8 @@ from phy124.errors import InputError, did_you_mean
 from phy124.schema.declaration import Declaration, Node, format_number, read_declaration
 from phy124.schema.section import Section
 
+FEW = 3
+"""Largest number of keys of similar meaning that a message suggests."""
 Options = TypeVar("Options", bound=Section)
 LONGEST = 60
 """Largest number of characters of a value in a message."""
@@ -178,6 +181,7 @@ def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str
     known = sorted({name for choice in choices for name in choice.get("properties", ())})
     similar = _list_sections_with(declared, key) if len(place.keys) == 1 else []
     similar = similar or difflib.get_close_matches(key, known, 1)
+    similar = similar or _list_keys_about(declared, choices, key)
     if similar:
         return "there is no such key.", f"Did you mean {' or '.join(similar)}?"
     if key in declared.schema["properties"]:
@@ -189,6 +193,28 @@ def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str
         limit = f"{kind} has no such key." if kind else "there is no such key here."
         return limit, "Remove it."
     return "there is no such key.", f"Known keys: {', '.join(known)}."
+
+
+def _list_keys_about(declared: Declaration, choices: list[Node], key: str) -> list[str]:
+    """Return the keys whose description begins with a sentence that has all words of `key`; an
+    empty list if these are more than `FEW`.
+    """
+    words, keys = _split_words(key), []
+    for name, node in (
+        (k, n) for choice in choices for k, n in choice.get("properties", {}).items()
+    ):
+        text = declared.resolve(node).get("description", node.get("description", ""))
+        if words and words <= _split_words(text.partition(". ")[0]):
+            keys.append(name)
+    return keys if len(keys) <= FEW else []
+
+
+def _split_words(text: str) -> set[str]:
+    """Return the words of a text or name that have at least three letters, without the endings of
+    plural and genitive.
+    """
+    words = re.findall("[a-z]{3,}", text.lower().replace("'s", "").replace("_", " "))
+    return {word.removesuffix("s") for word in words}
 
 
 def _list_sections_with(declared: Declaration, key: str) -> list[str]:
