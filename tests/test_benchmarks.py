@@ -1,10 +1,12 @@
 """The programs in tests/benchmarks run as `python tests/benchmarks/NAME.py`."""
 
 import ast
+import sys
 
 import pytest
 
 from support.pages import ROOT
+from support.processes import run_program
 
 PROGRAMS = sorted((ROOT / "tests/benchmarks").rglob("*.py"))
 OURS = ("support", "reference")
@@ -21,3 +23,23 @@ def test_a_program_finds_what_the_tests_share(program):
     path = PATHS[len(program.relative_to(ROOT / "tests").parts) - 1]
     result = [n.lineno for n in body if ast.unparse(n) == path]
     assert not ours or (result and result[0] < ours[0]), f"before the import: {path}"
+
+
+IMPORT = """
+import runpy, sys
+sys.path.insert(0, sys.argv[1])
+for program in sys.argv[2:]:
+    try:
+        runpy.run_path(program, run_name="imported")
+    except ImportError as error:
+        print(f"{program}: {error}")
+"""
+
+
+@pytest.mark.parametrize("folder", sorted({path.parent for path in PROGRAMS}), ids=lambda f: f.name)
+def test_every_name_that_a_program_imports_exists(folder):
+    """Programs that nobody runs for a while break by renamings."""
+    programs = map(str, sorted(folder.glob("*.py")))
+    command = [sys.executable, "-W", "ignore", "-c", IMPORT, str(folder), *programs]
+    done = run_program(command, cwd=ROOT)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr

@@ -22,7 +22,7 @@ def bar_after_a_period(damping):
     E, density, dx = 1e4, 1000.0, 1 / 24
     wave, speed = math.pi, math.sqrt(E / density)
     z = (np.arange(48) + 0.5) * dx / 2
-    x, v, C = (np.zeros((len(z), *make_shape)) for make_shape in ((3,), (3,), (3, 3)))
+    x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
     C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
     material = NeoHookean(E=E, nu=0.0, density=density, damping=damping)

@@ -107,6 +107,17 @@ def sound(folder: Path, name: str, status: int, printed: str) -> None:
     assert not [n for n in left if n.startswith(".") or ".part" in n or "making" in n], left
 
 
+def test_undamaged_files_are_accepted(samples, tmp_path, capsys):
+    """The control: if the command itself were wrong, every file would be refused."""
+    for name, data in samples.items():
+        folder = tmp_path / Path(name).suffix[1:]
+        folder.mkdir()
+        (folder / name).write_bytes(data)
+        assert main(arguments_for(name, folder)) == 0, capsys.readouterr()
+        sound(folder, name, 0, capsys.readouterr().out)
+        assert name == "scene.toml" or (folder / "out/front.mp4").is_file()
+
+
 @pytest.mark.filterwarnings("ignore:.* may be a file of ")  # a guess about what is not broken
 @pytest.mark.parametrize(
     ("name", "count"),

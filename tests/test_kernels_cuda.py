@@ -107,8 +107,7 @@ def test_the_substep_is_measured_without_float64(law, tmp_path):
 
 @pytest.mark.slow
 def test_every_module_of_the_presets_compiles_for_cuda(tmp_path):
-    """Return the kernels that run on the CPU here, except vectorised forms, and would run on a
-    GPU."""
+    """All kernels that run on the CPU here compile, except vectorised forms."""
     for name in preset_names():
         scene = Scene.named(name).replaced({"accuracy": {"cells": 8}, "time.frames": 3})
         Simulation(prepare(ball(300), scene)).run()

@@ -114,7 +114,7 @@ def test_memory_that_is_not_initialised_changes_nothing(name):
     usual = results(*EVERYTHING[name])
     with poisoned() as count:
         other = results(*EVERYTHING[name])
-    assert count.warp > 10
+    assert count.warp > 10 and count.numpy > 0
     for what, array in usual.items():
         np.testing.assert_array_equal(other[what], array, err_msg=what)
 

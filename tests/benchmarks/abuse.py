@@ -27,13 +27,12 @@ from phy124.studies.validation.stress.bodies import (
     assign,
     finite,
     host,
-    turning,
     volume_ratios,
 )
 from phy124.studies.validation.stress.inputs import quick
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from phy124.studies.validation.bodies import block, make_solver
+from phy124.studies.validation.bodies import block, make_solver, turning
 from support.shapes import ball, watch_run
 
 SIZE = 0.5

@@ -25,17 +25,19 @@ from phy124 import pipeline
 from phy124.accuracy.convergence import distances
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
+from phy124.materials import LAWS
 from phy124.runtime.context import RunContext
 from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation, prepare
 
 sys.path.insert(0, str(Path(__file__).parent))
 from presets import beginning
-from promises import FLOWING, scene_of
 
 ROOT = Path(__file__).parents[2]
 PICTURES = ("sunflower", "teddy")
 BINDINGS = ("particles", "lattice")
+FLOWING = [law for law, material in LAWS.by_name.items() if material().device_law.project]
+"""Laws that are plastic, granular or fluid."""
 
 
 class Run(NamedTuple):
@@ -57,8 +59,13 @@ def scenes() -> dict[str, tuple[str, Scene]]:
         for picture in PICTURES
     }
     for law in FLOWING:
-        results[f"drop {law} cupcake"] = ("cupcake", scene_of("drop", law, {}))
+        results[f"drop {law} cupcake"] = ("cupcake", of_law("drop", law))
     return results
+
+
+def of_law(preset: str, law: str) -> Scene:
+    """Return the beginning of a preset with the default material of a law."""
+    return beginning(preset).replaced({"material": {"law": law}})
 
 
 def run(gaussians: Gaussians, scene: Scene, changes: dict[str, Any]) -> Run | None:

@@ -25,9 +25,8 @@ from phy124.io.formats import read_gaussians
 from phy124.scene import Scene, preset_names
 
 sys.path.insert(0, str(Path(__file__).parent))
-from bindings import ROOT, Run, run
+from bindings import FLOWING, ROOT, Run, of_law, run
 from presets import beginning
-from promises import FLOWING, scene_of
 
 
 def scenes() -> list[str]:
@@ -39,7 +38,7 @@ def scenes() -> list[str]:
 def scene_named(name: str) -> Scene:
     """The beginning of a preset, with another law if the name has a second word."""
     preset, _, law = name.partition(" ")
-    return scene_of(preset, law, {}) if law else beginning(preset)
+    return of_law(preset, law) if law else beginning(preset)
 
 
 def gaussians_of(file: Path) -> Gaussians:

@@ -65,7 +65,7 @@ def bar(scheme, cells=24, periods=5):
     E, density = 1e4, 1000.0
     dx, wave, speed = 1 / cells, math.pi, math.sqrt(E / density)
     z = (np.arange(cells * 2) + 0.5) * dx / 2
-    x, v, C = (np.zeros((len(z), *make_shape)) for make_shape in ((3,), (3,), (3, 3)))
+    x, v, C = (np.zeros((len(z), *shape)) for shape in ((3,), (3,), (3, 3)))
     x[:, 2], v[:, 2] = z, 1e-4 * np.cos(wave * z)
     C[:, 2, 2] = -1e-4 * wave * np.sin(wave * z)
     soft = NeoHookean(E=E, nu=0.0, density=density)

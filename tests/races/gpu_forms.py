@@ -1,6 +1,7 @@
 """Makes the CPU run the forms of kernels that a GPU runs."""
 
-from collections.abc import Iterable
+from inspect import signature
+from typing import Any
 
 from phy124.kernels import reduction
 from phy124.kernels.lattice import rows
@@ -15,18 +16,12 @@ def shared_out(particles: int, device: str, most: int = THREADS) -> tuple[int, i
     return threads, 1, -(-particles // threads), threads
 
 
-def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """Return the result of `reduction.along_rows` on a GPU: one thread per node."""
-    x, y, z = (int(count) for count in extent)
-    return (x, y, z), 1
-
-
 def choose() -> None:
     """Choose these forms; call this before other modules of phy124 are imported, since names are
     bound then."""
-    reduction.shared_out, reduction.along_rows = shared_out, along_rows
-    rows.rows_for = lambda real, device, vectors=True: rows.PLAIN
-    from phy124.kernels.deform import deform_shapes
+    replace(reduction, "shared_out", shared_out)
+    as_on_gpu(reduction, "along_rows")
+    as_on_gpu(rows, "rows_for")
     from phy124.kernels.lattice import simd
     from phy124.kernels.splat.shadow import cover
     from phy124.liquid import projection
@@ -35,20 +30,40 @@ def choose() -> None:
     from phy124.rendering import render
     from phy124.rendering.stage import shadow
 
-    simd.usable = lambda real, device: False
-    projection.form_on = lambda device: "plain"
-    model.form_of = lambda precision, device, gradient="affine": (
-        "spline" if gradient == "spline" else "plain"
-    )
+    as_on_gpu(simd, "usable")
+    as_on_gpu(projection, "form_on")
+    as_on_gpu(model, "form_of")
+    as_on_gpu(deform, "shapes_of")
+    as_on_gpu(deform, "carry_of")
+    replace(shadow, "covering", lambda device: (cover, 1))
     grids_of = solver.grids_of
-    solver.grids_of = lambda model, apart: grids_of(
-        model, apart=model.bodies == 1 and not model.held
-    )
+
+    def of_solids(model, *, apart) -> list[Any]:
+        return grids_of(model, apart=model.bodies == 1 and not model.held)
+
+    replace(solver, "grids_of", of_solids)
     usual = render.Renderer.__init__
 
     def by_pixel(self, *, device=None, blend="auto", filter="dilate") -> None:
         usual(self, device=device, blend="pixel" if blend == "auto" else blend, filter=filter)
 
-    render.Renderer.__init__ = by_pixel
-    shadow.covering = lambda device: (cover, 1)
-    deform.shapes_of = lambda device: (deform_shapes, 1)
+    replace(render.Renderer, "__init__", by_pixel)
+
+
+def as_on_gpu(module: Any, name: str) -> None:
+    """Make a function that chooses a form by the device choose that of a GPU."""
+    function = getattr(module, name)
+    parameters = signature(function)
+
+    def chosen(*inputs: Any, **options: Any) -> Any:
+        call = parameters.bind(*inputs, **options)
+        call.arguments["device"] = "cuda"
+        return function(*call.args, **call.kwargs)
+
+    replace(module, name, chosen)
+
+
+def replace(owner: Any, name: str, function: Any) -> None:
+    """Replace a function, which must exist: after a renaming, the forms of a CPU would be run."""
+    getattr(owner, name)
+    setattr(owner, name, function)
