@@ -24,6 +24,7 @@ def test_known_answers_on_coarse_grids(check):
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
 def test_known_answers_on_fine_grids(check):
     verdicts = list(check(True))
+    assert verdicts
     assert all(verdict.passed for verdict in verdicts), verdicts
 
 
