@@ -19,6 +19,9 @@ FAST = {"kind": "swing", "amplitude": (0, 0, 1.0), "frequency": 20.0}
 """A motion at 126 m/s, which is 7 times the speed of sound in the preset `drop`."""
 FOOT = {"kind": "foot", "fraction": 0.2}
 DOWN = {"kind": "set_velocity", "v": (0, 0, -30.0)}
+POINTS = [[0, 0, 0], [0, 0, 0.25], [0, 0, 0]]
+UP_AND_DOWN = {"kind": "path", "times": [0, 0.01, 0.02], "points": POINTS, "smooth": False}
+JERK = {"kind": "ground", "motion": UP_AND_DOWN}
 AUTO = {"accuracy": {"cells": 6, "solver": "auto"}, "time.frames": 2}
 
 
@@ -40,6 +43,7 @@ def scene(name="drop", **changes):
         ({"object.lift": 4.0, "material.E": 500.0}, "squeezed at 9.9 times its speed"),
         ({"boundaries": [{"kind": "ground", "motion": FAST}]}, "squeezed at 7 times its speed"),
         ({"objects": [{**SOLID, "motion": FAST}]}, "squeezed at 7 times its speed"),
+        ({"boundaries": [{**JERK, "contact": "slip"}]}, "squeezed at 2.8 times its speed"),
         (
             {"forces": [{"kind": "set_velocity", "v": (0, 0, -40)}]},
             "squeezed at 2.2 times its speed",
@@ -60,6 +64,7 @@ def test_auto_chooses_mpm_for_a_reason(changes, reason):
     "changes",
     [
         {"boundaries": [{"kind": "ground", "motion": {**FAST, "start": 10.0}}]},
+        {"boundaries": [JERK]},
         {"forces": [{"kind": "wind", "v": (0, 10.0, 0), "rate": 1e6}]},
         {"forces": [DOWN]},
         {"boundaries": [FOOT], "forces": [{**DOWN, "end": 0.01}]},

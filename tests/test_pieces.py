@@ -159,7 +159,9 @@ def test_pushed_tooth_of_a_comb_leaves_the_others_at_rest(place):
 
 @pytest.mark.parametrize("place", PLACES)
 def test_ring_with_a_narrow_gap_opens_like_a_slender_ring(place):
-    """A force P that opens a thin ring at its gap opens it by 3 pi P R^3 / E I."""
+    """A force P at the gap widens a thin ring by (2 + pi / 2) P R^3 / E I, a quarter of the way
+    round. The motion of points at the gap depends on the distribution of the force.
+    """
     radius, thick, wide, gap = 6.0, 1.0, 2.0, 0.5
     middle = np.array([7.5, 7.5, wide / 2]) + place
 
@@ -178,6 +180,13 @@ def test_ring_with_a_narrow_gap_opens_like_a_slender_ring(place):
     ends = [(x[:, 0] > 0) & (x[:, 1] * side > 0) & (abs(x[:, 1]) < 1.0) for side in (1, -1)]
     push = statics.push(ends[0], (0, 1.0, 0)) - statics.push(ends[1], (0, 1.0, 0))
     u = statics.solve(push)[:, 1]
-    opening = u[ends[0]].mean() - u[ends[1]].mean()
-    exact = 3 * math.pi * (radius * DX) ** 3 / (E * wide * DX * (thick * DX) ** 3 / 12)
-    assert opening == pytest.approx(exact, rel=0.11)
+
+    def moved(side):
+        near = (abs(x[:, 0]) < 1) & (x[:, 1] * side > 0)
+        offset = x[near] - (0, side * radius, 0)
+        terms = np.column_stack([np.ones(len(offset)), offset])
+        return np.linalg.lstsq(terms, u[near], rcond=None)[0][0]
+
+    stiffness = E * wide * DX * (thick * DX) ** 3 / 12
+    exact = (2 + math.pi / 2) * (radius * DX) ** 3 / stiffness
+    assert moved(1) - moved(-1) == pytest.approx(exact, rel=0.01)

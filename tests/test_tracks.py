@@ -76,6 +76,17 @@ def test_largest_value_of_a_track_in_an_interval():
     assert scaled(Sine(frequency=1.0), 2.0, 99.0).fastest(0, 2) == 0
 
 
+def test_largest_jump_is_the_largest_change_of_the_velocity():
+    """A track rises at 2 per second, falls at 3 per second, and stops at 3 s."""
+    keys = ((0.0, (0.0, 0.0, 0.0)), (1.0, (0.0, 2.0, 0.0)), (2.0, (0.0, -1.0, 0.0)))
+    track = Track(keys, origin=1.0)
+    assert [track.largest_jump(end) for end in (1.0, 1.5, 2.5, 9.0)] == [0, 2, 5, 5]
+    valley = tuple((float(t), (0.0, 0.0, z)) for t, z in enumerate((0.0, -3.0, -3.0, 0.0)))
+    again = Track(valley, period=3.0)
+    assert [again.largest_jump(end) for end in (2.5, 3.5)] == [3, 6]
+    assert scaled(Constant()).largest_jump(9.0) == 0
+
+
 def test_rates_are_slopes_and_zero_outside():
     track = Track(((0.0, (0.0, 0.0, 0.0)), (0.5, (3.0, 0.0, 0.0))), origin=1.0)
     assert [sample(track, t)[2] for t in (0.5, 1.0, 1.2, 1.5, 9.0)] == [0, 6, 6, 0, 0]

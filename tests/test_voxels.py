@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from phy124.kernels.voxels import HALVINGS
-from phy124.particles.voxels import _part_moments, _Surfaces
+from phy124.particles.voxels import _part_moments, _Surfaces, find_voxels
 
 COUNT, SAMPLES = 83, 6
 
@@ -60,3 +60,18 @@ def test_kernel_fills_voxels_as_defined(kind):
         _part_moments(fraction, surfaces, SAMPLES), fill(fraction, surfaces, SAMPLES), strict=True
     ):
         np.testing.assert_allclose(result, expected, atol=1e-9)
+
+
+def test_edges_and_corners_of_an_aligned_box_are_boxes():
+    """The sides of the body are parallel to the faces of the voxels and cut the voxels."""
+    lengths = [np.array(row) for row in ([0.3, 1, 1, 1, 0.6], [0.5, 1, 1, 0.8], [1, 1, 1, 1, 0.4])]
+    x, y, z = lengths
+    voxels = find_voxels(np.einsum("i,j,k->ijk", x, y, z))
+    sides = np.stack([row[i] for row, i in zip(lengths, voxels.indices.T, strict=True)], axis=1)
+    at_edge = (sides < 1).sum(axis=1) > 1
+    inwards = np.where(voxels.indices > 1, -1, 1)
+    assert at_edge.sum() == 30
+    centres = inwards * (1 - sides) / 2
+    np.testing.assert_allclose(voxels.shift[at_edge], centres[at_edge], atol=1e-9)
+    moments = np.eye(3) * sides[:, None] ** 2 / 12
+    np.testing.assert_allclose(voxels.spread[at_edge], moments[at_edge], atol=1e-9)

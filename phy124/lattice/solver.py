@@ -269,6 +269,16 @@ class LatticeSolver:
                     run_timed(self.timings, FOLLOW, after)
             self.follow()
 
+    def pinch(self) -> tuple[float, int, int]:
+        """Return the result of `Walls.pinch` with the walls at their current places."""
+        self._place_walls()
+        return self.walls.pinch()
+
+    def _place_walls(self) -> None:
+        """Evaluate all tracks at the current time, since the last substep used its beginning."""
+        self.clock.begin(0.0, 0.0)
+        self._sample.launch()
+
     def follow(self) -> None:
         """Compute x, v, C and F of the points from the nodes."""
         run_timed(self.timings, "follow", lambda: self.runner.complete(PLACE))
@@ -368,8 +378,7 @@ class LatticeSolver:
         self.crew.stray.zero_()
         self.crew.take_maxima()
         # The distances from moving walls refer to the time of the snapshot.
-        self.clock.begin(0.0, 0.0)
-        self._sample.launch()
+        self._place_walls()
         self.limits.look()
         self.limits.restore(snapshot)
         self.follow()

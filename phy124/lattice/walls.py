@@ -231,7 +231,7 @@ class Walls:
     def pinch(self) -> tuple[float, int, int]:
         """Return the largest depth [cells] of a point that is inside one wall while another wall
         touches it, and the indices of both walls among the walls that are not clamps. The depth is
-        at least 0.
+        at least 0. The walls are at the places for which the tracks were last evaluated.
         """
         if len(self._contacts) < 2:
             return 0.0, 0, 0

@@ -32,10 +32,9 @@ class LatticeCrossing(Observer):
 
     def after_attempt(self) -> Violation | None:
         """Measure the depth; a large depth is not a violation."""
-        walls = self._solver.walls
-        depth, inside = walls.depth()
+        depth, inside = self._solver.walls.depth()
         if depth > max(DEEP, self._deepest):
-            pinched, first, second = walls.pinch()
+            pinched, first, second = self._solver.pinch()
             if pinched > DEEP:
                 self._deepest, self._between = pinched, (self._names[first], self._names[second])
             else:

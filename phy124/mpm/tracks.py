@@ -223,6 +223,16 @@ class Track:
                 fastest = max(fastest, math.dist(a, b) / (u - t))
         return fastest
 
+    def largest_jump(self, end: float) -> float:
+        """Return the largest norm of a sudden change of the rate of change before `end` [s]."""
+        times = np.array([time for time, _ in self.keys])
+        rates = np.zeros((len(times) + 1, 3))
+        rates[1:-1] = np.diff([value for _, value in self.keys], axis=0) / np.diff(times)[:, None]
+        if self.period > 0 and end > self.origin + self.period:
+            rates[0] = rates[-2]
+        jumps = np.linalg.norm(np.diff(rates, axis=0), axis=1)
+        return float(jumps[times + self.origin < end].max(initial=0.0))
+
     def values(self, times: NDArray) -> NDArray[np.float64]:
         """Return the sampled values at some times [T,3], ignoring whether the track is active."""
         since = np.asarray(times, float) - self.origin

@@ -1,8 +1,9 @@
 """Computes for each voxel of a body its normal, and centre and second moments of the filled part.
 
-A partly filled voxel is cut by a plane with the voxel's normal. In a thin sheet, the voxel is cut
-by two parallel planes (phy124/particles/sheets.py). In a rod without full voxels, the voxel is cut
-by a cylinder.
+A partly filled voxel is cut by a plane with the voxel's normal. At an edge between sides that are
+parallel to faces of the voxels, the filled part is a box. In a thin sheet, the voxel is cut by two
+parallel planes (phy124/particles/sheets.py). In a rod without full voxels, the voxel is cut by a
+cylinder.
 """
 
 import math
@@ -36,11 +37,19 @@ LONG = 2.5
 """Smallest ratio of the second moment along the rod to that across it."""
 SINGLE = math.pi / 4
 """Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
+EMPTY, EXACT = 0.02, 0.05
+"""`EMPTY`: beyond the sides of a box, voxels have at most this fraction of the material of a voxel
+at the edge. `EXACT`: largest difference between the volume of the box and the filled fraction,
+relative to the filled fraction.
+"""
 SAMPLES, FINER = 6, 10
 """Number of sample points along each axis of a partly filled voxel: in general, and in rods."""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
 """Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
 steps."""
+AXES = np.array([9, 3, 1])
+"""Differences between the number of a voxel's next neighbour along each axis and its own number, in
+`NEAR`."""
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
 """Weights of the 27 voxels in the gradient. Neighbours have weights in proportion to 1 /
 distance^2; at a plane parallel to a face of the voxels, the gradient has the length 1.
@@ -83,6 +92,9 @@ def find_voxels(filled: NDArray) -> Voxels:
     single = np.delete(cut, number)
     planes = _Surfaces(np.zeros((len(single), 3)), normal[single])
     shift[single], spread[single] = _part_moments(fraction[single], planes, SAMPLES)
+    at_edge, centres, sides = _find_edges(fraction[single], np.delete(around, number, axis=0))
+    shift[single[at_edge]] = centres
+    spread[single[at_edge]] = np.eye(3) * sides[:, None] ** 2 / 12
     thick = np.zeros(len(index) + 1)
     thick[cut[parts.number]] = np.where(np.isfinite(parts.thick), parts.thick, 0)
     sheets, planes = cut[number], Planes.through(across, middle)
@@ -106,6 +118,34 @@ def _within(padded: NDArray, index: NDArray, steps: int) -> NDArray[np.float64]:
     side = 2 * steps + 1
     cubes = np.lib.stride_tricks.sliding_window_view(padded, (side, side, side))
     return cubes[tuple((index + 2 - steps).T)].reshape(len(index), side**3)
+
+
+def _find_edges(
+    fraction: NDArray[np.float64], around: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Find the voxels in which the filled part is a box, at an edge of the body.
+
+    Along each axis across a side of the body, the voxel has an empty neighbour and a fuller
+    neighbour. The box ends at the side, so that the ratio of both filled fractions is the length of
+    the box. A single plane, which would be slanted, would make second moments too small.
+
+    Args:
+        fraction: Filled fractions of the voxels [V].
+        around: Filled fractions of the 27 voxels around each voxel [V,27].
+
+    Returns:
+        Numbers of the K voxels [K]; the centres of the boxes, relative to the voxels' middles
+        [K,3]; and the lengths of the boxes' sides [K,3].
+    """
+    before, after = (around[:, len(NEAR) // 2 + sign * AXES] for sign in (-1, 1))
+    full, empty = np.maximum(before, after), np.minimum(before, after)
+    f = fraction[:, None]
+    across = (empty <= EMPTY * f) & (full >= f)
+    length = np.where(across, f / np.maximum(full, f), 1)
+    off = np.abs(length.prod(axis=1) - fraction) > EXACT * fraction
+    chosen = np.flatnonzero((across.sum(axis=1) > 1) & ~off)
+    length, towards = length[chosen], np.sign(after - before)[chosen]
+    return chosen, towards * (1 - length) / 2, length
 
 
 class _Parts:

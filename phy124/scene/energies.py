@@ -101,11 +101,20 @@ def _mass(scene: Any, thickness: float | None) -> float:
 
 
 def _wall_speed(wall: Any, size: float, end: float) -> float:
-    """Return the largest speed of a wall [m/s]; the position of a press is a cosine in time."""
+    """Return the largest speed of a wall [m/s]; the position of a press is a cosine in time.
+
+    A wall that holds points may suddenly change its velocity. The points at the wall are then as
+    fast as the change, relative to the wall.
+    """
     if isinstance(wall, Press):
         return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)
-    motions = [getattr(part, "motion", None) for part in wall.parts()]
-    return max((motion.track().fastest(0.0, end) for motion in motions if motion), default=0.0)
+    fastest = 0.0
+    for part in wall.parts():
+        if motion := getattr(part, "motion", None):
+            track = motion.track()
+            jump = 0.0 if part.response() == "separate" else track.largest_jump(end)
+            fastest = max(fastest, track.fastest(0.0, end), jump)
+    return fastest
 
 
 def duration(scene: Any) -> float:
