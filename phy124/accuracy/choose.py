@@ -121,7 +121,7 @@ class _Runs:
     placed: Placed | None = None
     """The object after placement in the scene; None before the first simulation."""
     denser: bool = False
-    """Whether all runs use one more particle per cell and axis, as material tore on a level."""
+    """Whether all runs use one more particle per cell and axis, because material tore."""
 
     def simulation(self, cells: int) -> Simulation:
         """Create a simulation on this grid without starting it."""

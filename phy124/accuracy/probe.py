@@ -297,7 +297,7 @@ class Pilot:
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """For each limit: number of substeps per frame whose length it determines [T], not rounded."""
+    """For each limit, the number of substeps that it determines in each frame [T], not rounded."""
     rest: float
     """Number of substeps per frame that the initial state needs."""
     growth: float

@@ -99,7 +99,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Combine two sets of rates; each rate of the result is the smaller of its two values."""
+        """Combine two sets of rates; of each rate's two values, keep the smaller one."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 

@@ -20,7 +20,7 @@ scenes, another solver helped in 6 of 6, fewer cells in 4 of 6, half the speeds 
 damping in 0 of 4.
 """
 SOFTER = 16.0
-"""Factor by which a remedy divides E, so that the longest substep becomes four times longer."""
+"""Factor by which a remedy divides E, so that the longest substep is four times as long."""
 
 
 def find_remedies(

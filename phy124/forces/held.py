@@ -219,7 +219,7 @@ class Grab(Force):
 
 
 MARGIN = 2.0
-"""Safety factor on the acceleration by a torque, as deformation may reduce the inertia."""
+"""Safety factor on the acceleration by a torque: deformation may reduce the inertia."""
 
 
 class WrenchForce(Force):

@@ -19,8 +19,8 @@ class Cutting(Section):
     )
     mask: Path | None = Field(
         default=None,
-        description="Mask of the same size as the picture, which is white where the object is; "
-        "it is used instead of the automatic cut-out.",
+        description="Mask of the same size as the picture, white where the object is; the mask "
+        "replaces the automatic cut-out.",
     )
     pick: str | None = Field(
         default=None,

@@ -55,7 +55,7 @@ encoder.
 """
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""Smallest alpha of the pixels of a GIF that are drawn; GIF has no half-transparent pixels."""
+"""A pixel of a GIF is drawn from this alpha on; GIF has no half-transparent pixels."""
 SMALLEST = 16
 """Smallest width or height to which an animation is reduced to limit the file size."""
 CLEAR = 255

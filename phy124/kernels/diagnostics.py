@@ -59,7 +59,7 @@ def spin(C: Any, dx: Any):
 
 @build_once
 def make_totals(law: Law, real: Any, on_lattice: bool = False):
-    """Kernel: computes the `SUMS` over particles and the range of J, counts invalid particles.
+    """Kernel: computes the `SUMS` over particles and the range of J, and counts invalid particles.
 
     On lattices, C of inverted points is divided by a small positive number instead of by J
     (`safe_volume`). The forces of laws without a barrier have the sign of J, so

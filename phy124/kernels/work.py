@@ -217,7 +217,7 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Indices of the work [J] of the rate-dependent and other stress; number of sums."""
+"""Indices of the work [J] of rate-dependent stress and of other stress; number of sums."""
 
 
 @build_once

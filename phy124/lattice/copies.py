@@ -22,7 +22,7 @@ class Layout(NamedTuple):
     home: NDArray[np.int64]
     """Main position in memory of each distinct node [D]; other positions repeat the node."""
     rows: NDArray[np.int64]
-    """First position in memory of each of a cell's nine rows of three nodes along z [C,9]."""
+    """For each cell, positions in memory of its nine rows of three nodes along z [C,9]."""
 
     @property
     def repeats(self) -> NDArray[np.bool_]:

@@ -79,7 +79,7 @@ class Crew:
         numbers = [(span.start, span.stop, at) for span, at in zip(spans, begin, strict=False)]
         self._spans = wp.array(np.array(numbers, np.int32), dtype=wp.vec3i, device=device)
         self.lasting: wp.array | None = None
-        """Forces on nodes that act until they are replaced, N, per worker; None: no forces."""
+        """For each worker, forces on nodes, N, that act until they are replaced; None: none act."""
         self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
         self._read_maxima = reader(self._maxima)
         self.workers = [

@@ -37,7 +37,7 @@ from phy124.mpm.tracks import Tracks
 MOVED = 0.6
 """Two parts of a body are compared again after twice this relative displacement [cells]."""
 BETWEEN = 0.15
-"""The same for two bodies."""
+"""Two bodies are compared again after twice this relative displacement [cells]."""
 SLID = 0.4
 """The pairs are determined again after a point has moved this far along the other surface."""
 FRICTION = 0.5

@@ -66,7 +66,7 @@ class Limits:
         self.probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Bound of the strain since the last measurement of the frequency, and its substep."""
+        """Bound of the strain since the last measurement of the frequency; substep at that time."""
         self._travel = 0.0
         """Bound of the motion of points and walls since points near walls were listed [m]."""
         self.measured = 0.0

@@ -58,7 +58,7 @@ class Meetings:
         self.way = math.inf
         """Upper bound of all points' displacements since sampled points were last compared [m]."""
         self._slack = 0.0
-        """Relative displacement [m] since the last comparison that requires another comparison."""
+        """Relative displacement [m] after which the parts are compared again."""
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)

@@ -48,7 +48,7 @@ class RestLattice:
     index: NDArray[np.int64]
     """Indices of the nodes [N,3]."""
     rows: NDArray[np.int32]
-    """First node of each of a cell's nine rows of three nodes along z [C,9]."""
+    """For each cell, the first node of each of its nine rows of three nodes along z [C,9]."""
     offset: NDArray[np.float64]
     """Position of each point relative to its cell's first node [P,3], cells, 0.5 to 1.5."""
     mass: NDArray[np.float64]
@@ -65,7 +65,7 @@ class RestLattice:
     body: NDArray[np.int64]
     """Body index of each node [N]."""
     source: NDArray[np.int64]
-    """Index of the node that each node repeats [N]; its own index if it repeats none."""
+    """For each node, the index of the node that it repeats [N]; its own index if there is none."""
 
     @classmethod
     def of(

@@ -39,7 +39,7 @@ because both are determined by a few points that are squeezed for a short time.
 COLLAPSED = 1e-6
 """Smallest valid substep, relative to the substep of the undeformed body."""
 STALLED = 1000
-"""These substeps together last at least as long as one substep of the undeformed body."""
+"""This number of substeps lasts at least as long as one substep of the undeformed body."""
 KEPT = ("closing", "lasting", "seen")
 """Names of additional numbers in the clock's state."""
 

@@ -84,7 +84,7 @@ class Nodes:
     u: wp.array
     """Displacements [N,3], m."""
     residue: wp.array
-    """Rounding errors of the displacements [N,3], m, which the next substep adds to these."""
+    """Rounding errors of the displacements [N,3], m; the next substep adds them."""
     v: wp.array
     """Velocities [N,3], m/s, half a substep behind the displacements."""
     before: wp.array

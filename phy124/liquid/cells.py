@@ -201,7 +201,7 @@ class Cells:
         self.which = self._zeros(count, int)
         """Index of the solid whose surface is in each cell; -1 if there is none."""
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
-        """Flux out of each cell per unit velocity and angular velocity of the solid in `which`."""
+        """For each cell, the flux out of it per unit (angular) velocity of the solid in `which`."""
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)

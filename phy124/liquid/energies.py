@@ -36,7 +36,7 @@ class Works(NamedTuple):
     projection: float
     """Work of the pressure, without the work of walls; includes the work of solids and bodies."""
     density: float
-    """Work of the uniform acceleration on the moves that restore density or leave bodies."""
+    """Work of the uniform acceleration on moves that restore density and moves out of bodies."""
 
 
 class Energies:

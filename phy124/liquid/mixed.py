@@ -43,11 +43,11 @@ class MixedClock(Clock):
 
     @property
     def behind(self) -> float:
-        """Time by which velocities lag behind positions [s]: mean of liquid and bodies by mass."""
+        """Delay of velocities behind positions [s], averaged over liquid and bodies by mass."""
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the change of kinetic energy [J] from the velocities' time to the positions'."""
+        """Return the kinetic energy [J] at the time of positions, minus that of the velocities."""
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.wet().momentum)
 
 

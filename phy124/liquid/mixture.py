@@ -44,7 +44,7 @@ class Mixture:
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
         """1 in every cell."""
         self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
-        """Averages in each cell of the properties that differ, in the order of `weights`."""
+        """For each cell, averages of the properties that differ, in the order of `weights`."""
         mixed = iter(self.mixed)
         self.densities, self.viscosities = (
             next(mixed) if differ else self.uniform for differ in self.differ

@@ -45,7 +45,7 @@ LAYERS = 4
 LAYERS_SHIFT = 2
 """Layers of faces outside the liquid to which displacements are extrapolated; even, too."""
 EXTENT = 7
-"""Number of values for the extent: minus low corner, high corner, squared speed."""
+"""Number of values for the extent: negated low corner, high corner, squared speed."""
 
 
 class Phases:

@@ -20,7 +20,7 @@ PARTS = 512
 MOST = 400
 """Largest number of iterations of one solution."""
 CHECK = 8
-"""Number of iterations between two checks of the residual on a GPU, since each one waits."""
+"""Number of iterations between two checks of the residual on a GPU, since each check waits."""
 MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
 """Factories of the kernels of an iteration."""
 
@@ -42,7 +42,7 @@ class Projection:
         self._form = form_on(model.device)
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
-        """Number of cells of liquid in each part of all cells."""
+        """For each part of the list of cells, the number of its cells with liquid."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
         """Mobility of each solid: its motion per unit impulse, with impulses in the units of q."""

@@ -28,8 +28,8 @@ FRAMES = 6
 SECONDS = 0.2
 """Time limit for the timed frames [s]."""
 COST_POWER = 4
-"""Exponent of the time of substeps as a function of the number of cells. With more cells, there are
-more particles and shorter substeps.
+"""The time of substeps is proportional to the number of cells to this power. With more cells, there
+are more particles and shorter substeps.
 """
 
 

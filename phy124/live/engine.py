@@ -42,7 +42,7 @@ FOREVER = 1e8
 KEPT_EVERY = 12
 """Number of frames between two stored states."""
 LOST = 50.0
-"""The run restarts if the object is farther from the scene's middle [object sizes]."""
+"""The run restarts if the object is farther than this from the scene's middle [object sizes]."""
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
@@ -257,7 +257,7 @@ class Live:
             force: Force [N].
             torque: Torque about `at` [N m].
             at: Position on the moving object [m]; None: the push acts on the whole object.
-            object: Name of the object, if there are several; None: that at `at`, or all.
+            object: Name of one of several objects; None: the object at `at`, or all objects.
             radius: Radius of the pushed material [m]; the force decreases towards the rim.
             seconds: Duration [s].
             name: Name of the push; it replaces an earlier push of this name. An unnamed push is
@@ -350,7 +350,7 @@ class Live:
 
     @property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """Positions of each object's particles [P,3], m; for a rigid object, of its centre."""
+        """For each object, the positions of its particles [P,3], m; for a rigid one, its centre."""
         return places.list_points(self._run)
 
     @property

@@ -226,7 +226,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 def list_pairs(run: Simulation) -> dict[str, str]:
-    """Return the name of the object on which each wrench between objects acts, by wrench name."""
+    """For each wrench between objects, by name: return the name of the object on which it acts."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]

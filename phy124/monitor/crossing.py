@@ -13,7 +13,7 @@ DEEP = 0.5
 
 
 class LatticeCrossing(Observer):
-    """Measures how deep points are inside a wall, and finds other walls that touch the deepest."""
+    """Measures how deep points are in a wall; finds other walls that touch the deepest point."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

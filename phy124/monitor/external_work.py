@@ -203,7 +203,7 @@ class ExternalWork(Observer):
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def of_grids(self) -> float:
-        """Return the part of `of_walls` that walls do on the grids of MPM bodies [J]."""
+        """Return the part of the work `of_walls` that walls do on the grids of MPM bodies [J]."""
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:

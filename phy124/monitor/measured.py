@@ -42,7 +42,7 @@ class NodesNear:
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._model = _reach(walls, model), model
         self.threads: tuple[int, ...] = ()
-        """Shape of the launch of a kernel over segments of rows of these nodes."""
+        """Launch shape of a kernel that processes the rows of these nodes in segments."""
         self.read: list[Any] = []
         """First inputs of a kernel over these segments: length, box, window, grid's nodes."""
         self.copy: wp.array | None = None

@@ -136,7 +136,7 @@ class Tearing(Observer):
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has separated, or may have, as many particles are stretched."""
+        """Whether a piece has separated, or stretched particles suggest that it may have."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def snapshot(self) -> dict[str, Any]:

@@ -58,8 +58,8 @@ thinner than a cell exert up to a quarter less than their weight on walls. When 
 hit the floor, up to 35 % of the momentum is missing in the floor's impulse.
 """
 LEVEL = 0.05
-"""Error of a resting liquid's level [cells]. The energy that lifts the liquid by this height is the
-least energy to which spurious energy is compared.
+"""Error of a resting liquid's level [cells]. Spurious energy is compared with at least the energy
+that lifts the liquid by this height.
 """
 CROWDED = 0.1
 """The walls are too narrow if the mean excess of a projected liquid's density exceeds this."""

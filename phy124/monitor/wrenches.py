@@ -234,7 +234,7 @@ def pair_names(solver: AnySolver) -> tuple[str, ...]:
 
 
 def wall_names(walls: Sequence[Boundary]) -> list[str]:
-    """Return a name for each boundary: its kind, and a number if the kind occurs before."""
+    """Return a name for each boundary: its kind, and a number if the kind occurred before."""
     counts: Counter[str] = Counter()
     names = []
     for wall in walls:

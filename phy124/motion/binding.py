@@ -64,8 +64,8 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return, for each Gaussian, the value [N] of the particle that represents it, or else of the
-    nearest particle, from values [P].
+    """Return a value for each Gaussian [N] from values of the particles [P]: the value of the
+    particle that represents the Gaussian, or else of the nearest particle.
     """
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():

@@ -27,9 +27,9 @@ from phy124.mpm.tracks import Track, Tracks
 STAGE = "free"
 """Name of the stages of free bodies in reports."""
 SOLUTIONS = 3
-"""Number of solutions of the six equations of motion in a substep. The first solution finds most of
-the approaching nodes, and the second solution finds most of the friction. The next substep corrects
-the remaining error.
+"""In each substep, the six equations of motion are solved this number of times. The first solution
+finds most of the approaching nodes, and the second solution finds most of the friction. The next
+substep corrects the remaining error.
 """
 MARGIN = 1.5
 """Largest distance of nodes in contact with a solid [cells]."""

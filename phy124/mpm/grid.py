@@ -1,6 +1,6 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has a separate grid on a common lattice, so two velocities at a common node.
+Each body has a separate grid on a common lattice. Two bodies at one node have two velocities.
 """
 
 from collections.abc import Iterator, Sequence

@@ -210,7 +210,7 @@ class Model:
         return model.rest[model.named(name)]
 
     def top_of(self, name: str | None) -> float:
-        """Return the height [m] of the highest point of a body; None: of all, and free solids."""
+        """Return the height [m] of the top of a body; None: of all bodies and free solids."""
         model = self if self.whole is None else self.whole
         heights = [height for key, height in model.tops.items() if name in (None, key)]
         return max([float(model.rest_of(name)[:, 2].max()), *heights])

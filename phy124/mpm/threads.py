@@ -21,9 +21,9 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS = 20
-"""Number of spins at a barrier that only yield the core."""
+"""For this number of spins, a thread at a barrier only yields its core."""
 NAP = 5e-5
-"""Duration of the sleep between the later spins [s]."""
+"""Between later spins, the thread sleeps for this time [s]."""
 SPINS = 100_000
 """Number of checks of the barrier per spin if every thread has a core; otherwise one check."""
 Task = Callable[[int], None]

@@ -139,7 +139,7 @@ class Slabs:
         self.boxes: list[wp.array] = []
         """Lowest node and extent of each slab of each body."""
         self.starts: list[wp.array] = []
-        """Index in the pool of the first node of each slab of each body."""
+        """For each slab of each body, the index of its first node in the pool."""
         self.runs: list[wp.array] = []
         """Each worker's nodes in the pool."""
         self._owner = np.zeros(len(model), np.int16)

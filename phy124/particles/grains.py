@@ -110,7 +110,7 @@ def vary_brightness(gaussians: Gaussians, amounts: NDArray, seed: int) -> Gaussi
 
     Args:
         gaussians: N Gaussians.
-        amounts: Standard deviation of each grain's brightness change, relative to it [N].
+        amounts: Standard deviation of the change of each grain's brightness, as a fraction [N].
         seed: Seed of the random numbers.
     """
     noise = np.random.default_rng(seed).standard_normal(len(gaussians))

@@ -31,14 +31,13 @@ FULLEST = 0.1
 HAZE = 0.005
 """Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1
-"""Filled fraction below which a voxel next to one twice as full has no surface points."""
+"""Below this filled fraction, a voxel has no surface points if a neighbour is twice as full."""
 SLIVER, THIN_SLIVER = 0.15, 0.05
-"""A cell is a sliver if its filled fraction is below one of two limits: `THIN_SLIVER` f^2, where f
-is the filled fraction of the fullest cell around it, and `SLIVER` g^2, where g is the smallest
-fraction in a block of 2 x 2 x 2 cells that touches it. Slivers are merged with a neighbour. In
-parts that are thinner than two cells, many cells have a small filled fraction. With `SLIVER` for
-both, plates turned by 45 degrees would bend up to 1.11 times too far; with a fixed limit, rods up
-to 3.1 times.
+"""A cell is a sliver if its filled fraction is below `THIN_SLIVER` f^2 or below `SLIVER` g^2. Here
+f is the filled fraction of the fullest cell around it, and g is the smallest fraction in a block of
+2 x 2 x 2 cells that touches it. Slivers are merged with a neighbour. In parts that are thinner than
+two cells, many cells have a small filled fraction. With `SLIVER` for both, plates turned by 45
+degrees would bend up to 1.11 times too far; with a fixed limit, rods up to 3.1 times.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell to its 26 neighbours."""

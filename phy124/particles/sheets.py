@@ -22,7 +22,7 @@ from phy124.particles.cuts import below, between, fill_between
 SHORTEST = 0.1
 """A voxel at a sheet's rim is filled over at least this fraction of its length."""
 ROUNDS, FASTER = 3, 1.5
-"""`ROUNDS`: improvements of the planes. `FASTER`: factor on their slow corrections."""
+"""`ROUNDS`: number of improvements of the planes. `FASTER`: factor on their slow corrections."""
 STEEP = 16
 """Exponent of the mean of the thicknesses around a voxel. Voxels at a rim seem thinner than the
 sheet, so the mean must be close to the largest thickness.

@@ -32,7 +32,7 @@ MOST = 4_000_000
 SAMPLE = 8192
 """Number of points that determine the extent of the grid."""
 LITTLE = 0.02
-"""Lower bound of the fraction of space in front of walls, by which averages are divided."""
+"""Averages are divided by the fraction of space in front of walls, but at least by this value."""
 THICKER = 4.0
 """The volumes of Gaussians in thin parts of the liquid at rest are increased by at most this
 factor.

@@ -17,7 +17,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Follow references and return the schema; of an optional field, that of its value."""
+        """Follow references; return the schema (of an optional field, the schema of its value)."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:

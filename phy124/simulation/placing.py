@@ -110,7 +110,7 @@ def number_among_all(particles: Particles, belonging: NDArray[np.bool_]) -> Part
 
 
 def renumber_parts(scene: Scene, survivors: NDArray[np.bool_] | None) -> Scene:
-    """Return the scene with the parts' new Gaussians' indices, since some were dropped."""
+    """Return the scene with new indices of the parts' Gaussians, since some were dropped."""
     if survivors is None or survivors.all():
         return scene
     before = np.concatenate([[0], np.cumsum(survivors)])

@@ -15,7 +15,7 @@ UNLIKE = 0.5
 """Smallest allowed overlap (IoU) of the front's silhouette with the mirrored silhouette from
 behind."""
 EMPTY = 0.05
-"""Largest allowed fraction of the heights at which only one of two images shows the object."""
+"""At no more than this fraction of the heights, only one of the two images may show the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
 """Largest and smallest allowed depth of the object, relative to the longest side of the front."""
 

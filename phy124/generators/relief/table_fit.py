@@ -46,7 +46,7 @@ FINE = 2
 BLUR = 1.5
 """Blur of these images, as a standard deviation [pixels]."""
 TRIED = 4
-"""Fits start from this number of coarse drawings of each item of `SEEN`."""
+"""For each item of `SEEN`, fits start from this number of coarse drawings."""
 ROUNDS, ATTEMPTS, DONE = 12, 4, 1e-3
 """Largest number of rounds of a fit, and largest number of attempts in a round; each attempt takes
 a shorter step.

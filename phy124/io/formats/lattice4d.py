@@ -57,7 +57,7 @@ NODES = (12, 17, 24, 34)
 STIFF = 1e-4
 """Weight of the differences between neighbouring nodes in the fit.
 
-Without this weight, nodes near only few Gaussians would be undetermined.
+Without this weight, nodes with only few Gaussians nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""

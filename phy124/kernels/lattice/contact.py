@@ -216,7 +216,7 @@ def mostly_held(
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Single-thread kernel: computes the gaps of pairs of points, as `make_touch` for walls.
+    """Single-thread kernel: computes the gaps of pairs of points, as `make_touch` does for walls.
 
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the

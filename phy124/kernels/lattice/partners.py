@@ -18,11 +18,11 @@ APART = wp.constant(3.0)
 FACING = wp.constant(1.0)
 """Points face each other if, at rest, each is at least this far in front of the other [cells]."""
 NEARER = wp.constant(0.6)
-"""Two samples may touch if their distance is below this fraction of that at rest."""
+"""Two samples may touch if their distance is below this fraction of their distance at rest."""
 BEYOND = wp.constant(0.05)
 """A point may touch a flat side up to this distance beyond the edge of the side [cells]."""
 OTHER = wp.constant(-0.2)
-"""Two points are on one side of a part if the cosine of their normals is at least this."""
+"""Two points are on one side of a part if the cosine between their normals is at least this."""
 DEEPEST = wp.constant(0.5)
 """A point counts as inside a part only up to this depth below the surface of the part [cells].
 Without this limit, the outer sides of two thin parts that lie on each other would be pushed through
@@ -179,8 +179,8 @@ def make_expose(real: Any, rows: Rows):
 
 @build_once
 def make_partner(real: Any):
-    """Kernel over surface points: finds the position on the opposite surface that is nearest to
-    each point in `chosen` from `start` on.
+    """Kernel over surface points: for each point in `chosen` from `start` on, finds the nearest
+    position on the opposite surface.
 
     `flat` says which surface points are on a flat part. `x` and `turned` contain the current
     positions and normals of the points in `chosen`. At an edge of the other part, the contact force

@@ -223,7 +223,7 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_solid_resist(sticky: bool, real: Any, rows: Rows):
-    """Single-thread kernel: a forward and a backward Gauss-Seidel sweep of points and solid."""
+    """Single-thread kernel: a forward and a backward Gauss-Seidel sweep over points and solid."""
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
     kind = "sticky" if sticky else "separate"

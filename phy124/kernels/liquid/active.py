@@ -74,7 +74,7 @@ def widen(
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over groups of columns: extends the ranges of `widen` along x and z, counts cells.
+    """Kernel over groups of columns: extends the ranges of `widen` along x and z; counts cells.
 
     Cells whose B-spline lies inside walls are counted only if `all` is set.
     """

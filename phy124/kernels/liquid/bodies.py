@@ -135,7 +135,7 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over solids and bodies: writes the rigid motions, sums the pressure's impulses.
+    """Kernel over solids and bodies: writes the rigid motions; sums the pressure's impulses.
 
     `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """

@@ -314,7 +314,7 @@ def make_advance(form: str):
 
 @build_once
 def make_improve(form: str):
-    """Kernel over parts: steps along the direction to least error; preconditions the residual."""
+    """Kernel over parts: steps in the direction to the least error; preconditions the residual."""
     _, precondition, _, descend = FORMS[form]
 
     @kernel(f"phy124_liquid_improve_{form}", seconds=0.4)

@@ -234,7 +234,7 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points at half the spacing: stores the minimum with the distance from a body."""
+    """Kernel over points at half the spacing: stores the distance from a body if it is smaller."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)

@@ -200,7 +200,7 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 
 @build_once
 def make_slide(real: Any):
-    """Kernel over cells: makes velocities inside walls follow these; applies friction next to them.
+    """Kernel over cells: velocities inside walls follow the walls; next to walls, friction acts.
 
     `frictions` contains two numbers for each wall: the coefficient of friction, and 1 if the wall
     is sticky. The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass

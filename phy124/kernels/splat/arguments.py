@@ -1,7 +1,8 @@
 """Declares the type and meaning of each argument of the kernels that draw Gaussians.
 
-A kernel whose decorator names this table lists its arguments without types, except for types that
-only this kernel uses. A written array has the name of the read array, followed by `_out`.
+If the decorator of a kernel names this table, the kernel lists its arguments without types. Only
+types that no other kernel uses are stated in the kernel. A written array has the name of the read
+array, followed by `_out`.
 """
 
 from typing import Any

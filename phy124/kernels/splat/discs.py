@@ -114,7 +114,7 @@ WHITE = wp.constant(0.9)
 MILKY = wp.constant(0.5)
 """Smallest opacity of a disc that is all foam."""
 THICK = wp.constant(0.65)
-"""Thickness of a disc that is all foam / radius; the player draws it without gloss."""
+"""Thickness / radius of a disc that is all foam; the player draws it without gloss."""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
 """Two fractions of foam, between which flecks appear."""
 FLECKS = wp.constant(0.7)

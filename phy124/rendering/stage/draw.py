@@ -43,7 +43,7 @@ class Surroundings:
     """
 
     among: int
-    """Number of solids that are neither behind nor in front of all Gaussians."""
+    """Number of solids among the Gaussians; the others are in front of or behind all Gaussians."""
 
     def __init__(self, device: Any, *, simd: bool) -> None:
         """Create an empty stage on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""

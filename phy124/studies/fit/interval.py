@@ -236,10 +236,10 @@ def find_undetermined(
 
     Args:
         names: Names of the values [P].
-        errors: Half-width of each value's interval from measurement errors, as a fraction of the
-            range [P].
-        model: Half-width of each value's interval that is due to the error of the finest grid, as a
+        errors: For each value, the half-width of its interval due to measurement errors, as a
             fraction of the range [P].
+        model: For each value, the half-width of its interval due to the error of the finest grid,
+            as a fraction of the range [P].
         directions: Covariance matrix of the values [P,P].
     """
     worst = int(np.argmax(errors + model))

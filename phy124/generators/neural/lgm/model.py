@@ -186,7 +186,7 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""The rarer "all" is chosen only if its error is below this fraction of that of "each"."""
+"""The rarer "all" is chosen only if its error is below this fraction of the error of "each"."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:

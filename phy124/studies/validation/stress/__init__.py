@@ -73,7 +73,8 @@ def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
 
 
 def find_cases(names: Sequence[str]) -> list[Case]:
-    """Return the cases with these numbers, or these words in their names; all cases without names.
+    """Return the cases with these numbers, or with these words in their names; if there are no
+    names, return all cases.
 
     Raises:
         InputError: A name fits no case.
