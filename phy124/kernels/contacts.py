@@ -121,8 +121,8 @@ IMPULSE, MOMENT, SUMS = 0, 3, 6
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over the segments of `make_wall_copy`: adds the wrench that the wall has exerted since
-    the copy to the wall's total.
+    """Kernel over the segments of `make_wall_copy`: adds a wrench to the wall's total. The wall has
+    exerted this wrench since the copy was made.
 
     The moment is taken about the origin of the world. The gather preserves the angular momentum of
     the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

@@ -99,7 +99,7 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 
 @wp.func
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
-    """Clamp stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
+    """Limit stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
     Stretches and hardening do not change if clamping would increase the energy, because snow with a
     Poisson's ratio near 1/2 would otherwise gain energy by fracture. Under pressure, a stretch

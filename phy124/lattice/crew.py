@@ -186,8 +186,8 @@ class Crew:
         Args:
             worker: The worker.
             clock: Kick, drift and time of the substep [3], s.
-            out: The worker's part of a pool that receives the forces after the kick; None: the
-                forces are added to the worker's forces before the kick.
+            out: The worker's part of a pool, which receives the forces after the kick. None: the
+                worker's own array receives the forces before the kick.
         """
         nodes, span, model = self.nodes, worker.points, self._model
         outputs = [worker.forces if out is None else out]

@@ -85,8 +85,7 @@ class RestLattice:
             volume: Volumes of the points [P], m^3.
             dx: Side of a cell [m].
             spans: Points of each body, in order.
-            copies: For each of the 27 nodes of a cell, the copy of the node that the cell uses
-                [C,27]; None: nodes have no copies.
+            copies: For each cell, the copies of its 27 nodes that it uses [C,27]; None: no copies.
 
         Raises:
             ValueError: The points do not form cells of eight.

@@ -137,7 +137,7 @@ class Slabs:
         self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
         """The nodes of all slabs."""
         self.boxes: list[wp.array] = []
-        """Lowest node and extent of each slab of each body."""
+        """For each slab of each body, its lowest node and its extent."""
         self.starts: list[wp.array] = []
         """For each slab of each body, the index of its first node in the pool."""
         self.runs: list[wp.array] = []

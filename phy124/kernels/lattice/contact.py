@@ -14,8 +14,8 @@ E^-1 - 1, the impulses of the last substep equal the impulses of implicitly inte
 dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is stable without
 walls. A single pass, which is not symmetric, excites vibrations. In this scheme, `restore` is the
 gain of an integral controller. A gain above omega^2 dt would excite the body's slowest vibration
-(angular frequency omega). A gain that grew as substeps become shorter would throw a body out when
-it is squeezed hard.
+(angular frequency omega). If the gain grew for shorter substeps, a body that is squeezed hard would
+be thrown out.
 
 The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """
