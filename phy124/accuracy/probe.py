@@ -59,7 +59,7 @@ TRIES = 2
 SHORT_STEP = 1e-3
 """Substep that is assumed [s] if the stable substep at rest is longer than `LONG_STEP`."""
 LONG_STEP = 0.1
-"""A viscous liquid at rest may have a stable substep of minutes, until forces act [s]."""
+"""Limit [s]: a viscous liquid at rest may have a stable substep of minutes until forces act."""
 NODE_STAGES = ("clear", "grid")
 """Stages, besides boundaries, whose time is proportional to the number of nodes."""
 

@@ -40,7 +40,7 @@ between two splines would give 1/4; the larger value is fitted to measurements w
 (docs/lab/contact-force.md).
 """
 STEEPER = wp.constant(10.0)
-"""The larger, the faster the normal changes from the mean of two slopes to the steeper one."""
+"""With a larger value, the normal changes faster from the mean of two slopes to the steeper one."""
 TRUSTED = wp.constant(4.0)
 """Factor on the squared slope of a body that never moves."""
 

@@ -209,7 +209,7 @@ class Crew:
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return the launches that add a worker's viscous forces after the kick to a pool.
+        """Return the launches that, after the kick, add a worker's viscous forces to a pool.
 
         The viscous forces are computed as the forces of a material without stiffness.
         """

@@ -25,7 +25,7 @@ from phy124.mpm.workers import run_timed
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN = 0.25
-"""The largest frequency is measured again after this strain, or twice this if it is steady."""
+"""The largest frequency is measured again after this strain, or twice this strain if steady."""
 WAY = 0.25
 """Largest way of a point between measurements of its distance from walls [cells]."""
 TRAVEL = 3.0

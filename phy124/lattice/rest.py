@@ -212,7 +212,7 @@ class RestLattice:
         return sides
 
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
-        """Return the nodes at a `step` [K,3] of one node along one axis from `nodes` [K]; -1: none.
+        """Return the neighbours of `nodes` [K] in the directions `step` [K,3]; -1: none.
 
         If the node at the step has copies, the result is the copy in the same piece as the first
         node: some cell contains both.

@@ -253,7 +253,7 @@ class _Touch:
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Add launches to the last stage, which sum work or pass on impulses; None: no launch."""
+        """Append to the last stage launches that sum work or pass on impulses; None: no launch."""
         near = self._list, self._points, self.force
         self._passed = None if passed is None else passed.of(*near, self._sums)
         known = self._list, self._points, self._gap, self.force

@@ -158,7 +158,7 @@ class Observer:
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the boundaries of `walls` with measuring stages; `inner`: as wrapped before."""
+        """Return the wrapped boundaries `inner` of `walls`, with measuring stages."""
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

@@ -218,7 +218,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return the number of particles, at x [P,3], m, outside the largest rest of their first
+        """Return how many particles, at x [P,3], m, are outside the largest remainder of their
         piece.
         """
         now = labels(self._spread(x), self._side)

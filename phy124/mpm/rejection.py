@@ -108,7 +108,7 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps until speeds must be measured; the user's number if safe.
+        """Return after how many substeps speeds must be measured; the user's number if it is safe.
 
         Up to the strain `calm`, no material stiffens significantly.
         """

@@ -43,7 +43,7 @@ the functions that are called after each substep (progress, budget and observers
 NODES = 16
 """Particles are divided again only if slabs have more nodes per particle; limits the memory."""
 GROWN = 1.25
-"""Growth of the ratio of slabs' to window's nodes from which particles are divided again."""
+"""Particles are divided again if the ratio of slabs' to window's nodes grows by this factor."""
 GAP = 1
 """Gap between two slabs [nodes], because SIMD code reads one additional node."""
 LINE = 4

@@ -26,9 +26,9 @@ THIN = 1.2
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
 NOISE = 1e-4
-"""Filled fraction of sheets' voxels up to which they are not refined, as resampling leaves many."""
+"""Up to this filled fraction, sheets' voxels are not refined, since resampling leaves many."""
 VEIL = 0.15
-"""Thickness of sheets up to which they are not refined [voxels]."""
+"""Up to this thickness, sheets are not refined [voxels]."""
 ROUND = 3.5
 """Largest cross-section of a rod [voxels^2]."""
 WIDE = 0.45
@@ -48,8 +48,7 @@ NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
 """Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
 steps."""
 AXES = np.array([9, 3, 1])
-"""Differences between the number of a voxel's next neighbour along each axis and its own number, in
-`NEAR`."""
+"""For each axis, the number in `NEAR` of a voxel's next neighbour minus the voxel's own number."""
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
 """Weights of the 27 voxels in the gradient. Neighbours have weights in proportion to 1 /
 distance^2; at a plane parallel to a face of the voxels, the gradient has the length 1.

@@ -22,9 +22,9 @@ SHORTEST = 20.0
 TILTED = 3.0
 """Largest angle between an edge and the vertical or the horizontal [degrees]."""
 EITHER = 0.15
-"""Smallest share of the outline that vertical, and that horizontal edges must have."""
+"""Smallest share of the outline for vertical edges, and for horizontal edges."""
 BOTH = 0.4
-"""Smallest share of the outline that vertical and horizontal edges must have together."""
+"""Smallest share of the outline for vertical and horizontal edges together."""
 SOLID = 0.8
 """The silhouette fills at least this fraction of its convex hull; hourglasses fill less."""
 ACROSS, EXPLAINED = 0.15, 0.25

@@ -29,7 +29,7 @@ LONG = 0.06
 BLUNT = 8.0
 """Smallest angle between two edges with a rounded corner [degrees]."""
 ROUNDED = 0.95
-"""Smallest overlap (IoU) of an outline with rounded corners with the hexagon."""
+"""Smallest overlap (IoU) between an outline with rounded corners and the hexagon."""
 LOWEST_VIEW = 10.0
 """Smallest elevation of the camera that sees a box with rounded corners [degrees]."""
 ELONGATED = 4.0

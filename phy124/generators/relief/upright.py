@@ -60,7 +60,7 @@ FOOT = 0.12
 WIDENING = 0.03
 """Largest amount by which a vessel may become wider below its rim."""
 UPPER = 0.22
-"""Upper fraction of the height in which the rim of an outline with a tip, as of a shield, lies."""
+"""The rim of an outline with a tip, as of a shield, is in this upper fraction of the height."""
 TIP_HEIGHT = 0.1
 """A height near the tip, relative to the object's height."""
 TAPERED = 0.46
@@ -78,7 +78,7 @@ REACH = 0.05
 TIP = 0.2
 """Length of the tip of a protruding part, as a fraction of the part's length."""
 POINTED = 0.3
-"""Largest mean height of the tip of a sharp rim, which is no handle, relative to the part."""
+"""A part is a sharp rim, not a handle, if its tip has at most this fraction of its height."""
 FEWEST = 16
 """Smallest number of rows of a vessel or a drum."""
 BELOW = 0.08
