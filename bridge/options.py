@@ -29,71 +29,45 @@ LAST_SECOND = 2**31 - 1
 class Options(Section):
     """Options that define how frames become messages."""
 
-    profile: Profile | None = Field(
-        default=None,
-        description="Values of each point: viz (x y z rgb), full (also opacity, scales, "
-        "orientation, velocity), small (10 bytes: int16 positions, 8-bit colours), ply (raw 3DGS "
-        "values for splat viewers) or splats (a SplatArray for RVizSplat). Default: full in files, "
-        "viz live.",
-    )
-    frame_id: str = Field(
-        default="phy124", min_length=1, description="Coordinate frame of the object's world."
-    )
-    parent_frame: str = Field(
-        default="map",
-        description="Parent frame of the static transform; if empty, no transform is sent.",
-    )
-    translation: tuple[float, float, float] = Field(
-        default=(0.0, 0.0, 0.0), description="Origin of the world in the parent frame [m]."
-    )
-    rotation: tuple[float, ...] = Field(
-        default=(0.0, 0.0, 0.0, 1.0),
-        description="Orientation of the world in the parent frame: quaternion x y z w, or roll "
-        "pitch yaw [rad].",
-    )
+    profile: Profile | None = None
+    """Values of each point: viz (x y z rgb), full (also opacity, scales, orientation, velocity),
+    small (10 bytes: int16 positions, 8-bit colours), ply (raw 3DGS values for splat viewers) or
+    splats (a SplatArray for RVizSplat). Default: full in files, viz live.
+    """
+    frame_id: str = Field(default="phy124", min_length=1)
+    """Coordinate frame of the object's world."""
+    parent_frame: str = "map"
+    """Parent frame of the static transform; if empty, no transform is sent."""
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of the world in the parent frame [m]."""
+    rotation: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    """Orientation of the world in the parent frame: quaternion x y z w, or roll pitch yaw [rad]."""
     max_points: int | None = Field(
         default=None,
         ge=1,
         description=f"Largest number of Gaussians, evenly selected. Default: {LIVE_POINTS} live, "
         f"all in files. Splats are limited to {LIVE_SPLATS} live.",
     )
-    ellipsoids: int = Field(
-        default=0, ge=0, le=10_000, description="Number of covariance ellipsoids sent as markers."
-    )
-    ellipsoid_radius: float = Field(
-        default=2.0, gt=0, description="Semi-axes of the ellipsoids in standard deviations."
-    )
-    draco: int | None = Field(
-        default=None,
-        ge=8,
-        le=24,
-        description="Also send the points compressed by Draco, with this number of bits per "
-        "coordinate; 14 bits give steps of 1/16,384 of the object's extent. Default: no.",
-    )
-    epoch: float | None = Field(
-        default=None,
-        ge=1,
-        lt=LAST_SECOND,
-        description="Time of the clip's start, seconds since 1970; by default, the present time.",
-    )
-    views: tuple[str, ...] = Field(
-        default=(),
-        description="Cameras whose pictures are sent: front, right, back, left, orbit, an azimuth "
-        "[deg], or the name of a camera of the scene. Default: none.",
-    )
-    cameras: Path | None = Field(
-        default=None,
-        description="TOML file with additional cameras, as [[view.cameras]] in a scene.",
-    )
-    images: tuple[Image, ...] = Field(
-        default=("rgb", "depth"),
-        min_length=1,
-        description="Data that a camera sends: rgb, depth [m], mask, flow [px], jpeg, h264.",
-    )
-    size: str = Field(
-        default="640x480",
-        description="Width and height of the pictures, or one number for both [pixels].",
-    )
+    ellipsoids: int = Field(default=0, ge=0, le=10_000)
+    """Number of covariance ellipsoids sent as markers."""
+    ellipsoid_radius: float = Field(default=2.0, gt=0)
+    """Semi-axes of the ellipsoids in standard deviations."""
+    draco: int | None = Field(default=None, ge=8, le=24)
+    """Also send the points compressed by Draco, with this number of bits per coordinate; 14 bits
+    give steps of 1/16,384 of the object's extent. Default: no.
+    """
+    epoch: float | None = Field(default=None, ge=1, lt=LAST_SECOND)
+    """Time of the clip's start, seconds since 1970; by default, the present time."""
+    views: tuple[str, ...] = ()
+    """Cameras whose pictures are sent: front, right, back, left, orbit, an azimuth [deg], or the
+    name of a camera of the scene. Default: none.
+    """
+    cameras: Path | None = None
+    """TOML file with additional cameras, as [[view.cameras]] in a scene."""
+    images: tuple[Image, ...] = Field(default=("rgb", "depth"), min_length=1)
+    """Data that a camera sends: rgb, depth [m], mask, flow [px], jpeg, h264."""
+    size: str = "640x480"
+    """Width and height of the pictures, or one number for both [pixels]."""
 
     @field_validator("frame_id", "parent_frame")
     @classmethod

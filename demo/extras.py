@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
-
 from phy124.errors import InputError
 from phy124.generators import is_present
 from phy124.generators import make as make_generator
@@ -38,11 +36,8 @@ NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()
 class Photographed(Section):
     """Option to render the object in the photograph that the visitor sent."""
 
-    compose: bool = Field(
-        default=False,
-        description="Also film the moving object inside its photograph, with its shadow; takes "
-        "longer.",
-    )
+    compose: bool = False
+    """Also film the moving object inside its photograph, with its shadow; takes longer."""
 
 
 NOT_PHOTOGRAPHED = Photographed()
@@ -51,11 +46,10 @@ NOT_PHOTOGRAPHED = Photographed()
 class Making(Section):
     """Option for the generator, which creates the object from the picture."""
 
-    generator: Literal["relief", "triposr"] = Field(
-        default="relief",
-        description="Generator of the object: relief guesses the unseen sides from the silhouette, "
-        "in a second; triposr is a trained network, which takes longer.",
-    )
+    generator: Literal["relief", "triposr"] = "relief"
+    """Generator of the object: relief guesses the unseen sides from the silhouette, in a second;
+    triposr is a trained network, which takes longer.
+    """
 
     def seconds(self) -> float:
         """Predict the time of the generator's network under the current machine load [s]."""

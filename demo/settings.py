@@ -31,108 +31,73 @@ class Settings(Section):
 
     AS_TEXT = True
 
-    host: str = Field(default="127.0.0.1", description="Address at which the page listens.")
-    port: int = Field(default=7860, ge=1, le=65535, description="Port at which the page listens.")
+    host: str = "127.0.0.1"
+    """Address at which the page listens."""
+    port: int = Field(default=7860, ge=1, le=65535)
+    """Port at which the page listens."""
     device: str = Field(default="auto", description=CHOICES)
-    threads: int = Field(
-        default=0,
-        ge=0,
-        le=MOST_THREADS,
-        description="CPU threads of one run; 0 means one for each core that is free.",
-    )
-    folder: str = Field(
-        default="", description="Folder for visitors' files; if empty, a new folder is made."
-    )
-    gaussians: int = Field(
-        default=50_000,
-        ge=1000,
-        le=500_000,
-        description="Number of Gaussians made from a picture, and largest number in a file.",
-    )
-    max_upload_mb: float = Field(
-        default=8, gt=0, le=1000, description="Size of the largest picture file [MB]."
-    )
-    max_file_mb: float = Field(
-        default=64, gt=0, le=1000, description="Size of the largest file of Gaussians [MB]."
-    )
-    max_video_mb: float = Field(
-        default=32, gt=0, le=1000, description="Size of the largest video file [MB]."
-    )
-    max_megapixels: float = Field(
-        default=25, gt=0, le=50, description="Largest number of pixels in a picture [million]."
-    )
-    max_frames: int = Field(
-        default=72, ge=1, le=10_000, description="Largest number of frames in a run."
-    )
-    max_forces: int = Field(
-        default=16, ge=1, description="Largest number of forces and boundaries in a run."
-    )
-    max_objects: int = Field(
-        default=4, ge=1, le=16, description="Largest number of objects in a run."
-    )
-    max_particles: int = Field(
-        default=400_000, ge=1000, description="Largest number of particles in a run."
-    )
-    max_cells: int = Field(
-        default=64, ge=4, le=256, description="Largest number of grid cells across the object."
-    )
-    max_pixels: int = Field(
-        default=768, ge=64, le=4096, description="Longest side of a video [pixels]."
-    )
-    max_views: int = Field(
-        default=5, ge=1, le=5, description="Largest number of videos made by a run."
-    )
-    max_seconds: float = Field(
-        default=180, gt=0, description="Longest wall-clock time of a run [s]."
-    )
-    max_cut_seconds: float = Field(
-        default=60, gt=0, description="Longest wall-clock time of a cut-out [s]."
-    )
-    max_fit_seconds: float = Field(
-        default=900, gt=0, description="Longest search for a fit to a video [s]."
-    )
-    max_fits: int = Field(
-        default=1, ge=1, le=64, description="Largest number of fits at the same time."
-    )
-    max_queue: int = Field(
-        default=16, ge=1, description="Largest number of requests that may wait."
-    )
-    max_touch: int = Field(
-        default=2, ge=1, le=64, description="Largest number of live runs at the same time."
-    )
-    touch_minutes: float = Field(
-        default=10, gt=0, description="Longest duration of a live run [min]."
-    )
-    touch_idle_minutes: float = Field(
-        default=2, gt=0, description="Time without input after which a live run ends [min]."
-    )
-    max_clips: int = Field(default=3, ge=1, description="Number of results kept per visitor.")
-    max_visitors: int = Field(
-        default=64, ge=1, description="Number of visitors whose files are kept."
-    )
-    max_per_address: int = Field(
-        default=32, ge=1, description="Number of visitors per address whose files are kept."
-    )
-    max_visitor_mb: float = Field(
-        default=1000, gt=0, description="Largest total size of a visitor's files [MB]."
-    )
-    max_total_mb: float = Field(
-        default=8000, gt=0, description="Largest total size of all visitors' files [MB]."
-    )
-    grace_minutes: float = Field(
-        default=15,
-        gt=0,
-        description="Time without requests after which a visitor's files are removed [min].",
-    )
-    warm_up: bool = Field(
-        default=True,
-        description="Load all kernels and measure the machine before the first visitor arrives.",
-    )
-    mcp: bool = Field(default=True, description="Offer the endpoints to AI agents (MCP server).")
-    hosts: str = Field(
-        default="",
-        description="Further host names of the page, separated by commas; * allows any name.",
-    )
+    threads: int = Field(default=0, ge=0, le=MOST_THREADS)
+    """CPU threads of one run; 0 means one for each core that is free."""
+    folder: str = ""
+    """Folder for visitors' files; if empty, a new folder is made."""
+    gaussians: int = Field(default=50_000, ge=1000, le=500_000)
+    """Number of Gaussians made from a picture, and largest number in a file."""
+    max_upload_mb: float = Field(default=8, gt=0, le=1000)
+    """Size of the largest picture file [MB]."""
+    max_file_mb: float = Field(default=64, gt=0, le=1000)
+    """Size of the largest file of Gaussians [MB]."""
+    max_video_mb: float = Field(default=32, gt=0, le=1000)
+    """Size of the largest video file [MB]."""
+    max_megapixels: float = Field(default=25, gt=0, le=50)
+    """Largest number of pixels in a picture [million]."""
+    max_frames: int = Field(default=72, ge=1, le=10_000)
+    """Largest number of frames in a run."""
+    max_forces: int = Field(default=16, ge=1)
+    """Largest number of forces and boundaries in a run."""
+    max_objects: int = Field(default=4, ge=1, le=16)
+    """Largest number of objects in a run."""
+    max_particles: int = Field(default=400_000, ge=1000)
+    """Largest number of particles in a run."""
+    max_cells: int = Field(default=64, ge=4, le=256)
+    """Largest number of grid cells across the object."""
+    max_pixels: int = Field(default=768, ge=64, le=4096)
+    """Longest side of a video [pixels]."""
+    max_views: int = Field(default=5, ge=1, le=5)
+    """Largest number of videos made by a run."""
+    max_seconds: float = Field(default=180, gt=0)
+    """Longest wall-clock time of a run [s]."""
+    max_cut_seconds: float = Field(default=60, gt=0)
+    """Longest wall-clock time of a cut-out [s]."""
+    max_fit_seconds: float = Field(default=900, gt=0)
+    """Longest search for a fit to a video [s]."""
+    max_fits: int = Field(default=1, ge=1, le=64)
+    """Largest number of fits at the same time."""
+    max_queue: int = Field(default=16, ge=1)
+    """Largest number of requests that may wait."""
+    max_touch: int = Field(default=2, ge=1, le=64)
+    """Largest number of live runs at the same time."""
+    touch_minutes: float = Field(default=10, gt=0)
+    """Longest duration of a live run [min]."""
+    touch_idle_minutes: float = Field(default=2, gt=0)
+    """Time without input after which a live run ends [min]."""
+    max_clips: int = Field(default=3, ge=1)
+    """Number of results kept per visitor."""
+    max_visitors: int = Field(default=64, ge=1)
+    """Number of visitors whose files are kept."""
+    max_per_address: int = Field(default=32, ge=1)
+    """Number of visitors per address whose files are kept."""
+    max_visitor_mb: float = Field(default=1000, gt=0)
+    """Largest total size of a visitor's files [MB]."""
+    max_total_mb: float = Field(default=8000, gt=0)
+    """Largest total size of all visitors' files [MB]."""
+    grace_minutes: float = Field(default=15, gt=0)
+    """Time without requests after which a visitor's files are removed [min]."""
+    warm_up: bool = True
+    """Load all kernels and measure the machine before the first visitor arrives."""
+    mcp: bool = True
+    """Offer the endpoints to AI agents (MCP server)."""
+    hosts: str = ""
+    """Further host names of the page, separated by commas; * allows any name."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] | None = None) -> Settings:

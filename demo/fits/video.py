@@ -119,16 +119,12 @@ def _read_video(path: Path, out: Path, seconds: float, speed: float, processor: 
 class FitOptions(Section):
     """Options of a fit to a video."""
 
-    seconds: float = Field(
-        default=180.0, ge=5, le=36_000, description="Longest duration of the search [s]."
-    )
-    side: Side = Field(default="front", description="Side of the object that the video shows.")
-    speed: float = Field(
-        default=1.0,
-        ge=0.01,
-        le=10,
-        description="Playback speed of the video: 1 is real time, 0.25 is slow motion.",
-    )
+    seconds: float = Field(default=180.0, ge=5, le=36_000)
+    """Longest duration of the search [s]."""
+    side: Side = "front"
+    """Side of the object that the video shows."""
+    speed: float = Field(default=1.0, ge=0.01, le=10)
+    """Playback speed of the video: 1 is real time, 0.25 is slow motion."""
 
 
 def fit_options_of(data: Any, settings: Settings) -> FitOptions:

@@ -84,18 +84,16 @@ class Boundary(Section):
     holds: ClassVar[bool] = False
     """Whether the boundary fixes material in place instead of only blocking it."""
 
-    contact: Contact = Field(
-        default="separate",
-        description="Contact with the material: sticky (no motion), slip (no normal motion), or "
-        "separate (material may leave the surface, with friction).",
-    )
-    friction: float = Field(default=0.4, ge=0, le=10, description="Coulomb friction coefficient.")
+    contact: Contact = "separate"
+    """Contact with the material: sticky (no motion), slip (no normal motion), or separate (material
+    may leave the surface, with friction).
+    """
+    friction: float = Field(default=0.4, ge=0, le=10)
+    """Coulomb friction coefficient."""
     object: Name | None = Field(
-        default=None,
-        exclude_if=lambda name: name is None,
-        examples=["object"],
-        description="Name of the object on which the boundary acts. Default: all objects.",
+        default=None, exclude_if=lambda name: name is None, examples=["object"]
     )
+    """Name of the object on which the boundary acts. Default: all objects."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Return the three vectors that the shape's distance function reads [m]."""
@@ -308,9 +306,8 @@ def _columns(model: Model, grid: Grid) -> list[Any]:
 class Movable(Boundary):
     """A boundary that may move: along a path, or in an oscillation."""
 
-    motion: AnyMotion | None = Field(
-        default=None, description="Displacement over time: path or swing. Default: fixed."
-    )
+    motion: AnyMotion | None = None
+    """Displacement over time: path or swing. Default: fixed."""
 
     @property
     def moves(self) -> bool:

@@ -20,17 +20,10 @@ class Clamp(Movable):
 
     holds: ClassVar[bool] = True
 
-    contact: Contact = Field(
-        default="sticky",
-        description="Constrained directions of motion: sticky fixes all directions.",
-    )
-    end: float | None = Field(
-        default=None,
-        examples=[0.5],
-        ge=SHORTEST,
-        le=LONGEST,
-        description="Time at which the material is released [s]. Default: never.",
-    )
+    contact: Contact = "sticky"
+    """Constrained directions of motion: sticky fixes all directions."""
+    end: float | None = Field(default=None, examples=[0.5], ge=SHORTEST, le=LONGEST)
+    """Time at which the material is released [s]. Default: never."""
 
     def track(self, model: Rest) -> Track | None:
         """Return the displacement [m] until the release; None for a permanent clamp at rest."""
@@ -62,13 +55,14 @@ class Held(Clamp):
 
     shape: ClassVar[str] = "box"
     kind: Literal["held"] = "held"
-    lower: Position = Field(default=(-10.0, -10.0, -10.0), description="Lowest corner [m].")
-    upper: Position = Field(default=(10.0, 10.0, 0.1), description="Highest corner [m].")
-    cylinder: AxisName | None = Field(
-        default=None,
-        description="Axis of a cylinder that is inscribed in the box and clamps the "
-        "material instead of the box. Default: the box.",
-    )
+    lower: Position = (-10.0, -10.0, -10.0)
+    """Lowest corner [m]."""
+    upper: Position = (10.0, 10.0, 0.1)
+    """Highest corner [m]."""
+    cylinder: AxisName | None = None
+    """Axis of a cylinder that is inscribed in the box and clamps the material instead of the box.
+    Default: the box.
+    """
 
     @model_validator(mode="after")
     def _check_box(self) -> Held:
@@ -100,12 +94,8 @@ class Foot(Clamp):
 
     shape: ClassVar[str] = "half_space"
     kind: Literal["foot"] = "foot"
-    fraction: float = Field(
-        default=0.15,
-        ge=1e-6,
-        le=1,
-        description="Fixed fraction of the object's height, from its lowest point.",
-    )
+    fraction: float = Field(default=0.15, ge=1e-6, le=1)
+    """Fixed fraction of the object's height, from its lowest point."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Return a point [m] on the plane below which material is fixed, and the plane's normal."""

@@ -20,9 +20,8 @@ EASE = 16
 class Motion(Section):
     """Base class of all prescribed motions: displacements over time."""
 
-    start: float = Field(
-        default=0.0, ge=0, le=LONGEST, description="Time at which the motion starts [s]."
-    )
+    start: float = Field(default=0.0, ge=0, le=LONGEST)
+    """Time at which the motion starts [s]."""
 
     def track(self) -> Track:
         """Return the displacement [m] over time; its derivative is the wall's velocity [m/s]."""
@@ -37,19 +36,14 @@ class Path(Motion):
     """A displacement along a path through several points."""
 
     kind: Literal["path"] = "path"
-    times: tuple[Instant, ...] = Field(
-        default=(0.0, 1.0),
-        description="Times at which the boundary reaches the displacements in `points` [s].",
-    )
-    points: tuple[Position, ...] = Field(
-        default=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), description="Displacements at `times` [m]."
-    )
-    smooth: bool = Field(
-        default=True, description="Whether the motion slows down to a stop at each point."
-    )
-    repeat: bool = Field(
-        default=False, description="Whether the path repeats after the last point."
-    )
+    times: tuple[Instant, ...] = (0.0, 1.0)
+    """Times at which the boundary reaches the displacements in `points` [s]."""
+    points: tuple[Position, ...] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    """Displacements at `times` [m]."""
+    smooth: bool = True
+    """Whether the motion slows down to a stop at each point."""
+    repeat: bool = False
+    """Whether the path repeats after the last point."""
 
     @model_validator(mode="after")
     def _fits(self) -> Path:
@@ -77,10 +71,10 @@ class Swing(Motion):
     """A sinusoidal displacement, for example of a shaking base."""
 
     kind: Literal["swing"] = "swing"
-    amplitude: Position = Field(default=(0.0, 0.05, 0.0), description="Largest displacement [m].")
-    frequency: float = Field(
-        default=2.0, ge=1e-5, le=1e4, description="Frequency of the oscillation [Hz]."
-    )
+    amplitude: Position = (0.0, 0.05, 0.0)
+    """Largest displacement [m]."""
+    frequency: float = Field(default=2.0, ge=1e-5, le=1e4)
+    """Frequency of the oscillation [Hz]."""
 
     def track(self) -> Track:
         """Return the track of one period, which is repeated and starts at zero displacement."""
@@ -99,7 +93,8 @@ class Free(Section):
     """Free motion of a rigid solid under gravity and in contact with other bodies."""
 
     kind: Literal["free"] = "free"
-    density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+    density: float = Field(default=1000.0, ge=1, le=1e5)
+    """Mass per volume [kg/m^3]."""
 
 
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]

@@ -37,10 +37,10 @@ class HalfSpace(Plane, Movable):
     """A solid that fills all space behind a plane."""
 
     kind: Literal["half_space"] = "half_space"
-    point: Position = Field(default=(0.0, 0.0, 0.0), description="A point on the plane [m].")
-    normal: Direction = Field(
-        default=(0.0, 0.0, 1.0), description="Normal of the plane; it points out of the solid."
-    )
+    point: Position = (0.0, 0.0, 0.0)
+    """A point on the plane [m]."""
+    normal: Direction = (0.0, 0.0, 1.0)
+    """Normal of the plane; it points out of the solid."""
 
     @model_validator(mode="after")
     def _points_somewhere(self) -> HalfSpace:
@@ -61,9 +61,8 @@ class Ground(Plane, Movable):
     """A horizontal floor, on which objects stand by default."""
 
     kind: Literal["ground"] = "ground"
-    height: float = Field(
-        default=0.0, ge=-FARTHEST, le=FARTHEST, description="Height of the floor [m]."
-    )
+    height: float = Field(default=0.0, ge=-FARTHEST, le=FARTHEST)
+    """Height of the floor [m]."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Return a point on the floor and the unit normal."""
@@ -74,34 +73,18 @@ class Press(Plane):
     """A plate that descends onto the object, rests and goes back up."""
 
     kind: Literal["press"] = "press"
-    top: float | None = Field(
-        default=None,
-        ge=-FARTHEST,
-        le=FARTHEST,
-        examples=[1.2],
-        description="Initial height of the plate [m]. Default: the top of the object.",
-    )
-    depth: float = Field(
-        default=0.35,
-        gt=0,
-        le=0.9,
-        description="Distance that the plate descends, relative to the object's height.",
-    )
-    start: float = Field(
-        default=0.0, ge=0, le=LONGEST, description="Time at which the plate starts to move [s]."
-    )
-    down: float = Field(
-        default=0.25, ge=SHORTEST, le=LONGEST, description="Duration of the descent [s]."
-    )
-    hold: float = Field(
-        default=0.05,
-        ge=0,
-        le=LONGEST,
-        description="Duration of the rest at the lowest position [s].",
-    )
-    up: float = Field(
-        default=0.2, ge=SHORTEST, le=LONGEST, description="Duration of the ascent [s]."
-    )
+    top: float | None = Field(default=None, ge=-FARTHEST, le=FARTHEST, examples=[1.2])
+    """Initial height of the plate [m]. Default: the top of the object."""
+    depth: float = Field(default=0.35, gt=0, le=0.9)
+    """Distance that the plate descends, relative to the object's height."""
+    start: float = Field(default=0.0, ge=0, le=LONGEST)
+    """Time at which the plate starts to move [s]."""
+    down: float = Field(default=0.25, ge=SHORTEST, le=LONGEST)
+    """Duration of the descent [s]."""
+    hold: float = Field(default=0.05, ge=0, le=LONGEST)
+    """Duration of the rest at the lowest position [s]."""
+    up: float = Field(default=0.2, ge=SHORTEST, le=LONGEST)
+    """Duration of the ascent [s]."""
 
     @property
     def moves(self) -> bool:
@@ -130,10 +113,8 @@ class Container(Movable):
     """
 
     kind: Literal["container"] = "container"
-    inside: Region = Field(
-        default=Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0)),
-        description="Space inside the container; a side without a coordinate is open.",
-    )
+    inside: Region = Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0))
+    """Space inside the container; a side without a coordinate is open."""
 
     @model_validator(mode="after")
     def _square(self) -> Container:

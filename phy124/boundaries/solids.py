@@ -33,8 +33,10 @@ class Box(Solid):
 
     shape: ClassVar[str] = "box"
     kind: Literal["box"] = "box"
-    lower: Position = Field(default=(-0.2, -0.2, 0.0), description="Lowest corner [m].")
-    upper: Position = Field(default=(0.2, 0.2, 0.2), description="Highest corner [m].")
+    lower: Position = (-0.2, -0.2, 0.0)
+    """Lowest corner [m]."""
+    upper: Position = (0.2, 0.2, 0.2)
+    """Highest corner [m]."""
 
     @model_validator(mode="after")
     def _check_box(self) -> Box:
@@ -60,8 +62,10 @@ class Sphere(Solid):
 
     shape: ClassVar[str] = "sphere"
     kind: Literal["sphere"] = "sphere"
-    centre: Position = Field(default=(0.0, 0.0, 0.2), description="Centre [m].")
-    radius: float = Field(default=0.2, ge=1e-9, le=1e5, description="Radius [m].")
+    centre: Position = (0.0, 0.0, 0.2)
+    """Centre [m]."""
+    radius: float = Field(default=0.2, ge=1e-9, le=1e5)
+    """Radius [m]."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
         """Return centre and radius [m]."""
@@ -81,11 +85,12 @@ class Capsule(Solid):
 
     shape: ClassVar[str] = "capsule"
     kind: Literal["capsule"] = "capsule"
-    start: Position = Field(
-        default=(0.0, -0.5, 0.2), description="Start of the capsule's axis [m]."
-    )
-    end: Position = Field(default=(0.0, 0.5, 0.2), description="End of the capsule's axis [m].")
-    radius: float = Field(default=0.1, ge=1e-9, le=1e5, description="Radius [m].")
+    start: Position = (0.0, -0.5, 0.2)
+    """Start of the capsule's axis [m]."""
+    end: Position = (0.0, 0.5, 0.2)
+    """End of the capsule's axis [m]."""
+    radius: float = Field(default=0.1, ge=1e-9, le=1e5)
+    """Radius [m]."""
 
     @model_validator(mode="after")
     def _long(self) -> Capsule:
@@ -112,39 +117,28 @@ class Gripper(Boundary):
 
     thing: ClassVar[str] = "each pad (thick, width)"
     kind: Literal["gripper"] = "gripper"
-    friction: float = Field(default=1.0, ge=0, le=10, description="Coulomb friction coefficient.")
-    axis: Axis = Field(default="y", description="Direction in which the gripper closes.")
-    centre: Position = Field(
-        default=(0.0, 0.0, 0.5), description="Point midway between the pads [m]."
-    )
-    opening: float = Field(
-        default=1.2, ge=1e-9, le=1e5, description="Initial gap between the pads [m]."
-    )
-    closed: float = Field(
-        default=0.6, ge=1e-9, le=1e5, description="Gap between the pads when closed [m]."
-    )
-    width: float = Field(
-        default=0.4, ge=1e-9, le=1e5, description="Side length of the square pads [m]."
-    )
-    thick: float = Field(default=0.2, ge=1e-9, le=1e5, description="Thickness of the pads [m].")
-    start: float = Field(
-        default=0.0, ge=0, le=LONGEST, description="Time at which the gripper starts to close [s]."
-    )
-    close: float = Field(
-        default=0.4,
-        ge=SHORTEST,
-        le=LONGEST,
-        description="Time that the gripper takes to close [s].",
-    )
-    lift: float = Field(
-        default=0.3,
-        ge=0,
-        le=1e5,
-        description="Height by which the gripper rises after closing [m].",
-    )
-    rise: float = Field(
-        default=0.5, ge=SHORTEST, le=LONGEST, description="Time that the gripper takes to rise [s]."
-    )
+    friction: float = Field(default=1.0, ge=0, le=10)
+    """Coulomb friction coefficient."""
+    axis: Axis = "y"
+    """Direction in which the gripper closes."""
+    centre: Position = (0.0, 0.0, 0.5)
+    """Point midway between the pads [m]."""
+    opening: float = Field(default=1.2, ge=1e-9, le=1e5)
+    """Initial gap between the pads [m]."""
+    closed: float = Field(default=0.6, ge=1e-9, le=1e5)
+    """Gap between the pads when closed [m]."""
+    width: float = Field(default=0.4, ge=1e-9, le=1e5)
+    """Side length of the square pads [m]."""
+    thick: float = Field(default=0.2, ge=1e-9, le=1e5)
+    """Thickness of the pads [m]."""
+    start: float = Field(default=0.0, ge=0, le=LONGEST)
+    """Time at which the gripper starts to close [s]."""
+    close: float = Field(default=0.4, ge=SHORTEST, le=LONGEST)
+    """Time that the gripper takes to close [s]."""
+    lift: float = Field(default=0.3, ge=0, le=1e5)
+    """Height by which the gripper rises after closing [m]."""
+    rise: float = Field(default=0.5, ge=SHORTEST, le=LONGEST)
+    """Time that the gripper takes to rise [s]."""
 
     @model_validator(mode="after")
     def _closes(self) -> Gripper:

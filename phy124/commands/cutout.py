@@ -42,10 +42,8 @@ class CutoutOptions(Cutting):
     foreground: Annotated[str, tyro.conf.arg(aliases=["--method"])] = Field(
         default="auto", description=Cutting.model_fields["foreground"].description
     )
-    weights: Path | None = Field(
-        default=None,
-        description="Folder that is searched first for trained weights (see `phy124 doctor`).",
-    )
+    weights: Path | None = None
+    """Folder that is searched first for trained weights (see `phy124 doctor`)."""
 
 
 @dataclass(frozen=True)

@@ -35,32 +35,18 @@ class Force(Section):
     joins: ClassVar[bool] = False
     """Whether the force accelerates the whole body uniformly if it has no region."""
 
-    start: float = Field(
-        default=0.0, ge=0, le=LONGEST, description="Time at which the force starts to act [s]."
-    )
-    end: float | None = Field(
-        default=None,
-        gt=0,
-        le=LONGEST,
-        examples=[0.5],
-        description="Time at which the force stops acting [s]. Default: never.",
-    )
-    region: Region | None = Field(
-        default=None,
-        description="The force acts on the particles that are in this region at rest. "
-        "Default: all particles.",
-    )
+    start: float = Field(default=0.0, ge=0, le=LONGEST)
+    """Time at which the force starts to act [s]."""
+    end: float | None = Field(default=None, gt=0, le=LONGEST, examples=[0.5])
+    """Time at which the force stops acting [s]. Default: never."""
+    region: Region | None = None
+    """The force acts on the particles that are in this region at rest. Default: all particles."""
     object: Name | None = Field(
-        default=None,
-        exclude_if=lambda name: name is None,
-        examples=["object"],
-        description="Name of the object on which the force acts. Default: all objects.",
+        default=None, exclude_if=lambda name: name is None, examples=["object"]
     )
-    profile: AnyProfile = Field(
-        default=Constant(),
-        description="How the strength of the force varies over time: constant, ramp, sine or "
-        "keyframes.",
-    )
+    """Name of the object on which the force acts. Default: all objects."""
+    profile: AnyProfile = Constant()
+    """How the strength of the force varies over time: constant, ramp, sine or keyframes."""
 
     @model_validator(mode="after")
     def _check_times(self) -> Force:

@@ -20,7 +20,8 @@ class Gravity(Force):
     kind: Literal["gravity"] = "gravity"
     strengths: ClassVar[tuple[str, ...]] = ("g",)
     joins: ClassVar[bool] = True
-    g: Push = Field(default=(0.0, 0.0, -9.81), description="Acceleration [m/s^2].")
+    g: Push = (0.0, 0.0, -9.81)
+    """Acceleration [m/s^2]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Accelerate all material uniformly, or only the chosen particles."""
@@ -33,7 +34,8 @@ class Acceleration(Force):
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
     joins: ClassVar[bool] = True
-    a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+    a: Push = (0.0, 1.0, 0.0)
+    """Acceleration [m/s^2]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Accelerate all material uniformly, or only the chosen particles."""
@@ -47,7 +49,8 @@ class TotalForce(Force):
     strengths: ClassVar[tuple[str, ...]] = ("f",)
     totals: ClassVar[tuple[str, ...]] = ("f",)
     joins: ClassVar[bool] = True
-    f: Push = Field(default=(0.0, 1.0, 0.0), description="Total force [N].")
+    f: Push = (0.0, 1.0, 0.0)
+    """Total force [N]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Accelerate the region by the force divided by the region's mass."""
@@ -63,10 +66,10 @@ class Impulse(Force):
     strengths: ClassVar[tuple[str, ...]] = ("p",)
     totals: ClassVar[tuple[str, ...]] = ("p",)
     joins: ClassVar[bool] = True
-    p: Push = Field(
-        default=(0.0, 1.0, 0.0), description="Total momentum that the impulse transfers [N s]."
-    )
-    duration: float = Field(default=0.01, ge=SHORTEST, le=10, description="Duration [s].")
+    p: Push = (0.0, 1.0, 0.0)
+    """Total momentum that the impulse transfers [N s]."""
+    duration: float = Field(default=0.01, ge=SHORTEST, le=10)
+    """Duration [s]."""
 
     @model_validator(mode="after")
     def _whole(self) -> Impulse:

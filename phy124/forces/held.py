@@ -146,32 +146,22 @@ class Grab(Force):
     kind: Literal["grab"] = "grab"
     strengths: ClassVar[tuple[str, ...]] = ("strength",)
     totals: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "strength")
-    point: Position = Field(
-        default=(0.0, 0.0, 0.5),
-        description="Point of the object that is pulled, at the object's rest position [m].",
-    )
-    radius: float = Field(
-        default=0.15,
-        ge=1e-6,
-        le=1e5,
-        description="Material within this distance of the point is pulled [m]; the force "
-        "decreases towards the rim.",
-    )
-    times: tuple[Instant, ...] = Field(
-        default=(0.0, 1.0),
-        description="Times at which the target reaches the positions in `targets` [s].",
-    )
-    targets: tuple[Position, ...] = Field(
-        default=((0.0, 0.0, 0.5), (0.0, 0.0, 1.0)),
-        description="Positions of the target at `times` [m].",
-    )
-    stiffness: float = Field(
-        default=1e4, ge=0, le=1e12, description="Stiffness of the spring [N/m]."
-    )
-    damping: float = Field(
-        default=1e3, ge=0, le=1e12, description="Coefficient of the damper [N s/m]."
-    )
-    strength: float = Field(default=1e4, ge=0, le=1e9, description="Largest force [N].")
+    point: Position = (0.0, 0.0, 0.5)
+    """Point of the object that is pulled, at the object's rest position [m]."""
+    radius: float = Field(default=0.15, ge=1e-6, le=1e5)
+    """Material within this distance of the point is pulled [m]; the force decreases towards the
+    rim.
+    """
+    times: tuple[Instant, ...] = (0.0, 1.0)
+    """Times at which the target reaches the positions in `targets` [s]."""
+    targets: tuple[Position, ...] = ((0.0, 0.0, 0.5), (0.0, 0.0, 1.0))
+    """Positions of the target at `times` [m]."""
+    stiffness: float = Field(default=1e4, ge=0, le=1e12)
+    """Stiffness of the spring [N/m]."""
+    damping: float = Field(default=1e3, ge=0, le=1e12)
+    """Coefficient of the damper [N s/m]."""
+    strength: float = Field(default=1e4, ge=0, le=1e9)
+    """Largest force [N]."""
 
     @model_validator(mode="after")
     def _fits(self) -> Grab:
@@ -228,21 +218,18 @@ class WrenchForce(Force):
     kind: Literal["wrench"] = "wrench"
     strengths: ClassVar[tuple[str, ...]] = ("force", "torque")
     totals: ClassVar[tuple[str, ...]] = ("force", "torque")
-    force: Push = Field(default=(0.0, 1.0, 0.0), description="Force [N].")
-    torque: Push = Field(default=(0.0, 0.0, 0.0), description="Torque about the point [N m].")
-    point: Position | None = Field(
-        default=None,
-        examples=[[0.0, 0.0, 0.5]],
-        description="Point at which the wrench acts, at the object's rest position [m]. "
-        "Default: it acts on the whole object.",
-    )
-    radius: float = Field(
-        default=0.15,
-        ge=1e-6,
-        le=1e5,
-        description="Material within this distance of the point is pushed [m]; the "
-        "force decreases towards the rim.",
-    )
+    force: Push = (0.0, 1.0, 0.0)
+    """Force [N]."""
+    torque: Push = (0.0, 0.0, 0.0)
+    """Torque about the point [N m]."""
+    point: Position | None = Field(default=None, examples=[[0.0, 0.0, 0.5]])
+    """Point at which the wrench acts, at the object's rest position [m]. Default: it acts on the
+    whole object.
+    """
+    radius: float = Field(default=0.15, ge=1e-6, le=1e5)
+    """Material within this distance of the point is pushed [m]; the force decreases towards the
+    rim.
+    """
 
     @model_validator(mode="after")
     def _a_ball(self) -> WrenchForce:

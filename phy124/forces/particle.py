@@ -27,7 +27,8 @@ class ParticleForce(Force):
     kind: Literal["particle_force"] = "particle_force"
     strengths: ClassVar[tuple[str, ...]] = ("f",)
     in_newtons: ClassVar[bool] = True
-    f: Push = Field(default=(0.0, 1e-3, 0.0), description="Force on each particle [N].")
+    f: Push = (0.0, 1e-3, 0.0)
+    """Force on each particle [N]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that applies the force to each chosen particle."""
@@ -39,13 +40,10 @@ class Wind(Force):
 
     kind: Literal["wind"] = "wind"
     speeds: ClassVar[tuple[str, ...]] = ("v",)
-    v: Velocity = Field(default=(0.0, 3.0, 0.0), description="Velocity of the stream [m/s].")
-    rate: float = Field(
-        default=1.0,
-        ge=1e-6,
-        le=1e6,
-        description="Rate at which particles approach the stream's velocity [1/s].",
-    )
+    v: Velocity = (0.0, 3.0, 0.0)
+    """Velocity of the stream [m/s]."""
+    rate: float = Field(default=1.0, ge=1e-6, le=1e6)
+    """Rate at which particles approach the stream's velocity [1/s]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that accelerates the chosen particles towards the stream's velocity."""
@@ -69,22 +67,12 @@ class Attraction(Force):
 
     kind: Literal["attraction"] = "attraction"
     strengths: ClassVar[tuple[str, ...]] = ("g",)
-    centre: Position = Field(
-        default=(0.0, 0.0, 1.0), description="Position of the attracting point [m]."
-    )
-    g: float = Field(
-        default=10.0,
-        ge=-1e9,
-        le=1e9,
-        description="Acceleration at the distance `radius` from the point [m/s^2]; a negative "
-        "value repels.",
-    )
-    radius: float = Field(
-        default=0.5,
-        ge=1e-6,
-        le=1e5,
-        description="Distance from the point at which the acceleration is largest [m].",
-    )
+    centre: Position = (0.0, 0.0, 1.0)
+    """Position of the attracting point [m]."""
+    g: float = Field(default=10.0, ge=-1e9, le=1e9)
+    """Acceleration at the distance `radius` from the point [m/s^2]; a negative value repels."""
+    radius: float = Field(default=0.5, ge=1e-6, le=1e5)
+    """Distance from the point at which the acceleration is largest [m]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that pulls the chosen particles towards the point."""
@@ -99,8 +87,10 @@ class ZoneForce(Force):
 
     kind: Literal["zone"] = "zone"
     strengths: ClassVar[tuple[str, ...]] = ("a",)
-    place: Region = Field(default=Region(), description="Region of space in which the force acts.")
-    a: Push = Field(default=(0.0, 1.0, 0.0), description="Acceleration [m/s^2].")
+    place: Region = Region()
+    """Region of space in which the force acts."""
+    a: Push = (0.0, 1.0, 0.0)
+    """Acceleration [m/s^2]."""
 
     @model_validator(mode="after")
     def _everything(self) -> ZoneForce:
@@ -144,11 +134,12 @@ class SetVelocity(Force):
     kind: Literal["set_velocity"] = "set_velocity"
     sudden: ClassVar[bool] = True
     speeds: ClassVar[tuple[str, ...]] = ("v", "spin")
-    v: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity [m/s].")
-    spin: Velocity = Field(default=(0.0, 0.0, 0.0), description="Angular velocity [rad/s].")
-    centre: Position = Field(
-        default=(0.0, 0.0, 0.0), description="Point on the axis of rotation [m]."
-    )
+    v: Velocity = (0.0, 0.0, 0.0)
+    """Velocity [m/s]."""
+    spin: Velocity = (0.0, 0.0, 0.0)
+    """Angular velocity [rad/s]."""
+    centre: Position = (0.0, 0.0, 0.0)
+    """Point on the axis of rotation [m]."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stage that sets the velocity v and the matrix C of the chosen particles."""

@@ -28,17 +28,15 @@ ASPECT = 0.02
 class DepthMap(Section):
     """Options that determine the depth of the object's front."""
 
-    depth: str = Field(
-        default="auto",
-        description="Depth of the picture, from which relief shapes the object's front: auto "
-        "(moge2 or depth-anything, if the weights are present), moge2, depth-anything, off, or a "
-        "file with a depth map (grey PNG of 8 or 16 bits, or .npy).",
-    )
-    near: Literal["white", "black"] = Field(
-        default="white",
-        description="Brightness of near surfaces in the depth map: white (large values are near, "
-        "as in MiDaS and Depth Anything) or black (small values are near, as in depths in metres).",
-    )
+    depth: str = "auto"
+    """Depth of the picture, from which relief shapes the object's front: auto (moge2 or
+    depth-anything, if the weights are present), moge2, depth-anything, off, or a file with a depth
+    map (grey PNG of 8 or 16 bits, or .npy).
+    """
+    near: Literal["white", "black"] = "white"
+    """Brightness of near surfaces in the depth map: white (large values are near, as in MiDaS and
+    Depth Anything) or black (small values are near, as in depths in metres).
+    """
 
     @field_validator("depth", mode="before")
     @classmethod
@@ -123,56 +121,37 @@ def _array(path: Path) -> NDArray:
 class OtherViews(Section):
     """Options for images of other sides, the look of the back, the shape and highlights."""
 
-    side: Path | None = Field(
-        default=None,
-        description="Picture of the same object, seen from one side at the object's height. From "
-        "this picture, relief determines how deep the object is at each height.",
-    )
-    facing: Literal["left", "right"] = Field(
-        default="left",
-        description="Direction in which the object's front points in the picture from the side: "
-        "left (as in view `right`) or right.",
-    )
-    back: Path | None = Field(
-        default=None,
-        description="Picture of the same object, taken from straight behind, for the back of the "
-        "object.",
-    )
-    back_look: Literal["auto", "mirror", "plain"] = Field(
-        default="auto",
-        description="Colours of the back if there is no picture of the back: mirror (the mirrored "
-        "front, for an object seen from its side), plain (the materials of the front without its "
-        "features) or auto (plain if the outline is symmetric, otherwise mirror).",
-    )
-    thickness: float | None = Field(
-        default=None,
-        ge=0.05,
-        le=4.0,
-        description=(
-            "Factor by which the depth that relief guesses is multiplied, such as 0.6 for a flat "
-            "fish."
-        ),
-    )
-    shape: Literal["auto", "round", "upright", "flat"] = Field(
-        default="auto",
-        description="Kind of object, if relief guesses it wrongly: round (as deep as its parts are "
-        "wide, such as an animal), upright (round when seen from above, such as a cup or a lamp), "
-        "flat (a thin sheet, such as a leaf or a shirt) or auto (as the picture shows).",
-    )
-    photo_elevation: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=80.0,
-        description="Angle above the horizontal from which the picture was taken [degrees], "
-        "such as 25 for an object on a table. relief turns the object upright by "
-        "this angle. Default: estimated for a vessel, a ring or a box, and 0 for "
-        "other objects.",
-    )
-    highlights: Literal["keep", "remove"] = Field(
-        default="keep",
-        description="Treatment of highlights in the pictures: keep (highlights are painted on the "
-        "object and move with it) or remove.",
-    )
+    side: Path | None = None
+    """Picture of the same object, seen from one side at the object's height. From this picture,
+    relief determines how deep the object is at each height.
+    """
+    facing: Literal["left", "right"] = "left"
+    """Direction in which the object's front points in the picture from the side: left (as in view
+    `right`) or right.
+    """
+    back: Path | None = None
+    """Picture of the same object, taken from straight behind, for the back of the object."""
+    back_look: Literal["auto", "mirror", "plain"] = "auto"
+    """Colours of the back if there is no picture of the back: mirror (the mirrored front, for an
+    object seen from its side), plain (the materials of the front without its features) or auto
+    (plain if the outline is symmetric, otherwise mirror).
+    """
+    thickness: float | None = Field(default=None, ge=0.05, le=4.0)
+    """Factor by which the depth that relief guesses is multiplied, such as 0.6 for a flat fish."""
+    shape: Literal["auto", "round", "upright", "flat"] = "auto"
+    """Kind of object, if relief guesses it wrongly: round (as deep as its parts are wide, such as
+    an animal), upright (round when seen from above, such as a cup or a lamp), flat (a thin sheet,
+    such as a leaf or a shirt) or auto (as the picture shows).
+    """
+    photo_elevation: float | None = Field(default=None, ge=0.0, le=80.0)
+    """Angle above the horizontal from which the picture was taken [degrees], such as 25 for an
+    object on a table. relief turns the object upright by this angle. Default: estimated for a
+    vessel, a ring or a box, and 0 for other objects.
+    """
+    highlights: Literal["keep", "remove"] = "keep"
+    """Treatment of highlights in the pictures: keep (highlights are painted on the object and move
+    with it) or remove.
+    """
 
     @property
     def pictures(self) -> dict[str, Path]:

@@ -28,23 +28,18 @@ Precision = Literal["float32", "bfloat16", "float16"]
 class GeneratorOptions(Section):
     """Options of a generator; if an option is not set, the generator's default applies."""
 
-    steps: int | None = Field(
-        default=None,
-        ge=1,
-        le=500,
-        description="Number of steps of the generator's diffusion (lgm: 30) or of its fit "
-        "(dreamgaussian: 500); fewer steps are faster but less exact.",
-    )
-    sampler: Sampler | None = Field(
-        default=None,
-        description="Solver for lgm's diffusion: ddim, which is of first order and used in the "
-        "paper, or dpmsolver++, which is of second order.",
-    )
-    precision: Precision | None = Field(
-        default=None,
-        description="Floating-point precision of lgm's diffusion network. Default: float16 on a "
-        "GPU, bfloat16 on a processor that supports it, float32 otherwise.",
-    )
+    steps: int | None = Field(default=None, ge=1, le=500)
+    """Number of steps of the generator's diffusion (lgm: 30) or of its fit (dreamgaussian: 500);
+    fewer steps are faster but less exact.
+    """
+    sampler: Sampler | None = None
+    """Solver for lgm's diffusion: ddim, which is of first order and used in the paper, or
+    dpmsolver++, which is of second order.
+    """
+    precision: Precision | None = None
+    """Floating-point precision of lgm's diffusion network. Default: float16 on a GPU, bfloat16 on a
+    processor that supports it, float32 otherwise.
+    """
 
     def select(self, factory: Callable[..., Any], name: str) -> dict[str, Any]:
         """Return the options that are set, as keywords for the factory of a generator.

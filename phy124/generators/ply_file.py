@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.gaussians import Gaussians
@@ -38,37 +37,28 @@ MARGIN = 0.5
 class Reading(Section):
     """Options for reading a file of Gaussians."""
 
-    up: str | None = Field(
-        default=None,
-        description="Up axis of the file of Gaussians: x, y, z, -x, -y, -z, or three numbers "
-        "such as 0.1,-1,0.2. Default: the up axis of the file's dialect or format.",
-    )
-    front: str | None = Field(
-        default=None,
-        description="Axis of the file towards which the object faces, in the notation of --up.",
-    )
-    dialect: str | None = Field(
-        default=None,
-        description="Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ... "
-        "Default: the axes of the file's format are used.",
-    )
-    rotate: str | None = Field(
-        default=None,
-        description="Rotation that is applied to the file's Gaussians first: degrees about x, "
-        "then y, then z, such as 10,0,-25; or a quaternion w,x,y,z.",
-    )
-    crop: str | None = Field(
-        default=None,
-        description=(
-            "Keep only the Gaussians in the box x,y,z,X,Y,Z, which is stated in the units and "
-            "axes of the file."
-        ),
-    )
-    floor: bool = Field(
-        default=False,
-        description="Fit a plane to the floor of a captured scene, place the object upright on "
-        "this floor, and keep the floor as scenery.",
-    )
+    up: str | None = None
+    """Up axis of the file of Gaussians: x, y, z, -x, -y, -z, or three numbers such as 0.1,-1,0.2.
+    Default: the up axis of the file's dialect or format.
+    """
+    front: str | None = None
+    """Axis of the file towards which the object faces, in the notation of --up."""
+    dialect: str | None = None
+    """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ... Default: the axes of the
+    file's format are used.
+    """
+    rotate: str | None = None
+    """Rotation that is applied to the file's Gaussians first: degrees about x, then y, then z, such
+    as 10,0,-25; or a quaternion w,x,y,z.
+    """
+    crop: str | None = None
+    """Keep only the Gaussians in the box x,y,z,X,Y,Z, which is stated in the units and axes of the
+    file.
+    """
+    floor: bool = False
+    """Fit a plane to the floor of a captured scene, place the object upright on this floor, and
+    keep the floor as scenery.
+    """
 
     def refuse(self, name: str, source: object) -> None:
         """Raise an error if options for reading a file are set but no file is read.

@@ -17,16 +17,14 @@ class Cutting(Section):
     foreground: str = Field(
         default="auto", description=f"Method that segments the object: auto, {', '.join(METHODS)}."
     )
-    mask: Path | None = Field(
-        default=None,
-        description="Mask of the same size as the picture, white where the object is; the mask "
-        "replaces the automatic cut-out.",
-    )
-    pick: str | None = Field(
-        default=None,
-        description="A point on the object to cut out, if the picture shows several objects: X,Y "
-        "as fractions of width and height.",
-    )
+    mask: Path | None = None
+    """Mask of the same size as the picture, white where the object is; the mask replaces the
+    automatic cut-out.
+    """
+    pick: str | None = None
+    """A point on the object to cut out, if the picture shows several objects: X,Y as fractions of
+    width and height.
+    """
 
     @property
     def point(self) -> Point | None:

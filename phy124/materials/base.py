@@ -82,7 +82,8 @@ class Material(Section):
     sounder_law: ClassVar[str | None] = None
     """A law with the same fields that is stable in harder impacts; None if there is no such law."""
 
-    density: float = Field(default=1000.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
+    density: float = Field(default=1000.0, ge=1, le=1e5)
+    """Mass per volume [kg/m^3]."""
 
     tint: Tint = Field(
         default=None,
@@ -169,15 +170,10 @@ class Elastic(Material):
 
     scaled: ClassVar[int] = 2
 
-    E: float = Field(
-        default=1e5,
-        ge=1,
-        le=1e13,
-        description="Young's modulus [Pa]; for example jelly 1e4, rubber 1e6, wood 1e10.",
-    )
-    nu: float = Field(
-        default=0.3, ge=0, le=0.4999, description="Poisson's ratio; 0.5 would be incompressible."
-    )
+    E: float = Field(default=1e5, ge=1, le=1e13)
+    """Young's modulus [Pa]; for example jelly 1e4, rubber 1e6, wood 1e10."""
+    nu: float = Field(default=0.3, ge=0, le=0.4999)
+    """Poisson's ratio; 0.5 would be incompressible."""
 
     @property
     def lame(self) -> tuple[float, float]:

@@ -17,13 +17,8 @@ class Springy(Elastic):
     damped: ClassVar[Any]
     """The law that includes viscosity; eta is the last parameter in theta."""
 
-    damping: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e7,
-        description="Viscosity [Pa s]. At the angular frequency w [rad/s], the "
-        "loss tangent is w damping / mu.",
-    )
+    damping: float = Field(default=0.0, ge=0, le=1e7)
+    """Viscosity [Pa s]. At the angular frequency w [rad/s], the loss tangent is w damping / mu."""
 
     @property
     def device_law(self) -> Law:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -112,15 +107,12 @@ class Rigid(Elastic):
     device_law: ClassVar[Law] = NeoHookean.lossless
     scaled: ClassVar[int] = 0
 
-    E: float = Field(
-        default=1e10, ge=1, le=1e13, description="Young's modulus of the real body [Pa]."
-    )
-    speed: float = Field(
-        default=3.0, ge=1e-3, le=1000, description="Largest expected speed of an impact [m/s]."
-    )
-    strain: float = Field(
-        default=0.005, ge=1e-4, le=0.1, description="Largest strain in an impact at `speed`."
-    )
+    E: float = Field(default=1e10, ge=1, le=1e13)
+    """Young's modulus of the real body [Pa]."""
+    speed: float = Field(default=3.0, ge=1e-3, le=1000)
+    """Largest expected speed of an impact [m/s]."""
+    strain: float = Field(default=0.005, ge=1e-4, le=0.1)
+    """Largest strain in an impact at `speed`."""
 
     def cheaper(self, field: str) -> str:
         """Return a remedy for slow runs: a smaller `speed`, which determines the stiffness."""

@@ -45,26 +45,16 @@ class Fluid(Material):
         width=6,
     )
 
-    bulk_modulus: float = Field(
-        default=2e5, ge=1, le=1e12, description="Stiffness against compression [Pa]."
-    )
-    gamma: float = Field(
-        default=7.0, ge=1.05, le=10, description="Exponent of the Tait pressure; for water 7."
-    )
-    viscosity: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e5,
-        description="Dynamic viscosity [Pa s]; for example water 1e-3, honey 5.",
-    )
-    visibility: float | None = Field(
-        default=None,
-        ge=1e-6,
-        le=1e6,
-        examples=[0.1],
-        description="Distance in which the liquid attenuates light to 1/e [m], for rendering only. "
-        "Default: opaque.",
-    )
+    bulk_modulus: float = Field(default=2e5, ge=1, le=1e12)
+    """Stiffness against compression [Pa]."""
+    gamma: float = Field(default=7.0, ge=1.05, le=10)
+    """Exponent of the Tait pressure; for water 7."""
+    viscosity: float = Field(default=0.0, ge=0, le=1e5)
+    """Dynamic viscosity [Pa s]; for example water 1e-3, honey 5."""
+    visibility: float | None = Field(default=None, ge=1e-6, le=1e6, examples=[0.1])
+    """Distance in which the liquid attenuates light to 1/e [m], for rendering only. Default:
+    opaque.
+    """
 
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.

@@ -45,25 +45,18 @@ class Sand(Logarithmic):
         width=3,
     )
 
-    density: float = Field(default=1600.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
-    E: float = Field(
-        default=1e6, ge=1, le=1e13, description="Young's modulus of the packed grains [Pa]."
-    )
-    nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
-    friction_angle: float = Field(
-        default=35.0,
-        ge=1,
-        le=60,
-        description="Angle of internal friction in triaxial compression [degrees]. Heaps are up to "
-        "5 degrees steeper.",
-    )
-    repose_angle: float | None = Field(
-        default=None,
-        ge=1,
-        le=60,
-        examples=[34.0],
-        description="Slope angle of heaps [degrees]. Default: determined by friction_angle.",
-    )
+    density: float = Field(default=1600.0, ge=1, le=1e5)
+    """Mass per volume [kg/m^3]."""
+    E: float = Field(default=1e6, ge=1, le=1e13)
+    """Young's modulus of the packed grains [Pa]."""
+    nu: float = Field(default=0.2, ge=0, le=0.4999)
+    """Poisson's ratio."""
+    friction_angle: float = Field(default=35.0, ge=1, le=60)
+    """Angle of internal friction in triaxial compression [degrees]. Heaps are up to 5 degrees
+    steeper.
+    """
+    repose_angle: float | None = Field(default=None, ge=1, le=60, examples=[34.0])
+    """Slope angle of heaps [degrees]. Default: determined by friction_angle."""
 
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, alpha); alpha is the slope of the cone.
@@ -99,27 +92,20 @@ class Snow(Elastic):
         width=5,
     )
 
-    density: float = Field(default=400.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
-    E: float = Field(
-        default=1.4e5, ge=1, le=1e13, description="Young's modulus of fresh snow [Pa]."
-    )
-    nu: float = Field(default=0.2, ge=0, le=0.4999, description="Poisson's ratio.")
-    compression: float = Field(
-        default=0.025, ge=1e-4, le=0.5, description="Compression at which snow starts to pack."
-    )
-    extension: float = Field(
-        default=0.0075,
-        ge=1e-4,
-        le=0.5,
-        description="Stretch at which snow starts to break. If it is below nu x compression, "
-        "pressed snow is pushed apart sideways.",
-    )
-    hardening: float = Field(
-        default=10.0,
-        ge=0,
-        le=20,
-        description="Rate at which packing increases the stiffness, up to a factor e^4.",
-    )
+    density: float = Field(default=400.0, ge=1, le=1e5)
+    """Mass per volume [kg/m^3]."""
+    E: float = Field(default=1.4e5, ge=1, le=1e13)
+    """Young's modulus of fresh snow [Pa]."""
+    nu: float = Field(default=0.2, ge=0, le=0.4999)
+    """Poisson's ratio."""
+    compression: float = Field(default=0.025, ge=1e-4, le=0.5)
+    """Compression at which snow starts to pack."""
+    extension: float = Field(default=0.0075, ge=1e-4, le=0.5)
+    """Stretch at which snow starts to break. If it is below nu x compression, pressed snow is
+    pushed apart sideways.
+    """
+    hardening: float = Field(default=10.0, ge=0, le=20)
+    """Rate at which packing increases the stiffness, up to a factor e^4."""
 
     @model_validator(mode="after")
     def _dissipates(self) -> Snow:

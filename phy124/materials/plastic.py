@@ -37,23 +37,16 @@ class Metal(Logarithmic):
         width=5,
     )
 
-    density: float = Field(default=2700.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
-    E: float = Field(
-        default=2e7,
-        ge=1,
-        le=1e13,
-        description="Young's modulus [Pa]; for example aluminium 7e10, lead 1.6e10.",
-    )
-    nu: float = Field(default=0.33, ge=0, le=0.4999, description="Poisson's ratio.")
-    yield_stress: float = Field(
-        default=2e5, ge=1e-3, le=1e12, description="Uniaxial yield stress [Pa]."
-    )
-    hardening: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e12,
-        description="Increase of the yield stress per unit of plastic strain [Pa].",
-    )
+    density: float = Field(default=2700.0, ge=1, le=1e5)
+    """Mass per volume [kg/m^3]."""
+    E: float = Field(default=2e7, ge=1, le=1e13)
+    """Young's modulus [Pa]; for example aluminium 7e10, lead 1.6e10."""
+    nu: float = Field(default=0.33, ge=0, le=0.4999)
+    """Poisson's ratio."""
+    yield_stress: float = Field(default=2e5, ge=1e-3, le=1e12)
+    """Uniaxial yield stress [Pa]."""
+    hardening: float = Field(default=0.0, ge=0, le=1e12)
+    """Increase of the yield stress per unit of plastic strain [Pa]."""
 
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, limit, slope, smallest limit)."""
@@ -80,24 +73,16 @@ class Plasticine(Elastic):
         width=5,
     )
 
-    E: float = Field(default=2e5, ge=1, le=1e13, description="Young's modulus [Pa].")
-    nu: float = Field(default=0.4, ge=0, le=0.4999, description="Poisson's ratio.")
-    yield_stress: float = Field(
-        default=4e3, ge=1e-3, le=1e12, description="Uniaxial yield stress [Pa]."
-    )
-    softening: float = Field(
-        default=1e3,
-        ge=0,
-        le=1e12,
-        description="Decrease of the yield stress per unit of plastic strain [Pa].",
-    )
-    residual: float = Field(
-        default=0.3,
-        ge=0.01,
-        le=1,
-        description="Smallest yield stress after softening, as a fraction of the initial yield "
-        "stress.",
-    )
+    E: float = Field(default=2e5, ge=1, le=1e13)
+    """Young's modulus [Pa]."""
+    nu: float = Field(default=0.4, ge=0, le=0.4999)
+    """Poisson's ratio."""
+    yield_stress: float = Field(default=4e3, ge=1e-3, le=1e12)
+    """Uniaxial yield stress [Pa]."""
+    softening: float = Field(default=1e3, ge=0, le=1e12)
+    """Decrease of the yield stress per unit of plastic strain [Pa]."""
+    residual: float = Field(default=0.3, ge=0.01, le=1)
+    """Smallest yield stress after softening, as a fraction of the initial yield stress."""
 
     @model_validator(mode="after")
     def _returns(self) -> Plasticine:
@@ -132,23 +117,16 @@ class Foam(Logarithmic):
         width=5,
     )
 
-    density: float = Field(default=100.0, ge=1, le=1e5, description="Mass per volume [kg/m^3].")
-    E: float = Field(default=5e4, ge=1, le=1e13, description="Young's modulus [Pa].")
-    yield_stress: float = Field(
-        default=200.0,
-        ge=0,
-        le=1e12,
-        description="Uniaxial yield stress [Pa]; if it is 0, the foam always flows.",
-    )
-    viscosity: float = Field(
-        default=50.0, ge=1e-6, le=1e9, description="Consistency of the flow [Pa s^n]."
-    )
-    flow_index: float = Field(
-        default=0.7,
-        ge=0.2,
-        le=1,
-        description="Flow index n: 1 for a Bingham fluid, less than 1 for shear thinning.",
-    )
+    density: float = Field(default=100.0, ge=1, le=1e5)
+    """Mass per volume [kg/m^3]."""
+    E: float = Field(default=5e4, ge=1, le=1e13)
+    """Young's modulus [Pa]."""
+    yield_stress: float = Field(default=200.0, ge=0, le=1e12)
+    """Uniaxial yield stress [Pa]; if it is 0, the foam always flows."""
+    viscosity: float = Field(default=50.0, ge=1e-6, le=1e9)
+    """Consistency of the flow [Pa s^n]."""
+    flow_index: float = Field(default=0.7, ge=0.2, le=1)
+    """Flow index n: 1 for a Bingham fluid, less than 1 for shear thinning."""
 
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, limit, viscosity, flow index)."""

@@ -62,11 +62,12 @@ class Ramp(Table):
     """A profile that changes linearly from one factor to another and is then constant."""
 
     kind: Literal["ramp"] = "ramp"
-    duration: float = Field(
-        default=0.5, ge=SHORTEST, le=LONGEST, description="Duration of the ramp [s]."
-    )
-    first: Factor = Field(default=0.0, description="Factor at the start.")
-    last: Factor = Field(default=1.0, description="Factor at the end of the ramp and afterwards.")
+    duration: float = Field(default=0.5, ge=SHORTEST, le=LONGEST)
+    """Duration of the ramp [s]."""
+    first: Factor = 0.0
+    """Factor at the start."""
+    last: Factor = 1.0
+    """Factor at the end of the ramp and afterwards."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return a table that contains the start and the end of the change as keys."""
@@ -77,13 +78,12 @@ class Sine(Table):
     """A profile that oscillates: `offset + sin(2 pi (frequency t + phase / 360))`."""
 
     kind: Literal["sine"] = "sine"
-    frequency: float = Field(
-        default=1.0, ge=1e-5, le=1e4, description="Frequency of the oscillation [Hz]."
-    )
-    phase: float = Field(default=0.0, ge=-360, le=360, description="Phase at the start [degrees].")
-    offset: Factor = Field(
-        default=0.0, description="Mean factor, around which the sine oscillates."
-    )
+    frequency: float = Field(default=1.0, ge=1e-5, le=1e4)
+    """Frequency of the oscillation [Hz]."""
+    phase: float = Field(default=0.0, ge=-360, le=360)
+    """Phase at the start [degrees]."""
+    offset: Factor = 0.0
+    """Mean factor, around which the sine oscillates."""
 
     @property
     def period(self) -> float:
@@ -101,13 +101,12 @@ class Keyframes(Table):
     """A profile that interpolates linearly between factors at given times."""
 
     kind: Literal["keyframes"] = "keyframes"
-    times: tuple[Instant, ...] = Field(
-        default=(0.0, 1.0), description="Times at which the factors apply [s]."
-    )
-    factors: tuple[Factor, ...] = Field(default=(1.0, 1.0), description="Factors at `times`.")
-    repeat: bool = Field(
-        default=False, description="Whether the profile repeats after the last time."
-    )
+    times: tuple[Instant, ...] = (0.0, 1.0)
+    """Times at which the factors apply [s]."""
+    factors: tuple[Factor, ...] = (1.0, 1.0)
+    """Factors at `times`."""
+    repeat: bool = False
+    """Whether the profile repeats after the last time."""
 
     @model_validator(mode="after")
     def _fits(self) -> Keyframes:

@@ -22,21 +22,18 @@ fraction of the longest side.
 class Properties(Section):
     """Material properties of each point of the object (such as E or its fraction), from a file."""
 
-    file: FileName = Field(
-        examples=["materials.npz"],
-        description="A .ply file with points and columns, a .npz file with arrays per Gaussian, "
-        "point or voxel, or a .npy file with a fraction of E per Gaussian.",
-    )
-    sampling: Literal["nearest", "trilinear"] = Field(
-        default="nearest",
-        description="Interpolation between points; trilinear interpolation needs voxels.",
-    )
-    up: Axis = Field(default="z", description="Axis of the file's coordinates that points up.")
-    front: Axis | None = Field(
-        default=None,
-        description="Axis of the file's coordinates towards which the object faces. Default: as "
-        "for a .ply file with the same up axis.",
-    )
+    file: FileName = Field(examples=["materials.npz"])
+    """A .ply file with points and columns, a .npz file with arrays per Gaussian, point or voxel, or
+    a .npy file with a fraction of E per Gaussian.
+    """
+    sampling: Literal["nearest", "trilinear"] = "nearest"
+    """Interpolation between points; trilinear interpolation needs voxels."""
+    up: Axis = "z"
+    """Axis of the file's coordinates that points up."""
+    front: Axis | None = None
+    """Axis of the file's coordinates towards which the object faces. Default: as for a .ply file
+    with the same up axis.
+    """
 
     def laws(self) -> frozenset[str]:
         """Return the names of the laws in the file.

@@ -43,11 +43,12 @@ class Gradient(_Field):
     """A fraction of E that varies linearly between the ends of the object, as in a plant."""
 
     kind: Literal["gradient"] = "gradient"
-    axis: Literal["x", "y", "z"] = Field(
-        default="z", description="Axis along which the stiffness varies."
-    )
-    first: Fraction = Field(default=1.0, description="Fraction of E at the lowest end of the axis.")
-    last: Fraction = Field(default=0.1, description="Fraction of E at the highest end of the axis.")
+    axis: Literal["x", "y", "z"] = "z"
+    """Axis along which the stiffness varies."""
+    first: Fraction = 1.0
+    """Fraction of E at the lowest end of the axis."""
+    last: Fraction = 0.1
+    """Fraction of E at the highest end of the axis."""
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Return fractions [P] that are linear between the ends of the object."""
@@ -59,12 +60,12 @@ class Picture(_Field):
     """A fraction of E that a grey image, laid over the object's image, defines; white is stiff."""
 
     kind: Literal["picture"] = "picture"
-    file: FileName = Field(
-        examples=["stiff.png"],
-        description="File of a grey picture that shows the object from the front.",
-    )
-    black: Fraction = Field(default=0.1, description="Fraction of E at black pixels.")
-    white: Fraction = Field(default=1.0, description="Fraction of E at white pixels.")
+    file: FileName = Field(examples=["stiff.png"])
+    """File of a grey picture that shows the object from the front."""
+    black: Fraction = 0.1
+    """Fraction of E at black pixels."""
+    white: Fraction = 1.0
+    """Fraction of E at white pixels."""
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
         """Return fractions [P] that are linear in the grey value."""

@@ -18,83 +18,59 @@ The other solvers do not use these settings.
 class Accuracy(Section):
     """Settings that trade accuracy against time, such as cells and particles per cell."""
 
-    cells: int = Field(
-        default=32,
-        ge=4,
-        le=256,
-        description="Number of grid cells across the longest side of the object.",
-    )
-    particles_per_axis: float | None = Field(
-        default=None,
-        ge=1,
-        le=4,
-        examples=[2.0],
-        description="Particles per cell and axis inside the object. If absent: 2 for elastic "
-        "materials and fluids, 1.5 for plastic and granular materials.",
-    )
-    cfl: float = Field(
-        default=0.75,
-        ge=0.01,
-        le=0.9,
-        description="Length of a substep as a fraction of the stable limit.",
-    )
-    precision: Literal["float32", "float64", "auto"] = Field(
-        default="float32",
-        description="Floating-point precision of the simulation. auto: float32 if all moving "
-        "objects are simulated on lattices, where rounding errors of the strain do not accumulate; "
-        "otherwise float64.",
-    )
+    cells: int = Field(default=32, ge=4, le=256)
+    """Number of grid cells across the longest side of the object."""
+    particles_per_axis: float | None = Field(default=None, ge=1, le=4, examples=[2.0])
+    """Particles per cell and axis inside the object. If absent: 2 for elastic materials and fluids,
+    1.5 for plastic and granular materials.
+    """
+    cfl: float = Field(default=0.75, ge=0.01, le=0.9)
+    """Length of a substep as a fraction of the stable limit."""
+    precision: Literal["float32", "float64", "auto"] = "float32"
+    """Floating-point precision of the simulation. auto: float32 if all moving objects are simulated
+    on lattices, where rounding errors of the strain do not accumulate; otherwise float64.
+    """
     transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
-        default="apic",
-        exclude_if=lambda value: value == "apic",
-        description="Transfer of velocities between particles and grid. apic is the fastest, has "
-        "the strongest damping, and is the only transfer that conserves angular momentum. xpic2 to "
-        "xpic5 damp vibrations less, but need 2 to 5 more passes over the grid. aflip needs one "
-        "more pass and leaves noise.",
+        default="apic", exclude_if=lambda value: value == "apic"
     )
-    blend: float = Field(
-        default=0.95,
-        ge=0,
-        le=1,
-        exclude_if=lambda value: value == 0.95,
-        description="For transfer = aflip only: particles keep this fraction of the velocities "
-        "that the grid cannot represent.",
-    )
+    """Transfer of velocities between particles and grid. apic is the fastest, has the strongest
+    damping, and is the only transfer that conserves angular momentum. xpic2 to xpic5 damp
+    vibrations less, but need 2 to 5 more passes over the grid. aflip needs one more pass and leaves
+    noise.
+    """
+    blend: float = Field(default=0.95, ge=0, le=1, exclude_if=lambda value: value == 0.95)
+    """For transfer = aflip only: particles keep this fraction of the velocities that the grid
+    cannot represent.
+    """
     gradient: Literal["affine", "spline"] = Field(
-        default="affine",
-        exclude_if=lambda value: value == "affine",
-        description="Velocity gradient from which stress and strain are computed. affine: the "
-        "affine fit around each particle (MLS-MPM), with which objects that bend by several cells "
-        "are too soft. spline: the gradients of the interpolation weights, for transfer = apic "
-        "only; takes 1.7 to 4 times as long.",
+        default="affine", exclude_if=lambda value: value == "affine"
     )
+    """Velocity gradient from which stress and strain are computed. affine: the affine fit around
+    each particle (MLS-MPM), with which objects that bend by several cells are too soft. spline: the
+    gradients of the interpolation weights, for transfer = apic only; takes 1.7 to 4 times as long.
+    """
     solver: Literal["auto", "mpm", "lattice"] = Field(
-        default="auto",
-        exclude_if=lambda value: value == "auto",
-        description="Solver of elastic objects. mpm: the material point method. lattice: a lattice "
-        "in the undeformed object, whose nodes move with the object; bending is accurate, but the "
-        "object cannot tear; for transfer = apic only. auto: lattice where it is supported and was "
-        "better in measurements; otherwise mpm, with the reason in the report.",
+        default="auto", exclude_if=lambda value: value == "auto"
     )
-    rpic_damping: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e6,
-        exclude_if=lambda value: value == 0,
-        description="Decay rate of the symmetric part of each particle's C, for apic only [1/s]. "
-        "The decay acts like a viscosity of rate x density x dx^2/8, so the effect depends on the "
-        "grid. PhysGaussian's damping r at a substep dt equals a rate of -ln(1 - r)/dt. If the "
-        "rate is above 0, substeps are 0.71 times as long.",
-    )
+    """Solver of elastic objects. mpm: the material point method. lattice: a lattice in the
+    undeformed object, whose nodes move with the object; bending is accurate, but the object cannot
+    tear; for transfer = apic only. auto: lattice where it is supported and was better in
+    measurements; otherwise mpm, with the reason in the report.
+    """
+    rpic_damping: float = Field(default=0.0, ge=0, le=1e6, exclude_if=lambda value: value == 0)
+    """Decay rate of the symmetric part of each particle's C, for apic only [1/s]. The decay acts
+    like a viscosity of rate x density x dx^2/8, so the effect depends on the grid. PhysGaussian's
+    damping r at a substep dt equals a rate of -ln(1 - r)/dt. If the rate is above 0, substeps are
+    0.71 times as long.
+    """
     liquid: Literal["compressible", "projection"] | None = Field(
-        default=None,
-        examples=["projection"],
-        exclude_if=lambda value: value is None,
-        description="Solver of the law fluid. compressible: the pressure of each particle follows "
-        "from its volume. projection: incompressible flow with longer steps, for a single liquid, "
-        "also together with other materials. If absent: projection where it is supported; "
-        "otherwise compressible, with the reason in the report.",
+        default=None, examples=["projection"], exclude_if=lambda value: value is None
     )
+    """Solver of the law fluid. compressible: the pressure of each particle follows from its volume.
+    projection: incompressible flow with longer steps, for a single liquid, also together with other
+    materials. If absent: projection where it is supported; otherwise compressible, with the reason
+    in the report.
+    """
 
     @property
     def fraction(self) -> float:

@@ -72,19 +72,12 @@ class Poses(NamedTuple):
 class _Circling(Section):
     """Fields of cameras whose position is defined by angles and a distance around a target."""
 
-    elevation: Elevation | None = Field(
-        default=None, examples=[30], description="Elevation [deg]; if absent, the view's elevation."
-    )
-    fov: FieldOfView | None = Field(
-        default=None,
-        examples=[40],
-        description="Vertical field of view [deg]; if absent, the field of view of the view.",
-    )
-    target: Target = Field(
-        default=(0.0, 0.0, 0.0),
-        description="Point at which the camera looks, relative to the object's centre "
-        "[object sizes].",
-    )
+    elevation: Elevation | None = Field(default=None, examples=[30])
+    """Elevation [deg]; if absent, the view's elevation."""
+    fov: FieldOfView | None = Field(default=None, examples=[40])
+    """Vertical field of view [deg]; if absent, the field of view of the view."""
+    target: Target = (0.0, 0.0, 0.0)
+    """Point at which the camera looks, relative to the object's centre [object sizes]."""
 
     @property
     def end(self) -> float:
@@ -96,19 +89,14 @@ class TurntableCamera(_Circling):
     """Circles the object at a constant angular velocity, by default once during the clip."""
 
     kind: Literal["turntable"] = "turntable"
-    name: Name = Field(default="turntable", description="Name of the camera's files.")
-    start: Turn = Field(default=0.0, description="Azimuth in the first frame [deg].")
-    turns: float = Field(
-        default=1.0,
-        ge=-100,
-        le=100,
-        description="Number of turns during the clip; if negative, clockwise.",
-    )
-    distance: Distance | None = Field(
-        default=None,
-        examples=[1.5],
-        description="Distance, in object sizes; if absent, the view's distance.",
-    )
+    name: Name = "turntable"
+    """Name of the camera's files."""
+    start: Turn = 0.0
+    """Azimuth in the first frame [deg]."""
+    turns: float = Field(default=1.0, ge=-100, le=100)
+    """Number of turns during the clip; if negative, clockwise."""
+    distance: Distance | None = Field(default=None, examples=[1.5])
+    """Distance, in object sizes; if absent, the view's distance."""
 
     @property
     def chosen(self) -> bool:
@@ -136,10 +124,14 @@ class DollyCamera(_Circling):
     """Moves straight towards or away from the object; the speed is zero at start and end."""
 
     kind: Literal["dolly"] = "dolly"
-    name: Name = Field(default="dolly", description="Name of the camera's files.")
-    first: Distance = Field(default=3.0, description="Distance at the start, in object sizes.")
-    last: Distance = Field(default=1.2, description="Distance at the end, in object sizes.")
-    azimuth: Turn = Field(default=0.0, description="Azimuth of the camera [deg].")
+    name: Name = "dolly"
+    """Name of the camera's files."""
+    first: Distance = 3.0
+    """Distance at the start, in object sizes."""
+    last: Distance = 1.2
+    """Distance at the end, in object sizes."""
+    azimuth: Turn = 0.0
+    """Azimuth of the camera [deg]."""
 
     @property
     def chosen(self) -> bool:
@@ -167,39 +159,30 @@ class DollyCamera(_Circling):
 class CameraKey(Section):
     """A key of a camera path: a time and the camera's values at this time."""
 
-    time: Instant = Field(default=0.0, description="Time since the first frame [s].")
-    azimuth: Turn | None = Field(
-        default=None,
-        examples=[90],
-        description="Azimuth [deg]: 0 is the front, 90 the right. It may exceed 360: 370 after "
-        "350 continues the rotation.",
-    )
-    elevation: Elevation | None = Field(default=None, examples=[30], description="Elevation [deg].")
-    distance: Distance | None = Field(
-        default=None, examples=[1.5], description="Distance, in object sizes."
-    )
-    fov: FieldOfView | None = Field(
-        default=None, examples=[40], description="Vertical field of view [deg]."
-    )
-    target: Target | None = Field(
-        default=None,
-        examples=[[0.0, 0.0, 0.2]],
-        description="Point at which the camera looks, relative to the object's centre "
-        "[object sizes].",
-    )
+    time: Instant = 0.0
+    """Time since the first frame [s]."""
+    azimuth: Turn | None = Field(default=None, examples=[90])
+    """Azimuth [deg]: 0 is the front, 90 the right. It may exceed 360: 370 after 350 continues the
+    rotation.
+    """
+    elevation: Elevation | None = Field(default=None, examples=[30])
+    """Elevation [deg]."""
+    distance: Distance | None = Field(default=None, examples=[1.5])
+    """Distance, in object sizes."""
+    fov: FieldOfView | None = Field(default=None, examples=[40])
+    """Vertical field of view [deg]."""
+    target: Target | None = Field(default=None, examples=[[0.0, 0.0, 0.2]])
+    """Point at which the camera looks, relative to the object's centre [object sizes]."""
 
 
 class PathCamera(Section):
     """Moves smoothly through keys without overshoot, and is at rest before and after the path."""
 
     kind: Literal["path"] = "path"
-    name: Name = Field(default="path", description="Name of the camera's files.")
-    keys: tuple[CameraKey, ...] = Field(
-        default=(CameraKey(),),
-        min_length=1,
-        max_length=1000,
-        description="Keys of the path. If there is a single key, the camera does not move.",
-    )
+    name: Name = "path"
+    """Name of the camera's files."""
+    keys: tuple[CameraKey, ...] = Field(default=(CameraKey(),), min_length=1, max_length=1000)
+    """Keys of the path. If there is a single key, the camera does not move."""
 
     @model_validator(mode="after")
     def _check_order(self) -> PathCamera:

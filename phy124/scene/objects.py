@@ -34,58 +34,40 @@ class SceneObject(Object):
     is none, copied from the first object.
     """
 
-    name: Name = Field(description="Name of the object.")
-    picture: FileName | None = Field(
-        default=None, examples=["teddy.png"], description="Picture from which the object is made."
-    )
-    file: FileName | None = Field(
-        default=None,
-        examples=["teddy.ply"],
-        description="File of Gaussians, or clip whose first frame is used.",
-    )
-    generator: str | None = Field(
-        default=None,
-        max_length=1000,
-        examples=["relief"],
-        description="Generator for the object's picture; default: the first object's generator.",
-    )
+    name: Name
+    """Name of the object."""
+    picture: FileName | None = Field(default=None, examples=["teddy.png"])
+    """Picture from which the object is made."""
+    file: FileName | None = Field(default=None, examples=["teddy.ply"])
+    """File of Gaussians, or clip whose first frame is used."""
+    generator: str | None = Field(default=None, max_length=1000, examples=["relief"])
+    """Generator for the object's picture; default: the first object's generator."""
     mesh: FileName | None = Field(
-        default=None,
-        exclude_if=lambda path: path is None,
-        examples=["chair.glb"],
-        description="Mesh from which the object is made: .glb, .gltf, .obj, .stl or .ply.",
+        default=None, exclude_if=lambda path: path is None, examples=["chair.glb"]
     )
-    shape: ShapeName | None = Field(
-        default=None, examples=["box"], description="Plain shape: sphere, box or capsule."
-    )
-    sides: tuple[_Side, _Side, _Side] = Field(
-        default=(1.0, 1.0, 1.0),
-        description="Proportions of the shape along x, y and z; its longest side is `size` [m].",
-    )
-    colour: RGB = Field(
-        default=CREAM,
-        description="Colour of the shape, or of a mesh without colours: red, green, blue from 0 to "
-        "1, or CSS name.",
-    )
-    static: bool = Field(
-        default=False,
-        description="Scenery: the object is visible, but does not move or touch anything.",
-    )
-    motion: OwnMotion | None = Field(
-        default=None,
-        exclude_if=lambda motion: motion is None,
-        description="Motion of a rigid shape. path or swing: the motion is prescribed, so the "
-        "shape pushes other objects, but they do not push the shape. free: the shape moves under "
-        "gravity and contact with walls and other objects.",
-    )
-    material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
-    parts: tuple[Part, ...] = Field(default=(), description="Parts made of other materials.")
-    crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
-        default=(0.0, 0.0, 1.0, 1.0),
-        description="Rectangle of the object (left, top, right, bottom) in the picture on which "
-        "masks of the object's parts were painted; determined automatically for an object with a "
-        "picture.",
-    )
+    """Mesh from which the object is made: .glb, .gltf, .obj, .stl or .ply."""
+    shape: ShapeName | None = Field(default=None, examples=["box"])
+    """Plain shape: sphere, box or capsule."""
+    sides: tuple[_Side, _Side, _Side] = (1.0, 1.0, 1.0)
+    """Proportions of the shape along x, y and z; its longest side is `size` [m]."""
+    colour: RGB = CREAM
+    """Colour of the shape, or of a mesh without colours: red, green, blue from 0 to 1, or CSS name.
+    """
+    static: bool = False
+    """Scenery: the object is visible, but does not move or touch anything."""
+    motion: OwnMotion | None = Field(default=None, exclude_if=lambda motion: motion is None)
+    """Motion of a rigid shape. path or swing: the motion is prescribed, so the shape pushes other
+    objects, but they do not push the shape. free: the shape moves under gravity and contact with
+    walls and other objects.
+    """
+    material: AnyMaterial = NeoHookean()
+    """Constitutive law."""
+    parts: tuple[Part, ...] = ()
+    """Parts made of other materials."""
+    crop: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = (0.0, 0.0, 1.0, 1.0)
+    """Rectangle of the object (left, top, right, bottom) in the picture on which masks of the
+    object's parts were painted; determined automatically for an object with a picture.
+    """
 
     @model_validator(mode="after")
     def _check_source(self) -> SceneObject:
@@ -180,17 +162,12 @@ class SceneObject(Object):
 class Pair(Section):
     """Contact of two objects."""
 
-    between: tuple[Name, Name] = Field(
-        default=(ANY, ANY),
-        description="Names of the two objects; any means all objects not named in another entry.",
-    )
-    contact: Literal["separate", "sticky"] = Field(
-        default="separate",
-        description="separate (the objects slide with friction and may separate), or sticky.",
-    )
-    friction: float = Field(
-        default=0.5, ge=0, le=10, description="Coulomb friction coefficient; 0 means no friction."
-    )
+    between: tuple[Name, Name] = (ANY, ANY)
+    """Names of the two objects; any means all objects not named in another entry."""
+    contact: Literal["separate", "sticky"] = "separate"
+    """separate (the objects slide with friction and may separate), or sticky."""
+    friction: float = Field(default=0.5, ge=0, le=10)
+    """Coulomb friction coefficient; 0 means no friction."""
 
 
 def check_objects(first: Object, others: Sequence[SceneObject]) -> None:

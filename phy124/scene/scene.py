@@ -57,74 +57,55 @@ MOST_OBJECTS = 16
 class Scene(Section):
     """A complete simulation: object, material, forces, boundaries, accuracy, time and view."""
 
-    description: Text = Field(
-        default="",
-        max_length=1000,
-        examples=["It falls."],
-        description="Description of the scene in a sentence.",
-    )
-    seed: int = Field(default=0, ge=0, le=2**31 - 1, description="Seed of all random numbers.")
-    object: Object = Field(default=Object(), description="The first object and its placement.")
-    material: AnyMaterial = Field(default=NeoHookean(), description="Constitutive law.")
-    parts: tuple[Part, ...] = Field(default=(), description="Parts made of other materials.")
+    description: Text = Field(default="", max_length=1000, examples=["It falls."])
+    """Description of the scene in a sentence."""
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    """Seed of all random numbers."""
+    object: Object = Object()
+    """The first object and its placement."""
+    material: AnyMaterial = NeoHookean()
+    """Constitutive law."""
+    parts: tuple[Part, ...] = ()
+    """Parts made of other materials."""
     objects: tuple[SceneObject, ...] = Field(
-        default=(),
-        max_length=MOST_OBJECTS - 1,
-        exclude_if=lambda value: not value,
-        description="Further objects. Accuracy, stiffness and properties are for the first object.",
+        default=(), max_length=MOST_OBJECTS - 1, exclude_if=lambda value: not value
     )
-    pairs: tuple[Pair, ...] = Field(
-        default=(),
-        exclude_if=lambda value: not value,
-        description="Contact between two objects. The default is the contact separate with "
-        "friction 0.5.",
-    )
-    stiffness: AnyStiffness | None = Field(
-        default=None, description="How E varies inside the object; if absent, E is uniform."
-    )
-    stiffness_profile: AnyProfile | None = Field(
-        default=None,
-        description="Factor on E over time, evaluated at the start of each frame; if absent, 1.",
-    )
-    properties: Properties | None = Field(
-        default=None,
-        description="Material properties that vary from point to point, from a file; if absent, "
-        "the material is uniform.",
-    )
-    forces: tuple[AnyForce, ...] = Field(default=(Gravity(),), description="Forces on particles.")
-    boundaries: tuple[AnyBoundary, ...] = Field(
-        default=(Ground(),), description="Solid walls and other constraints on the motion."
-    )
+    """Further objects. Accuracy, stiffness and properties are for the first object."""
+    pairs: tuple[Pair, ...] = Field(default=(), exclude_if=lambda value: not value)
+    """Contact between two objects. The default is the contact separate with friction 0.5."""
+    stiffness: AnyStiffness | None = None
+    """How E varies inside the object; if absent, E is uniform."""
+    stiffness_profile: AnyProfile | None = None
+    """Factor on E over time, evaluated at the start of each frame; if absent, 1."""
+    properties: Properties | None = None
+    """Material properties that vary from point to point, from a file; if absent, the material is
+    uniform.
+    """
+    forces: tuple[AnyForce, ...] = (Gravity(),)
+    """Forces on particles."""
+    boundaries: tuple[AnyBoundary, ...] = (Ground(),)
+    """Solid walls and other constraints on the motion."""
     accuracy: AccuracyName | Accuracy = Field(default="standard", description=describe_accuracy())
-    binding: Literal["particles", "lattice"] = Field(
-        default="lattice",
-        description="lattice: Gaussians follow a lattice of particles, which is faster; "
-        "particles: each Gaussian is a particle, as in the paper.",
-    )
-    time: Timing = Field(
-        default=Timing(), description="Number of frames, and limits on substep and time."
-    )
-    checks: Checks = Field(default=Checks(), description="Checks during the run.")
-    velocities: bool = Field(
-        default=False,
-        description="Store the velocity of each Gaussian; if off, speeds are computed from "
-        "positions.",
-    )
-    contacts: bool = Field(
-        default=False,
-        description="Store the mean force of the walls on each Gaussian; on if the output `force` "
-        "is requested.",
-    )
-    wrenches: bool = Field(
-        default=False,
-        description="Store force and torque of the object on each wall; on if `contacts` is on.",
-    )
-    grains: bool = Field(
-        default=True,
-        description="Show the inside of sand, snow, foam and torn material as grains; if off, only "
-        "the Gaussians on the surface are shown.",
-    )
-    view: View = Field(default=View(), description="Cameras, size, formats and stage of videos.")
+    binding: Literal["particles", "lattice"] = "lattice"
+    """lattice: Gaussians follow a lattice of particles, which is faster; particles: each Gaussian
+    is a particle, as in the paper.
+    """
+    time: Timing = Timing()
+    """Number of frames, and limits on substep and time."""
+    checks: Checks = Checks()
+    """Checks during the run."""
+    velocities: bool = False
+    """Store the velocity of each Gaussian; if off, speeds are computed from positions."""
+    contacts: bool = False
+    """Store the mean force of the walls on each Gaussian; on if the output `force` is requested."""
+    wrenches: bool = False
+    """Store force and torque of the object on each wall; on if `contacts` is on."""
+    grains: bool = True
+    """Show the inside of sand, snow, foam and torn material as grains; if off, only the Gaussians
+    on the surface are shown.
+    """
+    view: View = View()
+    """Cameras, size, formats and stage of videos."""
 
     @model_validator(mode="before")
     @classmethod

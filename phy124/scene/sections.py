@@ -34,43 +34,26 @@ def _is(default: Any) -> Callable[[Any], bool]:
 class Object(Section):
     """The object made from the picture, and its placement in the world."""
 
-    size: float = Field(
-        default=1.0, ge=1e-6, le=1e4, description="Length of the object's longest side [m]."
-    )
-    lift: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e4,
-        description="Height of the object's lowest point above z = 0 [m].",
-    )
-    velocity: Velocity = Field(default=(0.0, 0.0, 0.0), description="Velocity at the start [m/s].")
-    spin: Velocity = Field(
-        default=(0.0, 0.0, 0.0), description="Angular velocity about the object's centre [rad/s]."
-    )
-    name: Name = Field(
-        default="object", exclude_if=_is("object"), description="Name of the object."
-    )
-    place: Spot = Field(
-        default=(0.0, 0.0),
-        exclude_if=_is((0.0, 0.0)),
-        description="Position of the object's centre on the floor, x and y [m].",
-    )
-    turn: Angles = Field(
-        default=(0.0, 0.0, 0.0),
-        exclude_if=_is((0.0, 0.0, 0.0)),
-        description="Rotation about x, then y, then z [degrees].",
-    )
-    on: Name = Field(
-        default=FLOOR,
-        exclude_if=_is(FLOOR),
-        description="What the object stands on: the floor at z = 0, or the name of another "
-        "object. `lift` is the gap between the two.",
-    )
-    held: bool = Field(
-        default=False,
-        exclude_if=_is(False),
-        description="The object never moves, and acts on other objects like a wall.",
-    )
+    size: float = Field(default=1.0, ge=1e-6, le=1e4)
+    """Length of the object's longest side [m]."""
+    lift: float = Field(default=0.0, ge=0, le=1e4)
+    """Height of the object's lowest point above z = 0 [m]."""
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    """Velocity at the start [m/s]."""
+    spin: Velocity = (0.0, 0.0, 0.0)
+    """Angular velocity about the object's centre [rad/s]."""
+    name: Name = Field(default="object", exclude_if=_is("object"))
+    """Name of the object."""
+    place: Spot = Field(default=(0.0, 0.0), exclude_if=_is((0.0, 0.0)))
+    """Position of the object's centre on the floor, x and y [m]."""
+    turn: Angles = Field(default=(0.0, 0.0, 0.0), exclude_if=_is((0.0, 0.0, 0.0)))
+    """Rotation about x, then y, then z [degrees]."""
+    on: Name = Field(default=FLOOR, exclude_if=_is(FLOOR))
+    """What the object stands on: the floor at z = 0, or the name of another object. `lift` is the
+    gap between the two.
+    """
+    held: bool = Field(default=False, exclude_if=_is(False))
+    """The object never moves, and acts on other objects like a wall."""
 
     @property
     def scenery(self) -> bool:
@@ -81,33 +64,20 @@ class Object(Section):
 class Timing(Section):
     """Number and rate of the stored frames, and limits on the substep and the computing time."""
 
-    frames: int = Field(default=14, ge=1, le=10_000, description="Number of frames.")
-    fps: Rate = Field(default=24.0, description="Frames per second of motion.")
-    seconds: Seconds | None = Field(
-        default=None,
-        examples=[3],
-        description="Length of the motion [s], from which frames = seconds x fps is computed.",
-    )
-    substep: float | None = Field(
-        default=None,
-        ge=1e-9,
-        le=1,
-        examples=[1e-4],
-        description="Longest substep allowed [s]; if absent, only stability limits the substep.",
-    )
-    sleep: bool = Field(
-        default=True,
-        description="Skip substeps while the object rests; this changes positions by at most 3e-4 "
-        "of its size.",
-    )
-    budget: float = Field(
-        default=7200.0,
-        ge=1e-3,
-        le=1e8,
-        description="Maximum computing time [s]. A simulation whose predicted time is longer is "
-        "refused. A running simulation is stopped when its busiest thread has used twice this "
-        "time.",
-    )
+    frames: int = Field(default=14, ge=1, le=10_000)
+    """Number of frames."""
+    fps: Rate = 24.0
+    """Frames per second of motion."""
+    seconds: Seconds | None = Field(default=None, examples=[3])
+    """Length of the motion [s], from which frames = seconds x fps is computed."""
+    substep: float | None = Field(default=None, ge=1e-9, le=1, examples=[1e-4])
+    """Longest substep allowed [s]; if absent, only stability limits the substep."""
+    sleep: bool = True
+    """Skip substeps while the object rests; this changes positions by at most 3e-4 of its size."""
+    budget: float = Field(default=7200.0, ge=1e-3, le=1e8)
+    """Maximum computing time [s]. A simulation whose predicted time is longer is refused. A running
+    simulation is stopped when its busiest thread has used twice this time.
+    """
 
     @property
     def ceiling(self) -> float:
@@ -139,25 +109,18 @@ class Timing(Section):
 class Checks(Section):
     """Monitoring of a run. Each check costs time and detects one kind of failure."""
 
-    measure: int = Field(
-        default=16,
-        ge=1,
-        le=32,
-        description="Maximum number of substeps between two measurements of the stable limit. The "
-        "number is at most 4 if a particle may stiffen much before the next measurement.",
-    )
-    balance: bool = Field(
-        default=True,
-        description="Stop the run if the changes of energy and momentum differ from the work and "
-        "the impulse of forces and walls. If off, only non-finite values and inverted particles "
-        "stop the run.",
-    )
-    energy: bool = Field(
-        default=False,
-        exclude_if=_is(False),
-        description="Report the energy lost in the material, in contact, and by the numerical "
-        "method; on lattices and in liquids, report also the work of each cause.",
-    )
+    measure: int = Field(default=16, ge=1, le=32)
+    """Maximum number of substeps between two measurements of the stable limit. The number is at
+    most 4 if a particle may stiffen much before the next measurement.
+    """
+    balance: bool = True
+    """Stop the run if the changes of energy and momentum differ from the work and the impulse of
+    forces and walls. If off, only non-finite values and inverted particles stop the run.
+    """
+    energy: bool = Field(default=False, exclude_if=_is(False))
+    """Report the energy lost in the material, in contact, and by the numerical method; on lattices
+    and in liquids, report also the work of each cause.
+    """
 
 
 def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
@@ -185,27 +148,20 @@ def check_energy(checks: Checks, unsupported: dict[str, bool]) -> None:
 class Part(Section):
     """A part of the object that has another material, or is static."""
 
-    material: AnyMaterial = Field(default=NeoHookean(), description="Its material.")
-    static: bool = Field(
-        default=False,
-        description="Scenery: the part is visible, but does not move or touch anything.",
-    )
-    surroundings: bool = Field(
-        default=False,
-        description="The part is surroundings, such as a floor: it is static and does not affect "
-        "the object's size.",
-    )
-    region: PartRegion | None = Field(default=None, description="Box that contains the part [m].")
-    mask: FileName | None = Field(
-        default=None,
-        examples=["hat.png"],
-        description="Mask file, which is white where the part is visible from the front.",
-    )
-    gaussians: tuple[Number, Number] | None = Field(
-        default=None,
-        examples=[[0, 2000]],
-        description="Range of the part's Gaussians: index of the first, and index after the last.",
-    )
+    material: AnyMaterial = NeoHookean()
+    """Its material."""
+    static: bool = False
+    """Scenery: the part is visible, but does not move or touch anything."""
+    surroundings: bool = False
+    """The part is surroundings, such as a floor: it is static and does not affect the object's
+    size.
+    """
+    region: PartRegion | None = None
+    """Box that contains the part [m]."""
+    mask: FileName | None = Field(default=None, examples=["hat.png"])
+    """Mask file, which is white where the part is visible from the front."""
+    gaussians: tuple[Number, Number] | None = Field(default=None, examples=[[0, 2000]])
+    """Range of the part's Gaussians: index of the first, and index after the last."""
 
     @model_validator(mode="after")
     def _check_selection(self) -> Part:

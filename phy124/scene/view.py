@@ -55,125 +55,68 @@ Size = Annotated[
 class View(Section):
     """Options for rendering a clip."""
 
-    views: tuple[ViewName, ...] = Field(
-        default=("front", "right", "back", "left", "orbit"),
-        description="Views to film: front, right, back, left, orbit.",
-    )
-    azimuths: tuple[Degrees, ...] = Field(
-        default=(),
-        examples=[[45, 135]],
-        description="Additional views by their azimuth: 0 is the front, 90 the right [deg].",
-    )
-    cameras: tuple[AnyCamera, ...] = Field(
-        default=(),
-        max_length=32,
-        description="Additional, moving cameras: turntable, dolly or path.",
-    )
-    formats: tuple[Format, ...] = Field(
-        default=("mp4",),
-        description="File formats. For each view: a video (mp4, webm, mov, webp, gif) or a folder "
-        "of pictures (png). For the whole clip: usd, ply (a folder with a file per frame), or "
-        "html (a page that plays the motion in 3D). `phy124 export` writes others.",
-    )
-    outputs: tuple[Output, ...] = Field(
-        default=(),
-        examples=[["depth", "flow"]],
-        description="Quantities per pixel in addition to colour, for training data: depth [m], "
-        "alpha, normals, flow [px/frame], velocity [m/s], force of the walls [N/px].",
-    )
-    output_format: Literal["png", "exr"] = Field(
-        default="png", description="File format of outputs: png (16 bits) or exr (32-bit floats)."
-    )
-    size: Size = Field(
-        default=(512, 512), description="Width and height, or one number for both [pixels]."
-    )
-    elevation: float = Field(
-        default=10.0,
-        ge=-89,
-        le=89,
-        description=(
-            "Elevation of the camera [deg]. If the elevation is positive, the camera looks down."
-        ),
-    )
-    distance: float = Field(
-        default=1.9,
-        ge=0.6,
-        le=100,
-        description="Camera distance, in object sizes; the default lets `fit` choose the distance.",
-    )
-    fit: bool = Field(
-        default=True,
-        description="Choose the smallest distance that shows the whole motion; ignored if distance "
-        "is set.",
-    )
-    follow: bool | None = Field(
-        default=None,
-        examples=[False],
-        description="Let the camera follow the object and keep it in the centre. If absent, the "
-        "camera follows the object only if the object would be too small in a view of the whole "
-        "motion.",
-    )
-    fov: float = Field(default=FOV_Y, ge=1, le=120, description="Vertical field of view [deg].")
-    filter: Literal["dilate", "mip"] = Field(
-        default="dilate",
-        description="Low-pass filter for splats smaller than a pixel. dilate widens the splats, as "
-        "3D Gaussian Splatting does; mip also reduces their opacity, as Mip-Splatting does, so "
-        "that thin parts do not look too thick in small pictures.",
-    )
-    shine: bool = Field(
-        default=True,
-        description="Shade fluids and metal by their surface normals, with highlights and "
-        "reflections; if off, the Gaussians have their plain colours.",
-    )
-    stage: StageName = Field(
-        default="plain",
-        description="plain: the object in front of the background; studio: on a floor with its "
-        "shadow and the scene's boundaries; transparent: no background, for the formats webm, mov, "
-        "webp, png and gif (in gif, pixels are opaque or fully transparent).",
-    )
-    background: RGB = Field(
-        default=(1.0, 1.0, 1.0),
-        description="RGB colour: red, green and blue from 0 to 1, or a CSS name.",
-    )
-    gradient: RGB | None = Field(
-        default=None,
-        examples=["whitesmoke"],
-        description="Colour at the bottom of a vertical gradient; if absent, the background is "
-        "uniform.",
-    )
-    picture: FileName | None = Field(
-        default=None,
-        examples=["beach.jpg"],
-        description="Picture that fills the background; if absent, the background colour is used.",
-    )
-    fps: float | None = Field(
-        default=None,
-        ge=1,
-        le=120,
-        examples=[12],
-        description="Frames per second of the videos; if absent, time.fps times speed.",
-    )
-    speed: float = Field(
-        default=1.0,
-        ge=1e-3,
-        le=100,
-        description="Playback speed: 1 is real time; 0.25 is slow motion that takes four times as "
-        "long.",
-    )
+    views: tuple[ViewName, ...] = ("front", "right", "back", "left", "orbit")
+    """Views to film: front, right, back, left, orbit."""
+    azimuths: tuple[Degrees, ...] = Field(default=(), examples=[[45, 135]])
+    """Additional views by their azimuth: 0 is the front, 90 the right [deg]."""
+    cameras: tuple[AnyCamera, ...] = Field(default=(), max_length=32)
+    """Additional, moving cameras: turntable, dolly or path."""
+    formats: tuple[Format, ...] = ("mp4",)
+    """File formats. For each view: a video (mp4, webm, mov, webp, gif) or a folder of pictures
+    (png). For the whole clip: usd, ply (a folder with a file per frame), or html (a page that plays
+    the motion in 3D). `phy124 export` writes others.
+    """
+    outputs: tuple[Output, ...] = Field(default=(), examples=[["depth", "flow"]])
+    """Quantities per pixel in addition to colour, for training data: depth [m], alpha, normals,
+    flow [px/frame], velocity [m/s], force of the walls [N/px].
+    """
+    output_format: Literal["png", "exr"] = "png"
+    """File format of outputs: png (16 bits) or exr (32-bit floats)."""
+    size: Size = (512, 512)
+    """Width and height, or one number for both [pixels]."""
+    elevation: float = Field(default=10.0, ge=-89, le=89)
+    """Elevation of the camera [deg]. If the elevation is positive, the camera looks down."""
+    distance: float = Field(default=1.9, ge=0.6, le=100)
+    """Camera distance, in object sizes; the default lets `fit` choose the distance."""
+    fit: bool = True
+    """Choose the smallest distance that shows the whole motion; ignored if distance is set."""
+    follow: bool | None = Field(default=None, examples=[False])
+    """Let the camera follow the object and keep it in the centre. If absent, the camera follows the
+    object only if the object would be too small in a view of the whole motion.
+    """
+    fov: float = Field(default=FOV_Y, ge=1, le=120)
+    """Vertical field of view [deg]."""
+    filter: Literal["dilate", "mip"] = "dilate"
+    """Low-pass filter for splats smaller than a pixel. dilate widens the splats, as 3D Gaussian
+    Splatting does; mip also reduces their opacity, as Mip-Splatting does, so that thin parts do not
+    look too thick in small pictures.
+    """
+    shine: bool = True
+    """Shade fluids and metal by their surface normals, with highlights and reflections; if off, the
+    Gaussians have their plain colours.
+    """
+    stage: StageName = "plain"
+    """plain: the object in front of the background; studio: on a floor with its shadow and the
+    scene's boundaries; transparent: no background, for the formats webm, mov, webp, png and gif (in
+    gif, pixels are opaque or fully transparent).
+    """
+    background: RGB = (1.0, 1.0, 1.0)
+    """RGB colour: red, green and blue from 0 to 1, or a CSS name."""
+    gradient: RGB | None = Field(default=None, examples=["whitesmoke"])
+    """Colour at the bottom of a vertical gradient; if absent, the background is uniform."""
+    picture: FileName | None = Field(default=None, examples=["beach.jpg"])
+    """Picture that fills the background; if absent, the background colour is used."""
+    fps: float | None = Field(default=None, ge=1, le=120, examples=[12])
+    """Frames per second of the videos; if absent, time.fps times speed."""
+    speed: float = Field(default=1.0, ge=1e-3, le=100)
+    """Playback speed: 1 is real time; 0.25 is slow motion that takes four times as long."""
 
-    seamless: bool = Field(
-        default=False,
-        description="Make videos that repeat without a jump. If the object nearly returns to its "
-        "first pose, the last pictures fade into the first pictures. If not, the motion runs "
-        "forwards and then backwards.",
-    )
-    megabytes: float | None = Field(
-        default=None,
-        gt=0,
-        le=1000,
-        examples=[2.0],
-        description="Largest size of a gif or webp [MB]: pictures are reduced until it fits.",
-    )
+    seamless: bool = False
+    """Make videos that repeat without a jump. If the object nearly returns to its first pose, the
+    last pictures fade into the first pictures. If not, the motion runs forwards and then backwards.
+    """
+    megabytes: float | None = Field(default=None, gt=0, le=1000, examples=[2.0])
+    """Largest size of a gif or webp [MB]: pictures are reduced until it fits."""
 
     @model_validator(mode="after")
     def _check_names(self) -> View:

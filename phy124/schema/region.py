@@ -23,17 +23,13 @@ AxisName = Literal["x", "y", "z"]
 class Region(Section):
     """An axis-aligned box [m] or the cylinder inscribed in it; a side without a value is open."""
 
-    lower: _Corner = Field(
-        default=(-EVERYWHERE, -EVERYWHERE, -EVERYWHERE), description="Lowest corner [m]."
-    )
-    upper: _Corner = Field(
-        default=(EVERYWHERE, EVERYWHERE, EVERYWHERE), description="Highest corner [m]."
-    )
-    cylinder: AxisName | None = Field(
-        default=None,
-        description="Replace the box by the cylinder inscribed in it along this axis; if absent, "
-        "the box is kept.",
-    )
+    lower: _Corner = (-EVERYWHERE, -EVERYWHERE, -EVERYWHERE)
+    """Lowest corner [m]."""
+    upper: _Corner = (EVERYWHERE, EVERYWHERE, EVERYWHERE)
+    """Highest corner [m]."""
+    cylinder: AxisName | None = None
+    """Replace the box by the cylinder inscribed in it along this axis; if absent, the box is kept.
+    """
 
     @model_validator(mode="after")
     def _check_corners(self) -> Region:
@@ -79,14 +75,10 @@ class PartRegion(Region):
     The region may be rotated, and may have the coordinates of a file.
     """
 
-    units: Literal["metres", "file"] = Field(
-        default="metres",
-        description="metres: coordinates in the scene; file: coordinates in the object's file.",
-    )
-    turn: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = Field(
-        default=(1.0, 0.0, 0.0, 0.0),
-        description="Rotation of the box about the origin, a unit quaternion w, x, y, z.",
-    )
+    units: Literal["metres", "file"] = "metres"
+    """metres: coordinates in the scene; file: coordinates in the object's file."""
+    turn: tuple[_Fraction, _Fraction, _Fraction, _Fraction] = (1.0, 0.0, 0.0, 0.0)
+    """Rotation of the box about the origin, a unit quaternion w, x, y, z."""
 
     @model_validator(mode="before")
     @classmethod

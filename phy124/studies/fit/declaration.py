@@ -58,72 +58,42 @@ Cells = Annotated[int, Field(ge=4, le=256)]
 class Fit(Section):
     """The options of a fit: the values to fit, and the observations."""
 
-    target: str = Field(
-        description="Observations of the motion: a clip or its folder, a .csv file of tracked "
-        "points, or a video or a folder of pictures."
-    )
-    object: str | None = Field(
-        default=None,
-        description="Picture or file of Gaussians, or a clip whose first frame shows the object "
-        "at rest. Default: the object of the target, if the target is a clip.",
-    )
-    scene: str | None = Field(
-        default=None,
-        description=(
-            "Preset or .toml file of the scene. Default: the scene of the clip if there is one, "
-            "otherwise press."
-        ),
-    )
-    set: dict[str, Any] = Field(
-        default={}, description="Other values to set in the scene, by dotted path."
-    )
-    find: dict[str, Range] = Field(
-        min_length=1,
-        max_length=8,
-        description="Ranges of the values to fit: dotted path in the scene -> range, such as "
-        '"1e4..1e6".',
-    )
-    forces: str | None = Field(
-        default=None,
-        description="A .csv file of measured forces on walls, with columns time, wall, fx, fy, fz.",
-    )
-    side: str = Field(
-        default="front",
-        description="View or camera from which the pixels or the video were recorded.",
-    )
-    fps: float | None = Field(
-        default=None,
-        gt=0,
-        le=1000,
-        description="Frames per second of a video or folder [1/s]. Default: the rate in the file "
-        "if it has one, otherwise the rate of the scene.",
-    )
-    align: bool = Field(
-        default=False,
-        description=(
-            "Align the video's first frame with the object at rest; use this if the camera is "
-            "unknown."
-        ),
-    )
-    gaussians: int | None = Field(
-        default=None, ge=1, description="Maximum number of Gaussians of the object."
-    )
-    grids: tuple[Cells, ...] = Field(
-        default=(16, 24),
-        min_length=1,
-        max_length=4,
-        description="Number of cells across the object on each grid. The first grid is used for "
-        "the search, and further grids refine the result.",
-    )
-    seconds: float = Field(
-        default=300.0, ge=1, le=1e7, description="Maximum duration of the fit [s]."
-    )
-    seed: int = Field(
-        default=0,
-        ge=0,
-        le=2**31 - 1,
-        description="Seed of the random numbers for the search and the intervals.",
-    )
+    target: str
+    """Observations of the motion: a clip or its folder, a .csv file of tracked points, or a video
+    or a folder of pictures.
+    """
+    object: str | None = None
+    """Picture or file of Gaussians, or a clip whose first frame shows the object at rest. Default:
+    the object of the target, if the target is a clip.
+    """
+    scene: str | None = None
+    """Preset or .toml file of the scene. Default: the scene of the clip if there is one, otherwise
+    press.
+    """
+    set: dict[str, Any] = Field(default={})
+    """Other values to set in the scene, by dotted path."""
+    find: dict[str, Range] = Field(min_length=1, max_length=8)
+    """Ranges of the values to fit: dotted path in the scene -> range, such as "1e4..1e6"."""
+    forces: str | None = None
+    """A .csv file of measured forces on walls, with columns time, wall, fx, fy, fz."""
+    side: str = "front"
+    """View or camera from which the pixels or the video were recorded."""
+    fps: float | None = Field(default=None, gt=0, le=1000)
+    """Frames per second of a video or folder [1/s]. Default: the rate in the file if it has one,
+    otherwise the rate of the scene.
+    """
+    align: bool = False
+    """Align the video's first frame with the object at rest; use this if the camera is unknown."""
+    gaussians: int | None = Field(default=None, ge=1)
+    """Maximum number of Gaussians of the object."""
+    grids: tuple[Cells, ...] = Field(default=(16, 24), min_length=1, max_length=4)
+    """Number of cells across the object on each grid. The first grid is used for the search, and
+    further grids refine the result.
+    """
+    seconds: float = Field(default=300.0, ge=1, le=1e7)
+    """Maximum duration of the fit [s]."""
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    """Seed of the random numbers for the search and the intervals."""
 
     @field_validator("grids")
     @classmethod

@@ -41,7 +41,8 @@ class Counted(Section, ABC):
 class Listed(Counted):
     """A list of values, such as `{ values = [1e4, 1e5] }` or, equivalently, `[1e4, 1e5]`."""
 
-    values: tuple[Any, ...] = Field(min_length=1, description="The values.")
+    values: tuple[Any, ...] = Field(min_length=1)
+    """The values."""
 
     @property
     def count(self) -> int:
@@ -56,12 +57,14 @@ class Listed(Counted):
 class Range(Counted):
     """Evenly spaced values, such as `{ first = 1e4, last = 1e6, count = 5 }`."""
 
-    first: Number = Field(description="The first value.")
-    last: Number = Field(description="The last value.")
-    count_: int = Field(alias="count", ge=1, le=1_000_000, description="Number of values.")
-    spacing: Literal["linear", "log"] = Field(
-        default="linear", description="Linear or logarithmic spacing."
-    )
+    first: Number
+    """The first value."""
+    last: Number
+    """The last value."""
+    count_: int = Field(alias="count", ge=1, le=1_000_000)
+    """Number of values."""
+    spacing: Literal["linear", "log"] = "linear"
+    """Linear or logarithmic spacing."""
 
     @model_validator(mode="after")
     def _positive(self) -> Range:
@@ -83,7 +86,8 @@ class Range(Counted):
 class Uniform(Section):
     """A uniform distribution between two numbers, such as `{ uniform = [0.1, 0.4] }`."""
 
-    uniform: tuple[Number, Number] = Field(description="Smallest and largest value.")
+    uniform: tuple[Number, Number]
+    """Smallest and largest value."""
 
     @model_validator(mode="after")
     def _check_order(self) -> Uniform:
@@ -101,7 +105,8 @@ class Uniform(Section):
 class LogUniform(Section):
     """A distribution whose logarithm is uniform, such as `{ log_uniform = [1e4, 1e6] }`."""
 
-    log_uniform: tuple[Number, Number] = Field(description="Smallest and largest value, above 0.")
+    log_uniform: tuple[Number, Number]
+    """Smallest and largest value, above 0."""
 
     @model_validator(mode="after")
     def _check_order(self) -> LogUniform:
@@ -121,11 +126,10 @@ class LogUniform(Section):
 class Choice(Section):
     """A weighted choice of values, such as `{ choice = ["sand", "snow"], weights = [3, 1] }`."""
 
-    choice: tuple[Any, ...] = Field(min_length=1, description="The values.")
-    weights: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] | None = Field(
-        default=None,
-        description="Relative frequency of each value; None: all values are equally frequent.",
-    )
+    choice: tuple[Any, ...] = Field(min_length=1)
+    """The values."""
+    weights: tuple[Annotated[float, Field(gt=0, allow_inf_nan=False)], ...] | None = None
+    """Relative frequency of each value; None: all values are equally frequent."""
 
     @model_validator(mode="after")
     def _matching(self) -> Choice:
@@ -219,47 +223,28 @@ Texts = Annotated[
 class Sweep(Section):
     """The options of a sweep; a sweep combines or samples the values on several axes."""
 
-    pictures: Texts = Field(
-        min_length=1,
-        description="Pictures or files of Gaussians: paths, patterns such as photos/*.png, or "
-        "addresses of fsspec such as s3://bucket/photos/*.png.",
-    )
-    generators: Texts = Field(
-        default=("relief",),
-        min_length=1,
-        description="Names of the generators that make the Gaussians.",
-    )
-    gaussians: int | None = Field(
-        default=None, ge=1, description="Maximum number of Gaussians; None: no limit."
-    )
-    scene: str = Field(
-        default="press", description="Preset or .toml file on which all clips are based."
-    )
-    set: dict[str, Annotated[Axis, BeforeValidator(parse_axis)]] = Field(
-        default={},
-        description="Values of the scene by their dotted path, such as material.E. Each is one "
-        "value, a list, a range, or a distribution.",
-    )
-    samples: int | None = Field(
-        default=None,
-        ge=1,
-        le=10_000_000,
-        description="Number of clips, sampled evenly from all axes; None: all combinations of the "
-        "values.",
-    )
-    seed: int = Field(
-        default=0,
-        ge=0,
-        le=2**31 - 1,
-        description="Seed of the random shift that is applied to the samples.",
-    )
-    films: bool = Field(default=False, description="Whether to make videos as well.")
-    archive: int | None = Field(
-        default=None,
-        ge=1,
-        le=100_000,
-        description="Number of clips per tar file for WebDataset; None: no tar files.",
-    )
+    pictures: Texts = Field(min_length=1)
+    """Pictures or files of Gaussians: paths, patterns such as photos/*.png, or addresses of fsspec
+    such as s3://bucket/photos/*.png.
+    """
+    generators: Texts = Field(default=("relief",), min_length=1)
+    """Names of the generators that make the Gaussians."""
+    gaussians: int | None = Field(default=None, ge=1)
+    """Maximum number of Gaussians; None: no limit."""
+    scene: str = "press"
+    """Preset or .toml file on which all clips are based."""
+    set: dict[str, Annotated[Axis, BeforeValidator(parse_axis)]] = Field(default={})
+    """Values of the scene by their dotted path, such as material.E. Each is one value, a list, a
+    range, or a distribution.
+    """
+    samples: int | None = Field(default=None, ge=1, le=10_000_000)
+    """Number of clips, sampled evenly from all axes; None: all combinations of the values."""
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    """Seed of the random shift that is applied to the samples."""
+    films: bool = False
+    """Whether to make videos as well."""
+    archive: int | None = Field(default=None, ge=1, le=100_000)
+    """Number of clips per tar file for WebDataset; None: no tar files."""
 
     @classmethod
     def from_data(cls, data: dict[str, Any], source: str = "sweep") -> Sweep:
