@@ -34,7 +34,7 @@ class SceneObject(Object):
     is none, copied from the first object.
     """
 
-    name: Name
+    name: Name = Field()
     """Name of the object."""
     picture: FileName | None = Field(default=None, examples=["teddy.png"])
     """Picture from which the object is made."""
