@@ -55,7 +55,7 @@ EFFORT: dict[Motion, float] = {
 }
 """Factors on the predicted time of a lattice's substep, by kind of motion.
 
-Contact, and measuring the vibration frequency of strained objects, take additional time.
+Contact takes additional time, and so does measuring the frequency of strained objects.
 """
 PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
 """Time to prepare a companion run [s]: a constant, a time per Gaussian, and a time per particle."""

@@ -73,7 +73,7 @@ class Limits:
         """Time of the last measurement [s]."""
 
     def bind(self, walls: Walls, meetings: Meetings, rejection: StepRejection) -> None:
-        """From now on, use these walls, this contact between bodies and these bounds of forces."""
+        """From now on, use these walls, contacts between bodies, and bounds of forces."""
         self._walls, self._meetings, self._rejection = walls, meetings, rejection
 
     def measure_if_due(self) -> bool:

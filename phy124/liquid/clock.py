@@ -77,7 +77,7 @@ class LiquidClock(Clock):
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy [J] at the time of positions, minus that of the velocities.
+        """Return the kinetic energy at the positions' time minus that at the velocities' time [J].
 
         `momentum` [3] is in kg m/s; `power` is not used, since a projected liquid has no stress.
         """

@@ -47,7 +47,7 @@ class MixedClock(Clock):
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy [J] at the time of positions, minus that of the velocities."""
+        """Return the kinetic energy at positions' time minus that at velocities' time [J]."""
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.wet().momentum)
 
 

@@ -261,7 +261,7 @@ def make_predict(real: Any):
 
 @build_once
 def make_respond(real: Any):
-    """Single-thread kernel: applies the opposite of a solid's impulses on the liquid to the solid.
+    """Single-thread kernel: applies to a solid the opposite of its impulses on the liquid.
 
     `total_out` accumulates the impulses on the liquid, as in phy124/kernels/free. The work of an
     impulse is the impulse times the mean of the solid's velocities at the start of the step and
