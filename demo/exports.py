@@ -150,7 +150,7 @@ def _export_of(format: Format) -> Export:
     """Return the `Export` for a file format."""
     moves = format.write_clip is not None
     return Export(
-        f"{format.title}, {'moving' if moves else 'at rest'}",
+        f"{format.title[0].upper()}{format.title[1:]}, {'moving' if moves else 'at rest'}",
         f"Opens in {format.opens_in}",
         f"phy124-{format.name}{format.suffix}",
         partial(_write_format, format),

@@ -7,6 +7,7 @@ from safetensors.numpy import save_file
 
 from phy124.errors import InputError
 from phy124.gaussians import Frame, Gaussians, rotate_sh
+from phy124.io import clip as clip_module
 from phy124.io.clip import Clip
 
 
@@ -34,9 +35,30 @@ def test_round_trip_is_exact(tmp_path, clip):
     assert loaded.report == {"complete": True, "frames": 4}
 
 
-def test_loaded_arrays_stay_on_disk(tmp_path, clip):
+def test_arrays_of_large_files_stay_on_disk(tmp_path, clip, monkeypatch):
+    monkeypatch.setattr("phy124.io.clip.SMALL", 0)
     clip.save(tmp_path / "a.safetensors")
-    assert isinstance(Clip.load(tmp_path / "a.safetensors").means, np.memmap)
+    loaded = Clip.load(tmp_path / "a.safetensors")
+    assert isinstance(loaded.means, np.memmap)
+    assert np.array_equal(loaded.means, clip.means)
+
+
+def test_small_file_may_be_cut_after_it_was_opened(tmp_path, clip):
+    clip.save(tmp_path / "a.safetensors")
+    loaded = Clip.load(tmp_path / "a.safetensors")
+    os.truncate(tmp_path / "a.safetensors", 0)
+    assert np.array_equal(loaded.means, clip.means)
+
+
+@pytest.mark.parametrize("size", [0, 6, 400, -1])
+def test_file_that_is_cut_while_it_is_read_is_refused(tmp_path, clip, size, monkeypatch):
+    path = tmp_path / "a.safetensors"
+    clip.save(path)
+    metadata = clip_module._read_metadata(path)
+    monkeypatch.setattr(clip_module, "_read_metadata", lambda path: metadata)
+    os.truncate(path, size % path.stat().st_size)
+    with pytest.raises(InputError, match="cut short while it was read"):
+        Clip.load(path)
 
 
 def test_frames_give_back_the_gaussians(clip):

@@ -30,7 +30,7 @@
       const fill = () => inside.replaceChildren(...(name === 'videos' ? [h('div', { class: 'films' }, ...files.filter(({ file }) => /mp4$/.test(file.orig_name)).map(film))] : []), ...files.map(link), ...offers.map(button),
         ...(name === 'show' && shown.share ? [address(shown.share)] : []));
       if (opened === name) fill();
-      const each = [...files.map(({ brief, label, file }) => `${brief || label} ${size(file.size || 0)}`), ...offers.map(({ label }) => label)];
+      const each = [...files.map(({ brief, label, file }) => `${brief || label} ${size(file.size || 0)}`), ...offers.map(({ label }) => label.replace(/^[A-Z](?=[a-z])/, (first) => first.toLowerCase()))];
       const more = name === 'videos' ? `${files.length} ${files.length === 1 ? 'side' : 'sides'}, ${size(bytes)}` : each.length > 3 ? `${each.slice(0, 2).join(', ')}, ${each.length - 2} more` : each.join(', ');
       return h('details', { class: 'fold', name: 'take', 'data-group': name, open: opened === name, ontoggle: (event) => {
         if (event.target.open) { opened = name; fill(); } else if (opened === name) opened = null;

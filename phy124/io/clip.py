@@ -33,6 +33,8 @@ MOTION = "2"
 """Format version that stores a motion, which yields the Gaussians."""
 SPARE = " " * 8192
 """Spare space in the header, so that a longer report can replace the first report."""
+SMALL = 64e6
+"""Largest size of files that are read into memory when they are opened [bytes]."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
@@ -322,7 +324,7 @@ class Clip:
             InputError: If the file is missing or cut short, or is not a clip of a known version.
         """
         metadata = _read_metadata(Path(path))
-        arrays, motion = _map_tensors(Path(path)), None
+        arrays, motion = _open_tensors(Path(path)), None
         if "motion" in metadata:
             try:
                 motion = unpack(arrays, json.loads(metadata["motion"]), np.array(arrays["times"]))
@@ -455,22 +457,24 @@ def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
     return len(text) <= length
 
 
-def _map_tensors(path: Path) -> dict[str, NDArray]:
-    """Memory-map each tensor; safetensors has already checked the header."""
-    with open(path, "rb") as file:
-        length = int.from_bytes(file.read(8), "little")
-        header = json.loads(file.read(length))
+def _open_tensors(path: Path) -> dict[str, NDArray]:
+    """Read the tensors of a small file, and memory-map those of a large file.
+
+    If another program cuts a memory-mapped file, the system ends the process that reads it.
+    """
+    small = path.stat().st_size <= SMALL
+    data = np.fromfile(path, np.uint8) if small else np.memmap(path, np.uint8, "r")
+    first = 8 + int.from_bytes(data[:8].tobytes(), "little")
     types = {"F32": np.float32, "F64": np.float64, "I32": np.int32, "U8": np.uint8}
-    arrays = {}
-    for name, entry in header.items():
-        if name == "__metadata__" or entry["dtype"] not in types:
-            continue
-        shape, start = tuple(entry["shape"]), 8 + length + entry["data_offsets"][0]
-        dtype = types[entry["dtype"]]
-        empty = 0 in shape
-        arrays[name] = (
-            np.zeros(shape, dtype) if empty else np.memmap(path, dtype, "r", start, shape)
-        )
+    arrays, cut = {}, _refusal(path, "it was cut short while it was read.")
+    if first > len(data):
+        raise cut
+    for name, entry in json.loads(data[8:first].tobytes()).items():
+        if name != "__metadata__" and entry["dtype"] in types:
+            start, end = (first + offset for offset in entry["data_offsets"])
+            if end > len(data):
+                raise cut
+            arrays[name] = data[start:end].view(types[entry["dtype"]]).reshape(entry["shape"])
     return arrays
 
 

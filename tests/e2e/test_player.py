@@ -343,3 +343,15 @@ def test_another_clip_is_seen_whole_from_the_same_side(browser, tmp_path, rng):
         }""")
     assert pose[:5] == [0, 0, 3, 0, 1]
     assert pose[5] == pytest.approx(1, abs=0.01)
+
+
+def test_object_still_fits_after_the_picture_became_wider(browser, tmp_path, rng):
+    """The field of view is vertical: a narrow picture is seen from further away."""
+    zoom = "player.pose.radius / player.pack.view.radius"
+    narrow = {"viewport": {"width": 400, "height": 900}}
+    with _opened(browser, tmp_path / "player.html", _frames(rng, 0.1), **narrow) as page:
+        assert page.evaluate(f"player.home(), {zoom}") > 1.9
+        page.evaluate("player.zoom(0.5)")
+        page.set_viewport_size({"width": 900, "height": 600})
+        page.wait_for_function("player.canvas.width > player.canvas.height")
+        assert page.evaluate(zoom) == pytest.approx(0.5, abs=0.01)

@@ -252,8 +252,10 @@ globalThis.Phy124Player = (() => {
       this.listenPointers();
       this.watcher = new ResizeObserver(() => {
         if (!this.host.isConnected) return this.dispose();
+        const { stance } = this;
         this.fit();
         this.stage.resize(...this.pixels);
+        if (this.narrow !== this.narrowThen) this.stand(stance);
       });
       this.watcher.observe(this.canvas);
       // A browser takes the graphics away from time to time, and gives it back empty.
@@ -312,18 +314,20 @@ globalThis.Phy124Player = (() => {
     /** How much further away a picture higher than wide must be seen from: the field of view is vertical. */
     get narrow() { const [width, height] = this.pixels; return Math.max(1, height / width); }
 
-    /** From where a visitor looks, in terms of the clip's first view: another clip's object is elsewhere and larger. */
+    /** From where a visitor looks, in terms of the clip's first view: another clip's object is elsewhere and larger,
+     * and the picture may be wider. */
     get stance() {
       const { azimuth, elevation, radius } = this.pose;
-      return { azimuth, elevation, zoom: radius / this.pack.view.radius };
+      return { azimuth, elevation, zoom: radius / this.pack.view.radius / this.narrowThen };
     }
 
     /** Look as a visitor looked at another clip. */
-    stand({ azimuth, elevation, zoom }) { this.take({ azimuth, elevation, radius: this.pack.view.radius * zoom }); }
+    stand({ azimuth, elevation, zoom }) { this.take({ azimuth, elevation, radius: this.pack.view.radius * zoom * this.narrow }); }
 
     /** Look from a pose: that of another player, say. */
     take(pose) {
       this.pose = { ...this.pack.view, ...pose };
+      this.narrowThen = this.narrow;
       this.stage.look(this.pose);
       for (const other of this.followers || []) other.take({ azimuth: pose.azimuth, elevation: pose.elevation });
     }
