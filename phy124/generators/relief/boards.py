@@ -45,7 +45,7 @@ class Board:
     kind: str
     """Boards of the same kind have the same colours."""
     axes: Field
-    """Directions of the horizontal axes of the board, and down [3,3]."""
+    """Directions of the board's two horizontal axes, and the direction down [3,3]."""
 
     @cached_property
     def hull(self) -> scipy.spatial.ConvexHull:
