@@ -1,17 +1,19 @@
 """Bending of thin plates on lattices, for thicknesses, places and orientations.
 
-Each plate is 14 cells long and `WIDE` cells wide, is clamped 2 cells from its start, and is pushed
+Each plate is 14 cells long, is clamped 2 cells from its start, and is pushed
 at its end (linear model, Poisson's ratio 0). The curvature of the middle part is divided by the
 exact curvature. Plates are built from voxels of half a cell, as in the pipeline, and from voxels of
 a tenth of a cell, whose moments are nearly exact. The difference is the error of the voxels.
 
-    python tests/benchmarks/plates.py [THICKNESS ...]
+    python tests/benchmarks/plates.py [THICKNESS ...] [--wide 5] [--coarse]
 """
 
+import argparse
 import itertools
 import math
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +28,6 @@ TURNS = ((0, 0), (15, 0), (30, 0), (45, 0), (20, 25), (35, 45))
 """Rotations about the plate's width and about its length [degrees]."""
 HEIGHTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Positions of the plate's middle relative to a border between cells [cells]."""
-WIDE = 2.0
 SAMPLES = 40
 """Number of samples per cell, along each axis, for the filled fractions of voxels."""
 
@@ -39,7 +40,7 @@ def frame(turn):
     return pitch @ roll
 
 
-def plate(thick, turn, height, per, wide=WIDE):
+def plate(thick, turn, height, per, wide):
     """Return a plate whose axis starts at `start`, and `start` [cells]."""
     axes, start = frame(turn), np.array([0.13, 0.27, height])
     half, middle = np.array([7, wide / 2, thick / 2]), start + 5 * axes[:, 0]
@@ -64,7 +65,7 @@ def plate(thick, turn, height, per, wide=WIDE):
     return Solid(first, DX / per, fraction), start, middle
 
 
-def measure(thick, turn, per, height, wide=WIDE):
+def measure(thick, turn, per, height, wide):
     """Return the second moment across the plate and the curvature, relative to exact values."""
     solid, start, middle = plate(thick, turn, height, per, wide)
     axes = frame(turn)
@@ -83,17 +84,22 @@ def measure(thick, turn, per, height, wide=WIDE):
 
 def main():
     """Print the least and the largest value over all heights."""
-    chosen = tuple(map(float, sys.argv[1:])) or THICKNESSES
-    cases = list(itertools.product(chosen, TURNS, (2, 10), HEIGHTS))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("thickness", type=float, nargs="*", default=THICKNESSES, help="[cells]")
+    parser.add_argument("--wide", type=float, default=2.0, help="width of the plates [cells]")
+    parser.add_argument("--coarse", action="store_true", help="only voxels of half a cell")
+    arguments = parser.parse_args()
+    voxels = (2,) if arguments.coarse else (2, 10)
+    cases = list(itertools.product(arguments.thickness, TURNS, voxels, HEIGHTS))
     with ProcessPoolExecutor(2) as pool:
-        results = dict(zip(cases, pool.map(measure, *zip(*cases, strict=True)), strict=True))
-    print(
-        "| thickness | turned by | moments (voxels 1/2) | curvature | (voxels 1/10) | curvature |"
-    )
-    print("|---|---|---|---|---|---|")
-    for thick, turn in itertools.product(chosen, TURNS):
+        figures = pool.map(partial(measure, wide=arguments.wide), *zip(*cases, strict=True))
+        results = dict(zip(cases, figures, strict=True))
+    headings = [f"moments (voxels 1/{per}) | curvature" for per in voxels]
+    print(f"| thickness | turned by | {' | '.join(headings)} |")
+    print("|---" * (2 + 2 * len(voxels)) + "|")
+    for thick, turn in itertools.product(arguments.thickness, TURNS):
         row = []
-        for per in (2, 10):
+        for per in voxels:
             values = np.array([results[thick, turn, per, height] for height in HEIGHTS])
             low, high = values.min(axis=0), values.max(axis=0)
             row += [f"{low[k]:.3f} to {high[k]:.3f}" for k in range(2)]
