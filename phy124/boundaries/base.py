@@ -19,7 +19,7 @@ from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import STILL, Track, Tracks
 from phy124.schema.bounds import Name
 from phy124.schema.region import Vector
-from phy124.schema.section import Section
+from phy124.schema.section import Section, omit_default
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
@@ -90,9 +90,7 @@ class Boundary(Section):
     """
     friction: float = Field(default=0.4, ge=0, le=10)
     """Coulomb friction coefficient."""
-    object: Name | None = Field(
-        default=None, exclude_if=lambda name: name is None, examples=["object"]
-    )
+    object: Name | None = omit_default(None, examples=["object"])
     """Name of the object on which the boundary acts. Default: all objects."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:

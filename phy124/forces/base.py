@@ -16,7 +16,7 @@ from phy124.mpm import Grid, Model, Stage, State
 from phy124.mpm.tracks import FOREVER, AnyProfile, Constant, Over, Track, Tracks
 from phy124.schema.bounds import LONGEST, Name
 from phy124.schema.region import Region, Vector
-from phy124.schema.section import Section
+from phy124.schema.section import Section, omit_default
 
 
 class Force(Section):
@@ -41,9 +41,7 @@ class Force(Section):
     """Time at which the force stops acting [s]. Default: never."""
     region: Region | None = None
     """The force acts on the particles that are in this region at rest. Default: all particles."""
-    object: Name | None = Field(
-        default=None, exclude_if=lambda name: name is None, examples=["object"]
-    )
+    object: Name | None = omit_default(None, examples=["object"])
     """Name of the object on which the force acts. Default: all objects."""
     profile: AnyProfile = Constant()
     """How the strength of the force varies over time: constant, ramp, sine or keyframes."""

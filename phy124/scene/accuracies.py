@@ -6,7 +6,7 @@ from pydantic import Field
 
 from phy124.errors import InputError
 from phy124.mpm.timestep import beside_rpic
-from phy124.schema.section import Section
+from phy124.schema.section import Section, omit_default
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
 """Default settings of MPM's transfers between particles and grid.
@@ -30,41 +30,35 @@ class Accuracy(Section):
     """Floating-point precision of the simulation. auto: float32 if all moving objects are simulated
     on lattices, where rounding errors of the strain do not accumulate; otherwise float64.
     """
-    transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = Field(
-        default="apic", exclude_if=lambda value: value == "apic"
-    )
+    transfer: Literal["apic", "aflip", "xpic2", "xpic3", "xpic4", "xpic5"] = omit_default("apic")
     """Transfer of velocities between particles and grid. apic is the fastest, has the strongest
     damping, and is the only transfer that conserves angular momentum. xpic2 to xpic5 damp
     vibrations less, but need 2 to 5 more passes over the grid. aflip needs one more pass and leaves
     noise.
     """
-    blend: float = Field(default=0.95, ge=0, le=1, exclude_if=lambda value: value == 0.95)
+    blend: float = omit_default(0.95, ge=0, le=1)
     """For transfer = aflip only: particles keep this fraction of the velocities that the grid
     cannot represent.
     """
-    gradient: Literal["affine", "spline"] = Field(
-        default="affine", exclude_if=lambda value: value == "affine"
-    )
+    gradient: Literal["affine", "spline"] = omit_default("affine")
     """Velocity gradient from which stress and strain are computed. affine: the affine fit around
     each particle (MLS-MPM), with which objects that bend by several cells are too soft. spline: the
     gradients of the interpolation weights, for transfer = apic only; takes 1.7 to 4 times as long.
     """
-    solver: Literal["auto", "mpm", "lattice"] = Field(
-        default="auto", exclude_if=lambda value: value == "auto"
-    )
+    solver: Literal["auto", "mpm", "lattice"] = omit_default("auto")
     """Solver of elastic objects. mpm: the material point method. lattice: a lattice in the
     undeformed object, whose nodes move with the object; bending is accurate, but the object cannot
     tear; for transfer = apic only. auto: lattice where it is supported and was better in
     measurements; otherwise mpm, with the reason in the report.
     """
-    rpic_damping: float = Field(default=0.0, ge=0, le=1e6, exclude_if=lambda value: value == 0)
+    rpic_damping: float = omit_default(0.0, ge=0, le=1e6)
     """Decay rate of the symmetric part of each particle's C, for apic only [1/s]. The decay acts
     like a viscosity of rate x density x dx^2/8, so the effect depends on the grid. PhysGaussian's
     damping r at a substep dt equals a rate of -ln(1 - r)/dt. If the rate is above 0, substeps are
     0.71 times as long.
     """
-    liquid: Literal["compressible", "projection"] | None = Field(
-        default=None, examples=["projection"], exclude_if=lambda value: value is None
+    liquid: Literal["compressible", "projection"] | None = omit_default(
+        None, examples=["projection"]
     )
     """Solver of the law fluid. compressible: the pressure of each particle follows from its volume.
     projection: incompressible flow with longer steps, for a single liquid, also together with other

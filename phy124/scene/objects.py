@@ -15,7 +15,7 @@ from phy124.boundaries.motion import Free, OwnMotion, Path, Swing
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.scene.sections import FLOOR, Object, Part
 from phy124.schema.bounds import RGB, FileName, Name
-from phy124.schema.section import Section
+from phy124.schema.section import Section, omit_default
 
 ShapeName = Literal["sphere", "box", "capsule"]
 _Side = Annotated[float, Field(ge=0.01, le=1)]
@@ -42,9 +42,7 @@ class SceneObject(Object):
     """File of Gaussians, or clip whose first frame is used."""
     generator: str | None = Field(default=None, max_length=1000, examples=["relief"])
     """Generator for the object's picture; default: the first object's generator."""
-    mesh: FileName | None = Field(
-        default=None, exclude_if=lambda path: path is None, examples=["chair.glb"]
-    )
+    mesh: FileName | None = omit_default(None, examples=["chair.glb"])
     """Mesh from which the object is made: .glb, .gltf, .obj, .stl or .ply."""
     shape: ShapeName | None = Field(default=None, examples=["box"])
     """Plain shape: sphere, box or capsule."""
@@ -55,7 +53,7 @@ class SceneObject(Object):
     """
     static: bool = False
     """Scenery: the object is visible, but does not move or touch anything."""
-    motion: OwnMotion | None = Field(default=None, exclude_if=lambda motion: motion is None)
+    motion: OwnMotion | None = omit_default(None)
     """Motion of a rigid shape. path or swing: the motion is prescribed, so the shape pushes other
     objects, but they do not push the shape. free: the shape moves under gravity and contact with
     walls and other objects.

@@ -48,7 +48,7 @@ from phy124.scene.sections import Checks, Object, Part, Timing, check_energy
 from phy124.scene.view import View
 from phy124.schema.bounds import LONGEST, Text
 from phy124.schema.refusals import validate
-from phy124.schema.section import Section
+from phy124.schema.section import Section, omit_default
 
 MOST_OBJECTS = 16
 """Maximum number of objects in a scene; each object in contact needs a velocity field."""
@@ -67,11 +67,9 @@ class Scene(Section):
     """Constitutive law."""
     parts: tuple[Part, ...] = ()
     """Parts made of other materials."""
-    objects: tuple[SceneObject, ...] = Field(
-        default=(), max_length=MOST_OBJECTS - 1, exclude_if=lambda value: not value
-    )
+    objects: tuple[SceneObject, ...] = omit_default((), max_length=MOST_OBJECTS - 1)
     """Further objects. Accuracy, stiffness and properties are for the first object."""
-    pairs: tuple[Pair, ...] = Field(default=(), exclude_if=lambda value: not value)
+    pairs: tuple[Pair, ...] = omit_default(())
     """Contact between two objects. The default is the contact separate with friction 0.5."""
     stiffness: AnyStiffness | None = None
     """How E varies inside the object; if absent, E is uniform."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError, model_validator
@@ -12,7 +11,7 @@ from phy124.errors import InputError
 from phy124.materials import AnyMaterial, NeoHookean
 from phy124.schema.bounds import FileName, Name, Spot, Velocity
 from phy124.schema.region import PartRegion
-from phy124.schema.section import Section
+from phy124.schema.section import Section, omit_default
 
 Number = Annotated[int, Field(ge=0, le=10_000_000)]
 """The index of a Gaussian."""
@@ -26,11 +25,6 @@ _Degrees = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[_Degrees, _Degrees, _Degrees]
 
 
-def _is(default: Any) -> Callable[[Any], bool]:
-    """Return a function that tests for a default, which scene files do not contain."""
-    return lambda value: value == default
-
-
 class Object(Section):
     """The object made from the picture, and its placement in the world."""
 
@@ -42,17 +36,17 @@ class Object(Section):
     """Velocity at the start [m/s]."""
     spin: Velocity = (0.0, 0.0, 0.0)
     """Angular velocity about the object's centre [rad/s]."""
-    name: Name = Field(default="object", exclude_if=_is("object"))
+    name: Name = omit_default("object")
     """Name of the object."""
-    place: Spot = Field(default=(0.0, 0.0), exclude_if=_is((0.0, 0.0)))
+    place: Spot = omit_default((0.0, 0.0))
     """Position of the object's centre on the floor, x and y [m]."""
-    turn: Angles = Field(default=(0.0, 0.0, 0.0), exclude_if=_is((0.0, 0.0, 0.0)))
+    turn: Angles = omit_default((0.0, 0.0, 0.0))
     """Rotation about x, then y, then z [degrees]."""
-    on: Name = Field(default=FLOOR, exclude_if=_is(FLOOR))
+    on: Name = omit_default(FLOOR)
     """What the object stands on: the floor at z = 0, or the name of another object. `lift` is the
     gap between the two.
     """
-    held: bool = Field(default=False, exclude_if=_is(False))
+    held: bool = omit_default(False)
     """The object never moves, and acts on other objects like a wall."""
 
     @property
@@ -117,7 +111,7 @@ class Checks(Section):
     """Stop the run if the changes of energy and momentum differ from the work and the impulse of
     forces and walls. If off, only non-finite values and inverted particles stop the run.
     """
-    energy: bool = Field(default=False, exclude_if=_is(False))
+    energy: bool = omit_default(False)
     """Report the energy lost in the material, in contact, and by the numerical method; on lattices
     and in liquids, report also the work of each cause.
     """

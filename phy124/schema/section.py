@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 LINES = re.compile(
@@ -53,6 +53,11 @@ class Section(BaseModel):
         if wrong:
             raise ValidationError.from_exception_data(cls.__name__, wrong)
         return data
+
+
+def omit_default(default: Any, **limits: Any) -> Any:
+    """Return a field with limits, as `pydantic.Field`, that files omit if it has its default."""
+    return Field(default=default, exclude_if=lambda value: value == default, **limits)
 
 
 @cache
