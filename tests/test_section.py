@@ -1,5 +1,7 @@
 """Declared options take values of the declared type, and scenes no endless nesting."""
 
+import importlib
+
 import pytest
 
 from demo.settings import Settings
@@ -74,3 +76,38 @@ def test_file_of_deeply_nested_data_is_refused(tmp_path, text):
     (tmp_path / "scene.toml").write_text(text)
     with pytest.raises(InputError, match="nested"):
         Scene.from_toml(tmp_path / "scene.toml")
+
+
+def test_docstring_below_a_field_describes_it(tmp_path, monkeypatch):
+    source = '''# coding: latin-1
+from pydantic import Field
+
+from phy124.schema.section import Section
+
+
+class Lamp(Section):
+    """A lamp."""
+
+    kind: str = Field(default="lamp", description="Kind.")
+    power: float = 1.0
+    """Power [W], café
+    light.
+    """
+    hue: float = 0.0
+
+    def shine(self) -> float:
+        """Shine."""
+        return self.power
+
+
+def make(
+    hue: float,
+) -> Lamp:
+    """Make a lamp."""
+    return Lamp(hue=hue)
+'''
+    (tmp_path / "described_lamp.py").write_text(source, "latin-1")
+    monkeypatch.syspath_prepend(tmp_path)
+    fields = importlib.import_module("described_lamp").Lamp.model_fields
+    described = {name: field.description for name, field in fields.items()}
+    assert described == {"kind": "Kind.", "power": "Power [W], café light.", "hue": None}

@@ -2,6 +2,7 @@
 
 import re
 import sys
+import tokenize
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, get_args
@@ -67,7 +68,9 @@ def _read_docstrings(file: str | None) -> dict[str, dict[str, str]]:
     if file is None or not file.endswith(".py") or not Path(file).is_file():
         return texts
     section = field = ""
-    for line in LINES.finditer(Path(file).read_text("utf-8")):
+    with tokenize.open(file) as source:
+        lines = LINES.finditer(source.read())
+    for line in lines:
         if line["top"]:
             section = line["name"] if line["top"] == "class" else ""
         if line["text"] and section and field:
