@@ -2,6 +2,7 @@
 
 import difflib
 import errno
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -14,14 +15,16 @@ In this case, the file that the error names is not the cause.
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 """Escape sequences for control characters, which could change a terminal's colours or title."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
+SHORT_WRITE = re.compile(r"\d+ requested and \d+ written")
+"""Message of NumPy, which states no error code, if the disk becomes full during `np.save`."""
 
 
 def is_full_disk(problem: BaseException) -> bool:
     """Return whether an exception, of the system or of a library, reports a full disk."""
     code = problem.errno if isinstance(problem, OSError) else None
     words = str(problem).lower()
-    says = code in DISK_CODES or any(sign in words for sign in DISK_WORDS)
-    return says and not isinstance(problem, (InputError, Incomplete))
+    says = any(sign in words for sign in DISK_WORDS) or SHORT_WRITE.search(words) is not None
+    return (says or code in DISK_CODES) and not isinstance(problem, (InputError, Incomplete))
 
 
 class Remedy(NamedTuple):

@@ -36,6 +36,7 @@ PROBLEMS = {
     "no memory": (MemoryError(), 1, "there is not enough memory (MemoryError)"),
     "no threads": (RuntimeError("can't start new thread"), 1, "there is not enough memory"),
     "safetensors": (SafetensorError("bad header"), 1, "safetensors failed: SafetensorError"),
+    "full, by NumPy": (OSError("4608 requested and 4064 written"), 1, "the disk is full"),
     "full, by safetensors": (SafetensorError("I/O error: No space left"), 1, "the disk is full"),
     "Pillow": (UnidentifiedImageError("no picture"), 1, "Pillow failed: UnidentifiedImageError"),
     "httpx": (httpx.ConnectError("refused"), 1, "httpx failed: ConnectError: refused"),

@@ -1,5 +1,6 @@
 """Computed frames remain, whatever ends a run (a kill, an error), and the run can be continued."""
 
+import errno
 import os
 import shutil
 import signal
@@ -127,6 +128,27 @@ def test_a_run_of_the_page_that_fails_leaves_nothing(tmp_path, every_frame, temp
     with pytest.raises(RuntimeError, match="a bug"):
         pipeline.simulate(ball(300), SCENE, tmp_path / "out", each=each, rescues=False)
     assert not (tmp_path / "out").exists() and list(temporary.iterdir()) == []
+
+
+def test_run_that_goes_on_leaves_no_frames_without_their_state(tmp_path, every_frame, monkeypatch):
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "simulate" and done == 3:
+            raise Cancelled
+
+    pipeline.simulate(ball(300), SCENE, tmp_path, progress=stop, keep=True)
+    before = names(tmp_path)
+
+    def late(stage: str, done: int, total: int) -> None:
+        if stage == "simulate" and done == 5:
+            raise Cancelled
+
+    def full(*_: object, **options: object) -> None:
+        raise OSError(errno.ENOSPC, "no room")
+
+    monkeypatch.setattr(recording.resume, "save", full)
+    with pytest.warns(UserWarning, match="cannot be written"), pytest.raises(Cancelled):
+        pipeline.go_on(tmp_path, progress=late)
+    assert names(tmp_path) == before
 
 
 def test_a_pause_stays_if_the_run_that_goes_on_fails(tmp_path, every_frame, whole):

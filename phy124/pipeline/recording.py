@@ -151,9 +151,10 @@ class Recording:
         return self.saved
 
     def leave(self) -> None:
-        """Leave the saved state and the frame file on disk, so that `resume` can continue."""
+        """Leave the saved state and its frame file on disk, so that `resume` can continue."""
         if self.frames is not None:
             self.frames.close() if self.saved else self.frames.remove()
+            sweep(self.path.parent)  # the state may be older than the frame file
         self.frames, self.failed = None, True
 
     def _begin(self, run: Simulation) -> None:
