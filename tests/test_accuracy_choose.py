@@ -39,12 +39,12 @@ def quick(monkeypatch) -> Scene:
 
 def test_an_error_goal_is_met_against_a_finer_run(quick):
     """The setting chosen is the cheapest that should do, and it does."""
-    reached = run_for_goal(Goal.error("1%"), ball(600), quick)
+    reached = run_for_goal(Goal.error("1%"), ball(300), quick)
     about = reached.about
     assert about["met"] is True
     assert about["error"] <= 0.01
     finer = quick.replaced({"accuracy.cells": 2 * about["cells"]})
-    truth = Simulation(prepare(ball(600), finer)).run()
+    truth = Simulation(prepare(ball(300), finer)).run()
     assert distances([reached.clip.means, truth.means])[0, 1] <= 0.01
     assert reached.clip.report["grid"]["dx"] == pytest.approx(1 / about["cells"])
 
@@ -52,7 +52,7 @@ def test_an_error_goal_is_met_against_a_finer_run(quick):
 @pytest.mark.parametrize("goal", ["2%", "3px", "2cm"])
 def test_the_promise_of_a_run_with_a_goal_is_its_own(quick, goal):
     """One error, however it is asked for: not that of other objects."""
-    reached = run_for_goal(Goal.error(goal), ball(600), quick)
+    reached = run_for_goal(Goal.error(goal), ball(300), quick)
     about = reached.about
     said = promise(
         reached.simulation.scene, Proportions(0.5, 0.3), {"goal": about, "complete": True}
@@ -75,12 +75,12 @@ def test_a_guessed_order_takes_a_small_step(quick, monkeypatch):
         return replace(result, note="errors are rough", errors=(0.4, 0.3, 0.018), order=0.5)
 
     monkeypatch.setattr(choose, "richardson", rough)
-    about = run_for_goal(Goal.error("1%"), ball(600), quick).about
+    about = run_for_goal(Goal.error("1%"), ball(300), quick).about
     assert about["levels"][:4] == [6, 8, 12, 16] and about["met"]
 
 
 def test_lax_goal_takes_a_cheap_level(quick):
-    about = run_for_goal(Goal.error("50%"), ball(600), quick).about
+    about = run_for_goal(Goal.error("50%"), ball(300), quick).about
     assert about["cells"] == 6
     assert about["levels"] == [6, 8, 12]
     assert 0 < about["error"] < 0.5
@@ -97,7 +97,7 @@ def soft(E: float) -> Scene:
 
 @pytest.mark.slow
 def test_an_object_that_tears_is_given_more_particles(quick):
-    about = run_for_goal(Goal.error("50%"), ball(600), soft(1000)).about
+    about = run_for_goal(Goal.error("50%"), ball(300), soft(1000)).about
     assert about["particles_per_axis"] == 3
     assert about["met"] is True
     assert not about["torn"]
@@ -115,7 +115,7 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
         return plain(setup)
 
     monkeypatch.setattr(choose, "Simulation", refusing)
-    reached = run_for_goal(Goal.error("0.2%"), ball(600), quick)
+    reached = run_for_goal(Goal.error("0.2%"), ball(300), quick)
     assert reached.about["cells"] == 12
     assert reached.about["particles_per_axis"] == 2
     assert reached.about["met"] is False
@@ -125,21 +125,21 @@ def test_too_many_particles_return_the_last_level(quick, monkeypatch):
 def test_the_densest_object_is_not_tried_again(quick, monkeypatch):
     monkeypatch.setattr(Tearing, "likely", property(lambda self: self._model.dx < 1 / 13))
     most = quick.replaced({"accuracy.particles_per_axis": 4.0, "time.frames": 4})
-    assert run_for_goal(Goal.error("0.2%"), ball(600), most).about["particles_per_axis"] == 4
+    assert run_for_goal(Goal.error("0.2%"), ball(300), most).about["particles_per_axis"] == 4
 
 
 @pytest.mark.slow
 def test_torn_object_meets_no_goal(quick):
     """However close two grids are: what both tear is not what the material does."""
     with pytest.raises(InputError, match=r"on D/\d+ the material is stretched \d.* may tear it"):
-        run_for_goal(Goal.error("0.2%"), ball(600), soft(50))
+        run_for_goal(Goal.error("0.2%"), ball(300), soft(50))
 
 
 def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
     """Return the finest level without tears, and why there is no finer one."""
     likely = property(lambda self: self._model.dx < 1 / 13)
     monkeypatch.setattr(Tearing, "likely", likely)
-    about = run_for_goal(Goal.error("0.2%"), ball(600), quick).about
+    about = run_for_goal(Goal.error("0.2%"), ball(300), quick).about
     assert about["cells"] == 12
     assert about["levels"] == [6, 8, 12]
     assert about["torn"]
@@ -152,7 +152,7 @@ def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
         InputError,
         match=r"no grid meets this target: even D/24, which takes about .*, would have an error",
     ):
-        run_for_goal(Goal.error("0.0001px"), ball(600), quick)
+        run_for_goal(Goal.error("0.0001px"), ball(300), quick)
 
 
 @pytest.mark.parametrize("goal", ["1.5%", "0.8%", "0.55%", "0.42%"])

@@ -20,7 +20,7 @@ from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
-OBJECT = ball(800)
+OBJECT = ball(300)
 QUICK = [
     *("--accuracy", "draft", "--gaussians", "2000", "--frames", "3", "--size", "64"),
     *("--views", "front", "--device", "cpu"),

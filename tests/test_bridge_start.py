@@ -60,8 +60,10 @@ def clip(tmp_path):
         pytest.param("play CLIP --backend dds", EXEC, marks=pytest.mark.slow),
         pytest.param("play CLIP --backend dds", "phy124.errors", marks=pytest.mark.slow),
         ("play CLIP --backend dds", "tyro"),
-        ("play CLIP --backend dds", "cyclonedds.domain"),
-        ("play CLIP --backend foxglove --port 0", "foxglove.websocket"),
+        pytest.param("play CLIP --backend dds", "cyclonedds.domain", marks=pytest.mark.slow),
+        pytest.param(
+            "play CLIP --backend foxglove --port 0", "foxglove.websocket", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_command_line(clip, command, moment):
@@ -117,7 +119,7 @@ def executables(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("moment", [EXEC, "phy124_bridge", "phy124_bridge.start", "rclpy.begun"])
-@pytest.mark.parametrize("name", ["player", "simulate"])
+@pytest.mark.parametrize("name", [pytest.param("player", marks=pytest.mark.slow), "simulate"])
 def test_the_nodes(executables, name, moment):
     path = os.pathsep.join([str(executables), str(ROOT)])
     status, said = interrupted([executables / name], moment, PYTHONPATH=path)

@@ -12,7 +12,7 @@ from PIL import Image
 from phy124.__main__ import main
 
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
-QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]
+QUICK = ["--set", "accuracy={cells=8}", "--frames", "3", "--size", "64", "--device", "cpu"]
 FEW = [*QUICK, "--gaussians", "2000", "--views", "front"]
 
 
@@ -64,7 +64,7 @@ def test_doubtful_cutout_is_reported_before_the_work(dark, tmp_path, capsys, mon
     inverted = Image.fromarray(255 - np.asarray(Image.open(mask)))
     inverted.save("inverted.png")
     for command in ("cutout", "generate"):
-        more = [*QUICK, "--dry-run"] if command == "generate" else []
+        more = [*FEW, "--dry-run"] if command == "generate" else []
         assert main([command, str(picture), "--mask", "inverted.png", *more]) == 0
         output = capsys.readouterr().err
         assert "warning: The cut-out touches 4 edges of the picture" in output

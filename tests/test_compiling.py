@@ -70,11 +70,11 @@ def test_only_missing_modules_compile_with_progress(empty_cache):
     assert compile_missing(made, progress=pytest.fail) == 0
 
 
-def test_warp_is_started_before_anything_is_loaded(empty_cache, monkeypatch):
+def test_warp_is_started_before_anything_is_loaded(monkeypatch):
     """A thread that starts it would discard what the others know of their modules."""
-    done, load = [], wp.load_module
+    done = []
     monkeypatch.setattr(compiling, "start", lambda: done.append("start"))
-    monkeypatch.setattr(wp, "load_module", lambda *options: (done.append("load"), load(*options)))
+    monkeypatch.setattr(wp, "load_module", lambda *_: done.append("load"))
     assert compile_missing([small("started")]) == 1
     assert done == ["start", "load"]
 

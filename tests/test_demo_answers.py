@@ -135,7 +135,7 @@ def test_each_stage_of_a_run_has_one_time(studio):
     visitor = studio.visitors.get("a")
     cut = studio.cut_out("a", str(studio.visitors.store("a", TEDDY.read_bytes(), ".png")))
     assert cut.wait(60)
-    few = {"time.frames": 2, "accuracy": "draft", "view.size": 32, "view.views": ["front"]}
+    few = {"time.frames": 2, "accuracy": {"cells": 8}, "view.size": 32, "view.views": ["front"]}
     run = studio.run(Choice("a", cut.progress.result, Scene.named("press").replaced(few).data()))
     assert run.wait(300) and visitor.has_results, run.progress.message
     report = json.loads((run.progress.result.films / "report.json").read_text("utf-8"))

@@ -69,7 +69,8 @@ def test_the_forecast_warns_of_the_limit(tmp_path, monkeypatch):
     """Other programs make a run too long that an idle machine would finish."""
     from demo.handlers.run import show_estimate
 
-    scene = Scene.named("press").replaced({"time.frames": 72, "material.E": 1e6})
+    changes = {"accuracy": {"cells": 16}, "time.frames": 72, "material.E": 1e6}
+    scene = Scene.named("press").replaced(changes)
     studio = Studio(Settings(), Visitors(tmp_path))
     least, rates = studio.forecaster.minimum(scene), Rates()
     studio.settings = Settings(max_seconds=1.1 * least)

@@ -22,9 +22,9 @@ from support.served import ROOT, TIMEOUT, Server, serving
 from support.shapes import ball
 
 DUCK = ROOT / "demo" / "examples" / "duck.png"
-FEW = {"view.views": ["front"], "view.size": 64}
+FEW = {"view.views": ["front"], "view.size": 64, "accuracy": {"cells": 8}}
 GIGABYTE = 1 << 30
-WAITING, LEAVING = 2, 4
+WAITING, LEAVING = 1, 3
 # gradio_client leaves sockets of its streams to the garbage collector.
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
@@ -58,6 +58,14 @@ class _Closing:
 
     def __exit__(self, *_) -> None:
         self.client.close()
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory) -> Path:
+    """A file of Gaussians, which takes less time than a picture."""
+    path = tmp_path_factory.mktemp("files") / "ball.ply"
+    path.write_bytes(ply.encode(ball(300)))
+    return path
 
 
 def generate(client, picture=DUCK, known=None, **options):
@@ -205,7 +213,8 @@ def test_a_program_fits_its_run_to_a_video(client, tmp_path):
 
     from support.ducks import video
 
-    generate(client, preset="press", frames=14, changes={**FEW, "material.E": 4e4})
+    changes = {**FEW, "accuracy": "draft", "material.E": 4e4}
+    generate(client, preset="press", frames=14, changes=changes)
     film = handle_file(str(video(tmp_path / "truth", truth=6e4)))
     files, report = client.predict(film, seconds=600, api_name="/fit")
     low, high = report["found"]["material.E"]["limit"]["interval"]
@@ -244,11 +253,11 @@ def test_the_error_of_a_scene_is_measured_by_name(client):
     assert [value["label"] for value in answer["returns"]] == ["error", "sentence", "levels"]
 
 
-def test_without_frames_the_preset_says_how_long_it_is(client):
+def test_without_frames_the_preset_says_how_long_it_is(client, file):
     from phy124.scene import Scene
 
-    options = {"preset": "press", "frames": None, "changes": {**FEW, "accuracy": {"cells": 8}}}
-    assert generate(client, **options)[1]["frames"] == Scene.named("press").time.frames
+    options = {"preset": "press", "frames": None, "changes": FEW}
+    assert generate(client, file, **options)[1]["frames"] == Scene.named("press").time.frames
 
 
 def test_endpoints_equal_the_snapshot(client):
@@ -287,12 +296,14 @@ def test_a_depth_map_changes_the_object_and_must_fit(client, tmp_path):
     for name, values in (("fits", hill), ("wide", hill[:20])):
         Image.fromarray(values).save(tmp_path / f"{name}.png")
         sent[name] = handle_file(str(tmp_path / f"{name}.png"))
-    guessed = generate(client)[1]
-    measured = generate(client, pick=[], depth=sent["fits"], near="white")[1]
+    draft = {"changes": {**FEW, "accuracy": "draft"}}
+    guessed = generate(client, **draft)[1]
+    measured = generate(client, **draft, pick=[], depth=sent["fits"], near="white")[1]
     assert measured["particles"] != guessed["particles"]
     alone = {"pick": [], "depth": None, "near": "white", "side": None, "facing": "left"}
     alone |= {"back": None}
-    assert generate(client, **alone, thickness=0.3)[1]["particles"] < 0.6 * guessed["particles"]
+    thin = generate(client, **draft, **alone, thickness=0.3)[1]
+    assert thin["particles"] < 0.6 * guessed["particles"]
     with pytest.raises(Exception, match=r"thickness: .*a number from 0\.05 to 4"):
         generate(client, **alone, thickness=9)
     for name, near, message in (
@@ -402,18 +413,18 @@ def test_values_are_checked_on_the_server(client, options, message):
         generate(client, **options)
 
 
-def test_visitors_files_are_not_found_by_name(server, client):
-    generate(client)
+def test_visitors_files_are_not_found_by_name(server, client, file):
+    generate(client, file)
     folders = list((server.folder / "visitors").iterdir())
     assert folders
     for path in (server.log, server.folder / "visitors", ROOT / "app.py"):
         assert get(f"{server.url}/gradio_api/file={path}")[0] in (403, 404)
 
 
-def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
+def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server, file):
     """More of them than may wait close their tab; tests/abuse has a crowd who stay to the end."""
     with ThreadPoolExecutor(LEAVING) as pool:
-        list(pool.map(lambda _: _leave_in_the_middle(server), range(LEAVING)))
+        list(pool.map(lambda _: _leave_in_the_middle(server, file), range(LEAVING)))
     assert server.health()["visitors"] > 0, "they had come"
     server.until_idle()
     server.until(lambda: server.health()["visitors"] == 0, "everybody's leaving")
@@ -421,20 +432,20 @@ def test_visitors_who_leave_in_the_middle_leave_nothing_behind(server):
     server.until(lambda: server.threads() == 0, "an end of all threads")
     assert server.peak_memory() < 1.5 * GIGABYTE
     with client_of(server) as client:
-        assert generate(client)[1]["complete"]
+        assert generate(client, file)[1]["complete"]
 
 
 def _folders(server: Server) -> set[Path]:
     return {path for path in (server.folder / "visitors").iterdir() if path.name != "arrivals"}
 
 
-def _leave_in_the_middle(server: Server) -> None:
+def _leave_in_the_middle(server: Server, file: Path) -> None:
     from gradio_client import handle_file
     from gradio_client.utils import Status
 
     with client_of(server) as client:
         sent = client.submit(
-            handle_file(str(DUCK)), "press", "draft", 6, FEW, [], api_name="/generate"
+            handle_file(str(file)), "press", "draft", 6, FEW, [], api_name="/generate"
         )
         server.until(lambda: sent.status().code != Status.STARTING, "an answer to the request")
 
@@ -447,8 +458,7 @@ def test_a_program_sends_a_picture_for_each_object(client, tmp_path):
     def second(path: Path) -> dict:
         return {"second": handle_file(str(path))}
 
-    teddy, few = DUCK.with_name("teddy.png"), {**FEW, "accuracy": {"cells": 8}}
-    options = {"preset": "collide", "changes": few}
+    teddy, options = DUCK.with_name("teddy.png"), {"preset": "collide", "changes": FEW}
     files, report = generate(client, known=second(teddy), **options)
     assert set(report["objects"]) == {"left", "right"} and set(report["sources"]) == {"right"}
     (clip,) = (Path(path) for path in files if Path(path).name == "clip.safetensors")

@@ -193,7 +193,7 @@ def test_report_includes_a_later_study(visit, handlers, monkeypatch, gradio):
 
 def test_missing_kernels_are_forecast_and_not_probed(visit, monkeypatch):
     studio, cutout, data = visit
-    data = {**data, "accuracy": "draft", "view": {**data["view"], "size": [32, 32]}}
+    data = {**data, "accuracy": {"cells": 8}, "view": {**data["view"], "size": [32, 32]}}
     job = studio.run(Choice("a", cutout, data))
     assert job.wait(300) and job.progress.state == "done", job.progress.message
     other = {**data, "time": {**data["time"], "frames": 3}}

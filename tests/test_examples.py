@@ -19,10 +19,10 @@ LONGEST = 40
 LONG = ("cost", "error", "fit", "sweep")
 """Programs that take long with smaller settings, too: many runs, or probes on fine grids."""
 SMALLER = (
-    (r'"accuracy": "draft"', '"accuracy": {"cells": 8}, "time.frames": 3, "view.size": 32'),
+    (r'"accuracy": "draft"', '"accuracy": {"cells": 6}, "time.frames": 3, "view.size": 32'),
     (r'"time\.frames": \d+', '"time.frames": 3'),
-    (r'make_gaussians\((".*?")\)', r"make_gaussians(\1, count=2000)"),
-    (r'generate\((.*"out/\w+")\)', r"generate(\1, count=2000)"),
+    (r'make_gaussians\((".*?")\)', r"make_gaussians(\1, count=800)"),
+    (r'generate\((.*"out/\w+")\)', r"generate(\1, count=800)"),
     (r"frames\(24\)", "frames(2)"),
 )
 """Patterns in a program, and what stands there in a quick test."""

@@ -62,11 +62,11 @@ def test_an_archive(tmp_path, clip):
 
 def test_five_digits_for_ten_thousand_frames(tmp_path, three_gaussians, monkeypatch):
     g = three_gaussians.select(np.array([0]))
-    many = Clip.from_frames([Frame(i, i / 24, g) for i in range(10_000)])
-    monkeypatch.setattr("phy124.io.sequence.write_ply", lambda file, gaussians: None)
-    names = write_sequence(tmp_path / "out", many)
-    assert names[0] == "frame_00001.ply" and names[-1] == "frame_10000.ply"
-    assert names == sorted(names)
+    frames = [Frame(i, i / 24, g) for i in range(2)]
+    clip = Clip.from_frames(frames)
+    monkeypatch.setattr(Clip, "__len__", lambda _: 10_000)
+    names = write_sequence(tmp_path / "out", clip, frames=frames)
+    assert names == ["frame_00001.ply", "frame_00002.ply"]
 
 
 @pytest.mark.parametrize("name", ["out", "out.zip"])

@@ -21,7 +21,7 @@ from support.liquids import pool
 from support.runs import SCENE, WITH
 from support.shapes import ball
 
-SHORT = {"accuracy": {"cells": 8}, "time.frames": 3, "checks.energy": True}
+SHORT = {"accuracy": {"cells": 6}, "time.frames": 3, "checks.energy": True}
 SAND = {
     "checks.energy": False,
     "objects": [
@@ -41,11 +41,11 @@ def preset(name: str, **changes) -> Scene:
 
 
 SCENES = {
-    "particles": lambda: preset("drop", accuracy={"cells": 8, "solver": "mpm"}, contacts=True),
-    "lattice": lambda: preset("drop", accuracy={"cells": 8, "solver": "lattice"}),
+    "particles": lambda: preset("drop", accuracy={"cells": 6, "solver": "mpm"}, contacts=True),
+    "lattice": lambda: preset("drop", accuracy={"cells": 6, "solver": "lattice"}),
     "several lattices": lambda: preset("land_on_cushion"),
     "lattice and particles": lambda: preset("drop", **SAND),
-    "liquid": lambda: preset("water", accuracy={"cells": 8, "liquid": "projection"}),
+    "liquid": lambda: preset("water", accuracy={"cells": 6, "liquid": "projection"}),
     "lattice in liquid": lambda: pool(time={"frames": 3, "fps": 24}),
     "sand in liquid": lambda: pool(time={"frames": 3, "fps": 24}, material={"law": "sand"}),
     "free solid": lambda: SCENE.replaced({**WITH["free solid"], **SHORT}),
@@ -122,7 +122,7 @@ def test_a_run_that_stopped_leaves_nothing(monkeypatch):
         raise Unstable("a particle is lost")
 
     monkeypatch.setattr(Solver, "advance", fail)
-    scene = preset("drop", accuracy={"cells": 8, "solver": "mpm"})
+    scene = preset("drop", accuracy={"cells": 6, "solver": "mpm"})
 
     def run() -> Simulation:
         stopped = Simulation(prepare(ball(400), scene))

@@ -38,7 +38,7 @@ SCENE = Scene.named("press").replaced(
     {"accuracy": {"cells": 10}, "time.frames": 6, "view.size": 32, "view.views": ["front", "left"]}
 )
 OPTIONS = [
-    *("--accuracy", "draft", "--frames", "6", "--size", "32", "--set", "time.sleep=false"),
+    *("--frames", "6", "--size", "32", "--set", "accuracy={cells=8}", "time.sleep=false"),
     *("--views", "front", "left", "--device", "cpu"),
 ]
 
@@ -217,7 +217,7 @@ def test_sigterm_keeps_the_good_frames(tmp_path):
 def test_the_same_command_with_resume_goes_on(tmp_path, capsys):
     write_ply(tmp_path / "ball.ply", ball(800))
     changes = {
-        "accuracy": "draft",
+        "accuracy": {"cells": 8},
         "time.frames": 6,
         "time.sleep": False,
         "view.size": 32,

@@ -18,6 +18,7 @@ SCIPY = {f"scipy.{part}" for part in ("fft", "linalg", "ndimage", "sparse", "spa
 LIBRARIES = HEAVY | {"warp", "numpy", "scipy", "cv2", "PIL", "pydantic"}
 BRIDGE = "bridge.live, bridge.node, bridge.backends, bridge.recover, bridge.sinks.mcap, "
 BRIDGE += "bridge.sinks.dds, bridge.sinks.rclpy, bridge.sinks.foxglove"
+WEIGHTS = "from phy124.weights import checkpoints, store"
 MAIN = "from phy124.__main__ import main; "
 UNUSED = ["numpy.f2py", "numpy.polynomial", "numpy.testing", "unittest.mock", "asyncio", "ssl"]
 
@@ -38,10 +39,8 @@ def imported_after(code: str) -> list[str]:
         ("import phy124; phy124.__all__, dir(phy124)", LIBRARIES | {"tqdm", "imageio"}),
         ("import phy124, phy124.__main__, phy124.commands", LIBRARIES | {"tyro", "safetensors"}),
         ("import phy124.scene, phy124.generators", HEAVY | SCIPY | {"cv2", "scipy"}),
-        ("import phy124.commands.generate, phy124.commands.fit", HEAVY | SCIPY),
-        ("import phy124.commands.sweep", HEAVY | SCIPY),
-        ("import phy124.weights.store, phy124.weights.checkpoints, phy124.metrics", HUB),
-        ("import phy124.imaging.u2net", HUB),
+        ("from phy124.commands import fit, generate, sweep", HEAVY | SCIPY),
+        ("from phy124 import metrics; from phy124.imaging import u2net; " + WEIGHTS, HUB),
         (f"import phy124, {BRIDGE}", HEAVY | {"cyclonedds", "foxglove", "warp", "tyro"}),
         (MAIN + "main(['--help'])", LIBRARIES),
         (MAIN + "main(['weights'])", HEAVY | {"warp", "scipy", "cv2"}),

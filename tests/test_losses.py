@@ -76,7 +76,7 @@ def test_frames_are_kept_if_filming_fails(tmp_path, monkeypatch, error, capsys):
     write_ply(tmp_path / "ball.ply", ball(300))
     pipeline.simulate(ball(300), SCENE.replaced({"view.views": ["left"]}), tmp_path / "out")
     command = ["simulate", str(tmp_path / "ball.ply"), "--out", str(tmp_path / "out")]
-    command += ["--frames", "2", "--accuracy", "draft", "--views", "front", "--size", "32"]
+    command += ["--frames", "2", "--set", "accuracy={cells=8}", "--views", "front", "--size", "32"]
     with monkeypatch.context() as patch:
         patch.setattr(run_folder, "film", fail)
         assert main(command) == 1

@@ -343,10 +343,10 @@ def test_a_photograph_is_cut_out(tmp_path, capsys):
     picture = rng.integers(90, 120, (160, 160, 3), dtype=np.uint8)
     picture[disc] = [220, 60, 30]
     Image.fromarray(picture).save(tmp_path / "disc.png")
-    arguments = ["generate", str(tmp_path / "disc.png"), *QUICK, *FEW, "--views", "front", "--json"]
-    assert main([*arguments, "--out", str(tmp_path / "o")]) == 0
-    assert json.loads(capsys.readouterr().out)["foreground"] == "u2netp"
-    cut = np.asarray(Image.open(tmp_path / "o/cutout.png"))
+    out = tmp_path / "cutout.png"
+    assert main(["cutout", str(tmp_path / "disc.png"), "--json", "--out", str(out)]) == 0
+    assert json.loads(capsys.readouterr().out)["method"] == "u2netp"
+    cut = np.asarray(Image.open(out))
     assert ((cut[..., 3] > 127) == disc).mean() > 0.98
 
 

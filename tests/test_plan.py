@@ -154,7 +154,7 @@ def test_causes_of_slow_runs_are_named_before_them(file, tmp_path, capsys):
         "[material]\nlaw = 'neo_hookean'\nE = 1e4\n"
     )
     arguments = ["simulate", str(file), "--scene", str(tmp_path / "s.toml"), *SMALL, "--dry-run"]
-    assert main([*arguments, "--accuracy", "draft"]) == 0
+    assert main([*arguments, "--set", "accuracy={cells=8}"]) == 0
     said = capsys.readouterr().out
     assert "note: parts.0.material (rigid) is so stiff that it needs" in said
     assert "parts.0.static = true" in said

@@ -124,7 +124,7 @@ class Attacker:
 
     def generate(self, image: Any, **options: Any) -> str:
         """The answer of the endpoint for programs: "complete", or what it complains of."""
-        few = {"view.views": ["front"], "view.size": 64}
+        few = {"view.views": ["front"], "view.size": 64, "accuracy": {"cells": 8}}
         inputs = {
             "preset": "drop", "accuracy": "draft", "frames": 2, "changes": few, "formats": [],
             "pick": [], "depth": None, "near": "white", "side": None, "facing": "left",

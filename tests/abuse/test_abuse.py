@@ -29,6 +29,8 @@ from support.served import ROOT, TIMEOUT, serving
 from support.shapes import ball
 
 DUCK = (ROOT / "demo/examples/duck.png").read_bytes()
+FILE = encode(ball(300))
+"""A file of Gaussians, which takes less time than a picture."""
 GIGABYTE = 1 << 30
 NOT_HERE = "The server does not have this picture. Choose it again."
 SECRETS = ["/etc/passwd", "/dev/zero", "/dev/random", "/no/such/file.png", "../../app.py"]
@@ -342,7 +344,7 @@ def test_a_proxy_that_holds_answers_back_hides_no_progress(server):
         assert {row["state"] for row in declared} >= {"running", "done"}
         drawn = [len(row["live"]) for row in declared if row["state"] == "running"]
         assert any(0 < count < 24 for count in drawn), drawn
-        assert visitor.generate({"path": visitor.uploaded(DUCK)}).startswith("complete")
+        assert visitor.generate({"path": visitor.uploaded(FILE)}).startswith("complete")
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
@@ -363,7 +365,7 @@ def test_other_sites_read_nothing(attacker):
 
 
 def test_one_tiny_run_teaches_nothing(attacker):
-    path = {"path": attacker.uploaded(DUCK)}
+    path = {"path": attacker.uploaded(FILE)}
     tiny = {"view.size": 16, "view.views": ["front"]}
     assert attacker.generate(path, preset="press", changes=tiny).startswith("complete")
     answer = attacker.generate(path, preset="bounce", frames=3)
@@ -384,7 +386,7 @@ def test_tickets_displace_no_visitor(server):
 
 def test_a_storm_of_cancels_stops_only_ones_own(server):
     good, bad = Attacker(server), Attacker(server)
-    path = good.uploaded(DUCK)
+    path = good.uploaded(FILE)
     with ThreadPoolExecutor(9) as pool:
         answer = pool.submit(good.generate, {"path": path})
         storm = [pool.submit(bad.press, "cancel", "click", []) for _ in range(40)]
@@ -439,7 +441,7 @@ def test_slow_sockets_never_took_the_last_file(server):
 
 def test_an_honest_visitor_is_served_after_all_that(server):
     visitor = Attacker(server)
-    assert visitor.generate({"path": visitor.uploaded(DUCK)}).startswith("complete")
+    assert visitor.generate({"path": visitor.uploaded(FILE)}).startswith("complete")
 
 
 def test_memory_stayed_within_bounds(server):
