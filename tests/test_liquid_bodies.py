@@ -248,21 +248,34 @@ def test_steps_resolve_the_vibration_of_a_body_below_a_liquid():
     assert solver.liquid.clock.last_dt <= clock.period / 4
 
 
+@pytest.mark.parametrize(("density", "short"), [(0.04, True), (0.06, False)])
+def test_steps_resolve_the_vibration_of_a_light_body(density, short):
+    solver = run(with_block(density * DENSITY, LEVEL, cells=(6, 6, 6), E=5e3), 1)
+    clock = solver.liquid.clock
+    assert np.isfinite(clock.light) == short
+    assert (clock.last_dt <= clock.light / 8) or not short
+
+
 @pytest.mark.parametrize(
-    ("period", "rest", "steps", "limiter"),
+    ("period", "light", "rest", "steps", "limiter"),
     [
-        (0.01, 1 / 24, 2, "wave"),
-        (0.03, 1 / 24, 6, "elastic"),
-        (0.06, 1 / 24, 3, "elastic"),
-        (0.1, 1 / 24, 2, "wave"),
-        (np.inf, 1 / 24, 2, "wave"),
-        (np.inf, 0.1, 3, "wave"),
+        (0.01, np.inf, 1 / 24, 2, "wave"),
+        (0.03, np.inf, 1 / 24, 6, "elastic"),
+        (0.06, np.inf, 1 / 24, 3, "elastic"),
+        (0.1, np.inf, 1 / 24, 2, "wave"),
+        (np.inf, np.inf, 1 / 24, 2, "wave"),
+        (np.inf, np.inf, 0.1, 3, "wave"),
+        (np.inf, 0.04, 1 / 24, 2, "wave"),
+        (np.inf, 0.05, 1 / 24, 7, "elastic"),
+        (np.inf, 0.15, 1 / 24, 3, "elastic"),
+        (np.inf, 0.17, 1 / 24, 2, "wave"),
+        (0.03, 0.15, 1 / 24, 6, "elastic"),
     ],
 )
-def test_equal_steps_resolve_a_vibration_or_average_it(period, rest, steps, limiter):
+def test_equal_steps_resolve_a_vibration_or_average_it(period, light, rest, steps, limiter):
     model = Model.of(np.full((1, 3), 0.5), [DX**3], [Fluid(density=DENSITY)], dx=DX)
     clock = LiquidClock(model)
-    clock.acceleration, clock.period = G, period
+    clock.acceleration, clock.period, clock.light = G, period, light
     dt, limit = clock.divide(rest)
     assert dt == pytest.approx(rest / steps)
     assert limit.limiter == limiter

@@ -45,6 +45,19 @@ def test_report_divides_the_loss_of_a_pool(solver, tmp_path):
     assert resumed(paused, 4, tmp_path / "pause.safetensors").run().report["energy"] == whole
 
 
+LIGHT = {"law": "neo_hookean", "density": 10, "E": 1e3, "damping": 5}
+
+
+@pytest.mark.parametrize(
+    ("solver", "material"), [("lattice", LIGHT), ("mpm", LIGHT), ("mpm", {"law": "foam"})]
+)
+def test_impact_of_a_light_or_yielding_ball_creates_no_energy(solver, material):
+    """Steps that are too long, or a surface that is too stiff, would create 0.7 to 1.0 times it."""
+    energy = start(solver, material=material, frames=10).run().report["energy"]
+    assert energy["projection"] > 0
+    assert energy["exchange"]["object"] < 0
+
+
 def test_work_on_lattices_changes_their_kinetic_energy():
     run = start()
     lattice, losses = cast("Any", run.solver).lattice, cast("Any", run.find(PoolDissipation))

@@ -34,6 +34,10 @@ FIRST = 8
 """Number of steps in which a new body's surface is shifted until it encloses the right volume."""
 MOST = 0.7
 """Largest shift of a body's surface [cells]."""
+LIGHT = 0.05
+"""Density below which a body is light, relative to the density of the liquid."""
+YIELDED = 0.004
+"""Strain at which the surface of a body is assumed to yield, for materials with a yield stress."""
 
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]
@@ -87,6 +91,8 @@ class Bodies:
         """Whether forces act on particles in the substeps."""
         self.period = math.inf
         """Shortest vibration period of bodies below a liquid [s]."""
+        self.light = math.inf
+        """Shortest vibration period of light bodies [s]."""
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         self._before: list[tuple[NDArray, NDArray]] = []
@@ -117,6 +123,7 @@ class Bodies:
     def soften(self, factor: float) -> None:
         """Multiply the stiffness of all bodies by a factor."""
         self._stiffness.assign(factor * np.asarray(self._stiffness.numpy()))
+        self.light /= math.sqrt(factor)
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
         """Connect the bodies with the arrays of all solids; bodies come last in the arrays."""
@@ -124,6 +131,12 @@ class Bodies:
         device, shape = self._model.device, (len(mobility), 2)
         self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._exchanged = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        for body in self.numbers:
+            volume, mass = _size(self._model, body)
+            light = mass / volume * self._model.dx**3 < LIGHT * solids.scale
+            if light and body not in self._model.held:
+                period = 4 * volume ** (1 / 3) / _wave_speed(self._model, body)
+                self.light = min(self.light, period)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
         """Return the stages that apply the pressure in each substep."""
@@ -437,18 +450,31 @@ Advance = Callable[[float], None]
 
 
 def _stiffness(model: Model, body: int) -> float:
-    """Return a body's stiffness per surface cell [N/m], from the speed of waves in the body."""
+    """Return a body's stiffness per surface cell [N/m], from the speed of waves in the body.
+
+    A body that yields is softer. A surface that is too stiff would create energy.
+    """
     if body in model.held:
         return math.inf
-    run = model.particles(body)
-    volume, mass = (
-        float(np.sum(array.numpy()[run], dtype=np.float64)) for array in (model.volume, model.mass)
-    )
-    modulus = mass / volume * _wave_speed(model, body) ** 2
+    volume, mass = _size(model, body)
+    limits = [getattr(m, "yield_stress", math.inf) / YIELDED for m in _materials(model, body)]
+    modulus = min(mass / volume * _wave_speed(model, body) ** 2, *limits)
     return float(modulus * model.dx**2 / volume ** (1 / 3))
+
+
+def _size(model: Model, body: int) -> tuple[float, float]:
+    """Return the volume [m^3] and the mass [kg] of a body."""
+    run = model.particles(body)
+    volume, mass = (np.sum(a.numpy()[run], dtype=np.float64) for a in (model.volume, model.mass))
+    return float(volume), float(mass)
 
 
 def _wave_speed(model: Model, body: int) -> float:
     """Return the speed of waves in the softest material of a body [m/s]."""
+    return min(material.wave_speed() for material in _materials(model, body))
+
+
+def _materials(model: Model, body: int) -> list[Any]:
+    """Return the materials of a body."""
     laws = {group.law.name for group in model.groups if group.body == body}
-    return min(m.wave_speed() for m in model.materials if m.device_law.name in laws)
+    return [material for material in model.materials if material.device_law.name in laws]

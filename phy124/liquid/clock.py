@@ -28,6 +28,12 @@ RESOLVED = 4.0
 """Smallest number of steps in a period of a body's vibration, unless `AVERAGED` holds."""
 AVERAGED = 1.5
 """Smallest number of periods in a step; between both, the last pressure amplifies vibrations."""
+LIGHT_RESOLVED = 8.0
+"""Smallest number of steps in a period of a light body, unless `LIGHT_AVERAGED` holds."""
+LIGHT_AVERAGED = 0.45
+"""Smallest number of periods in a step; between both, a step's pressure deforms a light body more
+than the liquid follows, and so creates energy.
+"""
 
 
 class LiquidClock(Clock):
@@ -45,6 +51,8 @@ class LiquidClock(Clock):
     """Largest speed of bodies of other materials [m/s]."""
     period = math.inf
     """Vibration period of a body below a liquid [s]."""
+    light = math.inf
+    """Vibration period of a light body [s]."""
 
     def diffuse(self, rate: float) -> None:
         """Limit the steps by viscosity, for a rate of diffusion to a neighbouring face [1/s]."""
@@ -71,9 +79,12 @@ class LiquidClock(Clock):
         """
         limit = self.stable()
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
-        if self.period / RESOLVED < dt < AVERAGED * self.period:
-            limit = Substep(self.period / RESOLVED, "elastic")
-            dt = rest / math.ceil(rest / limit.dt)
+        of_wall = self.period, RESOLVED, AVERAGED
+        of_light = self.light, LIGHT_RESOLVED, LIGHT_AVERAGED
+        for period, resolved, averaged in (of_wall, of_light):
+            if period / resolved < dt < averaged * period:
+                limit = Substep(period / resolved, "elastic")
+                dt = rest / math.ceil(rest / limit.dt)
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:

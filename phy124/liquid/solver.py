@@ -351,7 +351,7 @@ class LiquidSolver:
         self._fit()
         clock = self.clock
         if self._bodies is not None:
-            clock.period = self._bodies.period
+            clock.period, clock.light = self._bodies.period, self._bodies.light
         rest = until - clock.time
         dt, limit = clock.divide(rest)
         self.step((clock.last_dt + dt) / 2, dt)
