@@ -24,7 +24,7 @@ from .source import SMALLER
 
 FOLDER = Path(__file__).parent
 FIRST = "press drop bounce wind spin push_right sway"
-"""Presets that the page shows first, before all others in alphabetical order.
+"""Presets that the page shows first. The other presets follow in alphabetical order.
 
 Presets that are named after a material come last.
 """

@@ -300,7 +300,7 @@ _NOT_KNOWN = "Its error is not known."
 
 
 def stops_table(stops: Sequence[Stop], chosen: object) -> str:
-    """Format the time and the error of each named accuracy as an HTML table."""
+    """Format the time and the error at each position of the accuracy slider as an HTML table."""
     mark = {chosen: " class=chosen"}
     rows = [
         f"<tr{mark.get(stop.name, '')}><td>{escape(stop.name.capitalize())}</td>"

@@ -31,15 +31,15 @@ class Room:
     grace: float = 900.0
     """Time without requests after which the files of a visitor are removed [s]."""
     each: float = 1e9
-    """Largest size of the files of a visitor [bytes]."""
+    """Largest total size of a visitor's files [bytes]."""
     all: float = 8e9
-    """Largest size of the files of all visitors [bytes]."""
+    """Largest total size of all visitors' files [bytes]."""
     address: int = 32
     """Largest number of visitors per address."""
 
     @property
     def runs(self) -> float:
-        """Largest size of uploads, runs and exports [bytes]; the rest is left for new visitors."""
+        """Total limit for uploads, runs and exports [bytes]; the rest is left for new visitors."""
         return 0.9 * self.all
 
     @property

@@ -25,7 +25,7 @@ frame is simulated."""
 SHORTEST = 15
 """Shortest declared time of a job, which includes the start of the forked process [s]."""
 COMPILING = 20
-"""Additional declared time for compiling CUDA kernels, until the first job has ended [s]."""
+"""Time for compiling CUDA kernels [s]. Until a job has ended, it is added to the declared time."""
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 
 Work = Callable[[Order], Iterator[Any]]

@@ -171,6 +171,6 @@ def test_an_impact_that_takes_too_many_substeps_ends():
     simulation = Simulation(prepare(ball(100), fast, RunContext(threads=1)))
     simulation.run()
     assert (
-        f"{STALLED} substeps together lasted less than one of the undeformed body"
+        f"{STALLED} substeps together lasted less than one substep of the undeformed body"
         in simulation.stopped
     )

@@ -1,9 +1,9 @@
 """The job that Generate starts: cut-out -> Gaussians -> clip -> videos; skips finished stages.
 
-If an `Order` (the request for a run) has grids, the job is: cut-out -> Gaussians -> error of the
-scene. `steps` runs a job in a thread and yields events. When a job is requested to stop, it raises
-`Cancelled` within a substep or a rendered frame. Orders and events can be pickled, because on
-ZeroGPU the job runs in a forked process.
+An `Order` is the request for a run. If it has grids, the job computes the error of the scene
+instead: cut-out -> Gaussians -> error. `steps` runs a job in a thread and yields events. When a job
+is requested to stop, it raises `Cancelled` within a substep or a rendered frame. Orders and events
+can be pickled, because on ZeroGPU the job runs in a forked process.
 """
 
 from __future__ import annotations

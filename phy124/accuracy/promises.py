@@ -193,7 +193,7 @@ def promise_own(entry: Mapping[str, Any]) -> Promise:
 
 
 def format_percent(fraction: float, digits: int = 2) -> str:
-    """Format a fraction as a percentage of some digits, at least 0.01 %: "0.84 %", "12 %"."""
+    """Format a fraction as a percentage: "0.84 %", "12 %"; less than 0.01 % counts as 0.01 %."""
     percent = 100 * max(fraction, SMALLEST)
     places = max(digits - 1 - math.floor(math.log10(percent)), 0)
     return f"{percent:.{places}f} %"

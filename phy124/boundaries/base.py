@@ -140,7 +140,7 @@ class Boundary(Section):
         return make(self.outline(), self.response(), real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the boundary's strength."""
+        """Return new field values that halve the boundary's strength."""
         return {}
 
     def parts(self) -> list[Any]:
@@ -317,7 +317,7 @@ class Movable(Boundary):
         return None if self.motion is None else self.motion.track()
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the speed of the motion."""
+        """Return new field values that halve the speed of the motion."""
         slower = {} if self.motion is None else self.motion.gentler()
         return {f"motion.{name}": value for name, value in slower.items()}
 
@@ -326,8 +326,8 @@ def lightest(model: Model) -> float:
     """Return the mass [kg] of a full node in the lightest material; infinite for elastic materials.
 
     In a material that yields, cells may contain up to 1.6 times as many particles as at rest
-    without being compressed. A cell of elastic material that is heavier than at rest is always
-    compressed.
+    without being compressed. Elastic material is always compressed in a cell that
+    contains more mass than at rest.
     """
     densities = {section.density for section in model.materials}
     return min(densities) * model.dx**3 if yields(model) or len(densities) > 1 else math.inf
@@ -347,12 +347,12 @@ def contact_mass_fraction(model: Model) -> float:
 
 
 def seep_distance(model: Model) -> float:
-    """Return the distance [m] below which nodes respond individually to a wall that does not push.
+    """Return the signed distance from a wall [m] below which each node responds on its own.
 
-    The distance is finite for material that separates into drops or grains. With an infinite
-    distance, drops and grains behind a wall would stay there while the other material moves away.
-    For cohesive material the distance is minus infinity, because individual nodes would stop the
-    material before it touches the wall.
+    The distance applies in columns of nodes that the wall does not push. It is finite for material
+    that separates into drops or grains. With an infinite distance, drops and grains behind a wall
+    would stay there while the other material moves away. For cohesive material the distance is
+    minus infinity, because individual nodes would stop the material before it touches the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf

@@ -28,7 +28,7 @@ class Motion(Section):
         raise NotImplementedError
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the speed of the motion."""
+        """Return new field values that halve the speed of the motion."""
         raise NotImplementedError
 
 
@@ -63,7 +63,7 @@ class Path(Motion):
         return Track(to_keys(times, points), origin=self.start, period=period)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that double the time of the path."""
+        """Return new field values that double the time of the path."""
         return {"times": [2 * time for time in self.times]}
 
 
@@ -85,7 +85,7 @@ class Swing(Motion):
         )
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the frequency."""
+        """Return new field values that halve the frequency."""
         return {"frequency": self.frequency / 2}
 
 

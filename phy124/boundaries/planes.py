@@ -92,7 +92,7 @@ class Press(Plane):
         return True
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the speed of the plate."""
+        """Return new field values that halve the speed of the plate."""
         return {"down": 2 * self.down, "up": 2 * self.up}
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:

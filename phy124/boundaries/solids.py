@@ -158,7 +158,7 @@ class Gripper(Boundary):
         return min(self.thick, self.width) / 2
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the speed of the pads."""
+        """Return new field values that halve the speed of the pads."""
         return {"close": 2 * self.close, "rise": 2 * self.rise}
 
     def parts(self) -> list[Box]:

@@ -95,7 +95,7 @@ class Render:
 
 
 def _view_changes(changes: dict[str, Any]) -> dict[str, Any]:
-    """Convert changes of a view to changes of a scene, whose keys begin with "view.".
+    """Convert changes of a view to changes of a scene; their keys begin with "view.".
 
     Raises:
         InputError: A key names a setting of the simulation.

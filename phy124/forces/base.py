@@ -61,7 +61,7 @@ class Force(Section):
         return bool(strengths) and not np.any(strengths)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new values of the fields that halve the force's strength or prescribed speed."""
+        """Return new field values that halve the force's strength or prescribed speed."""
         values = {name: getattr(self, name) for name in (*self.strengths, *self.speeds)}
         return {
             name: [x / 2 for x in value] if isinstance(value, tuple) else value / 2

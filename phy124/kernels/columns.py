@@ -78,7 +78,7 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.55)
-"""Exponent between mass ratios of successive pairs of nodes: edges 1.1 to 1.3, cones 1.2 to 1.6."""
+"""Exponent in `narrow`. Edges need 1.1 to 1.3, and cones 1.2 to 1.6."""
 OUT_OF_REACH = wp.constant(-1.25)
 """A node behind a wall below this signed distance [cells] gets no mass from a body in front of the
 wall. The body's nearest particles are a quarter of a cell in front of the wall.

@@ -21,7 +21,7 @@ LIMITS = 5
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
 """Index of each limit on the length of a substep."""
 BLOCK = 4
-"""Number of substeps that the CUDA graph takes, if possible, without checking a condition."""
+"""Number of substeps in a block. Within a block, the CUDA graph checks no condition."""
 
 
 @wp.struct

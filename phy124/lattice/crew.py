@@ -72,14 +72,14 @@ class Crew:
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
         self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
-        """The slice of each worker in an array (pool) with the forces of all workers."""
+        """The slice of each worker in a pool, an array that contains the forces of all workers."""
         self._pool, self._pushes = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
         )
         numbers = [(span.start, span.stop, at) for span, at in zip(spans, begin, strict=False)]
         self._spans = wp.array(np.array(numbers, np.int32), dtype=wp.vec3i, device=device)
         self.lasting: wp.array | None = None
-        """For each worker, forces on nodes, N, that act until they are replaced; None: none act."""
+        """For each worker, forces on nodes [N] that act until they are replaced; None: none."""
         self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
         self._read_maxima = reader(self._maxima)
         self.workers = [
@@ -233,7 +233,7 @@ class Crew:
     def work(
         self, worker: Worker, at: int, tracks: Tracks, out: wp.array, pool: wp.array | None = None
     ) -> list[Named]:
-        """Return the launch that adds the work of forces on a worker's nodes, after all contact.
+        """Return the launch, after all contact, that sums the work of forces on a worker's nodes.
 
         Args:
             worker: The worker.

@@ -104,7 +104,7 @@ class Meeting:
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
         """For each sampled point, whether pairs near the point were determined."""
         self.slack = 0.0
-        """Further relative displacement [m] after which the parts' distances are compared again."""
+        """Relative displacement [m] that is left before the parts' distances are compared again."""
         self._away = self._between or bool(surface.side[sample].any())
         """Whether the next call must determine the pairs, because bodies were far apart or pieces
         may be near each other at rest.

@@ -27,7 +27,7 @@ SLOWEST = 16
 STRAIN = 0.25
 """The largest frequency is measured again after this strain, or twice this strain if steady."""
 WAY = 0.25
-"""Largest way of a point between measurements of its distance from walls [cells]."""
+"""Largest distance that a point moves between two measurements of its wall distance [cells]."""
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35
@@ -157,7 +157,7 @@ class Limits:
         if not inverted and not clock.stalls(usual):
             return
         clock.last_dt = self.substep_at_rest
-        what = f"{STALLED} substeps together lasted less than one of the undeformed body"
+        what = f"{STALLED} substeps together lasted less than one substep of the undeformed body"
         if inverted:
             what = "it turned inside out" + (f" ({lost} points)" if lost else "")
         raise Unstable(f"the body was squeezed so fast that {what}")

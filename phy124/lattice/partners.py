@@ -55,7 +55,8 @@ class Partners:
     ) -> Callable[[NDArray], NDArray[np.bool_]]:
         """Return a function from positions [K,3], m, of samples to flags [K] of possible contact.
 
-        `sample` [K] are surface points; `between`: the other part belongs to another body.
+        `sample` [K] contains numbers of surface points. `between` is true if the other part
+        belongs to another body.
         """
         model, arrays, grid, far = self._model, self._arrays, self._grid, FAR * self._model.dx
         vectors, count = self._nodes.rows is SIMD, len(sample)

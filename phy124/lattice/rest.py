@@ -214,8 +214,8 @@ class RestLattice:
     def step_from(self, nodes: NDArray, step: NDArray) -> NDArray[np.int64]:
         """Return the neighbours of `nodes` [K] in the directions `step` [K,3]; -1: none.
 
-        If the node at the step has copies, the result is the copy in the same piece as the first
-        node: some cell contains both.
+        If the neighbour has copies, the result is the copy in the same piece as the first node.
+        A cell then contains both nodes.
         """
         target = self.find(self.index[nodes] + step, self.body[nodes])
         doubtful = np.flatnonzero((target >= 0) & (self.copied[nodes] | self.copied[target]))

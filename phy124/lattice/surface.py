@@ -1,9 +1,9 @@
 """Finds the surface points of bodies, with the nodes and weights through which contact acts.
 
-The weights of a surface point are computed a quarter of a cell inside the body, without tied nodes.
-The weights are then corrected to reproduce every linear function at the point. With the exact
-weights at the surface, contact would act mostly on the lightest nodes, which would vibrate. In
-tips, the integration points touch walls as well (phy124/lattice/tips.py).
+The weights of a surface point are computed for a position a quarter of a cell inside the body. Tied
+nodes get no weight. The weights are then corrected to reproduce every linear function at the point.
+With the exact weights at the surface, contact would act mostly on the lightest nodes, which would
+vibrate. In tips, the integration points touch walls as well (phy124/lattice/tips.py).
 
 Points are sorted by eight colours; points of one colour are at least about one cell apart. In this
 order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to row.

@@ -316,7 +316,7 @@ class Bodies:
     def receive(
         self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, drift: float
     ) -> None:
-        """Compute the accelerations of the particles by the pressure of a step.
+        """Compute the accelerations of the particles due to the pressure of a step.
 
         Args:
             cells: The cells.

@@ -35,7 +35,7 @@ MARGIN = 4
 
 
 class ImmersedClock(MixedClock, LatticeClock):
-    """The clock of the bodies' substeps, including the delay of the liquid's velocities."""
+    """The clock of the bodies' substeps; it accounts for the delay of the liquid's velocities."""
 
 
 class ImmersedLattices(LatticeSolver):

@@ -24,7 +24,7 @@ from phy124.runtime.weakly import weakly
 
 
 class MixedClock(Clock):
-    """The clock of the bodies' substeps, with the delay of the liquid's velocities."""
+    """The clock of the bodies' substeps; it accounts for the delay of the liquid's velocities."""
 
     liquid: LiquidClock
     """The clock of the liquid."""

@@ -90,7 +90,7 @@ class Phases:
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
         self.pushes = Pushes(model, state, cells)
-        """Velocity changes by forces on particles."""
+        """The velocity changes that forces on particles cause."""
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))

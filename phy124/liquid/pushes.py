@@ -29,7 +29,7 @@ STAGE, WORK = "walls", "external work"
 
 
 class Pushes:
-    """Measures velocity changes; the arrays are empty if there are no forces on particles."""
+    """Measures changes of velocity; the arrays are empty if there are no forces on particles."""
 
     def __init__(self, model: Model, state: State, cells: Cells) -> None:
         """Store the particles and the cells.

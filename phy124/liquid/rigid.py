@@ -122,7 +122,7 @@ class FreeSolids:
         return Motion(solid.mass, pose[:3], solid.mass * motion[:3], angular, inverse)
 
     def receive(self, impulses: NDArray, centres: NDArray, kick: float, drift: float) -> None:
-        """Compute the solids' accelerations by the pressure of a step.
+        """Compute the solids' accelerations due to the pressure of a step.
 
         Args:
             impulses: For each solid, the impulse of the liquid on it, and the moment of the impulse

@@ -224,7 +224,7 @@ class Observer:
         return []
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the observer's section of report.json; `frames`: all that are kept."""
+        """Return the observer's section of report.json; `frames` are all kept frames."""
         return {}
 
     def snapshot(self) -> dict[str, Any]:

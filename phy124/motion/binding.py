@@ -21,7 +21,7 @@ PER_CELL = 2
 MOST_CELLS = 256
 """Largest number of cells of this search along each axis of the particles' bounding box."""
 FARTHEST = 4.0
-"""Several particles carry a Gaussian only up to this distance, in mean particle distances. A
+"""Largest distance at which several particles carry a Gaussian, in mean particle distances. A
 Gaussian that is farther away follows only the nearest particle, because the grid does not connect
 material so far apart.
 """

@@ -26,7 +26,7 @@ from phy124.mpm.workers import Part
 MAX_NODES = 2**25
 """Largest number of nodes in a window."""
 MIN_NODES = 2**20
-"""A window may always have this number of nodes."""
+"""A window with at most this number of nodes is always allowed."""
 GROWTH = 16
 """The number of nodes in a window may grow to this multiple of the number in the initial window."""
 EVERYWHERE = 1e30

@@ -68,7 +68,7 @@ class Pairs:
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """Sums of the impulses of a liquid [pairs,6], which another solver computes."""
+        """Sums of a liquid's impulses [pairs,6]. Another solver computes these impulses."""
         self._begun = self._total()
         self._fill = fill_of(model)
 

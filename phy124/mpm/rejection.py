@@ -28,8 +28,8 @@ FIRST = 4
 PULL = 0.1
 """A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
 ROUNDED = 1 - 1e-6
-"""The bounds also cover the previous frame, except its first moment; this is the covered fraction.
-With the fraction 1, rounding could include forces that ended just before the previous frame.
+"""The bounds also cover this fraction of the previous frame; its first moment is left out.
+Otherwise, rounding errors could make them include forces that ended just before this frame.
 """
 
 
@@ -58,7 +58,7 @@ class StepRejection:
         self._pushed = [state.v, *([state.C] if turning else [])] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
         self.pressed = 0.0
-        """Largest acceleration by the pressure of a liquid [m/s^2]."""
+        """Largest acceleration due to the pressure of a liquid [m/s^2]."""
         self._pushes = pushes
         self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
@@ -127,8 +127,8 @@ class StepRejection:
         """Return the number of substeps in which no particle can leave the margin of its window.
 
         In substep k, a particle moves by at most `(v + k a dt) dt`. The term `a dt^2` is limited to
-        `PULL` cells. If `a dt^2` is larger, substeps are trials, and the particles are measured
-        after a violent substep.
+        `PULL` cells. If `a dt^2` is larger, substeps are run as trials. After a violent trial,
+        the particles are measured.
         """
         dx, dt = self._model.dx, clock.stable().dt
         if not math.isfinite(dt):

@@ -58,7 +58,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """An object that reads each part of the particles after the gather of this part."""
+    """An object that reads the particles of one part at a time, after their gather."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate memory for a number of workers."""

@@ -32,7 +32,7 @@ AT_ONCE = 4096
 AROUND = np.array(list(np.ndindex(5, 5, 5))) - 2
 """Steps from a voxel to the 125 voxels within two steps [125,3]."""
 NEXT = (np.abs(AROUND) <= 1).all(axis=1)
-"""Mask of the steps to the voxel itself and its 26 neighbours [125]."""
+"""Mask of the steps in `AROUND` that lead to the voxel itself or to its 26 neighbours [125]."""
 
 
 class Planes(NamedTuple):

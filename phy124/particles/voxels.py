@@ -182,7 +182,7 @@ class _Parts:
         """Second moments of these parts, in ascending order [K,3], and their axes [K,3,3]."""
         most = np.abs(self.axes[:, :, 0]).max(axis=1)
         self.thick, self.thickest = self.layers * most, wide[:, 0] / 25 * most
-        """Thicknesses of sheets that consist of the material of 27 and of 125 voxels [K]."""
+        """Thicknesses of sheets, computed from the material of 27 and of 125 voxels [K]."""
 
 
 def _find_sheets(

@@ -274,7 +274,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse the further pictures if there are more pictures than objects that need a picture.
+    """Refuse the pictures after the first if they outnumber the objects that wait for a picture.
 
     Raises:
         InputError: There are too many pictures.

@@ -206,8 +206,9 @@ class Energy(TypedDict):
     `walls`, `held`, `solids` and `stiffening`) minus `lost`.
     """
     elastic: NotRequired[float]
-    """Change of the elastic energy. The keys from `elastic` to `unexplained` are present for
-    lattices; `elastic`, `solids`, `stiffening` and `shock` also for liquids with bodies.
+    """Change of the elastic energy. For lattices, the keys from `elastic` to `unexplained` are
+    present. Of these, `elastic`, `solids`, `stiffening` and `shock` are present for liquids with
+    bodies.
     """
     forces: NotRequired[float]
     """Work done by gravity and other forces."""
@@ -303,25 +304,25 @@ class Report(TypedDict):
     sources: NotRequired[dict[str, Any]]
     """For each further object from a picture or file: source, cut-out, generator and cleaning."""
     shapes: dict[str, Any]
-    """Per constitutive law: the largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and its
-    `opacity`.
+    """For each constitutive law: largest axis ratios of a Gaussian (`needle`, `axis_ratio`), and
+    its `opacity`.
 
     If rendering a long clip is cancelled or fails, only the rendered frames count."""
     shine: dict[str, Any]
-    """Per constitutive law: index ranges of the Gaussians that are drawn with gloss."""
+    """For each constitutive law: index ranges of the Gaussians that are drawn with gloss."""
     liquids: list[dict[str, Any]]
-    """Per liquid: index ranges of the liquid's Gaussians (`runs`), the volume of a Gaussian in each
-    range (`volumes`) [m^3], and the liquid's `visibility` [m] and `viscosity` [Pa s].
+    """For each liquid: index ranges of the liquid's Gaussians (`runs`), the volume of a Gaussian in
+    each range (`volumes`) [m^3], and the liquid's `visibility` [m] and `viscosity` [Pa s].
     """
     matte: list[dict[str, Any]]
-    """Per tinted material of grains: index ranges of the Gaussians that a lamp lights (`runs`), and
-    the volume of a Gaussian in each range (`volumes`) [m^3]."""
+    """For each tinted granular material: index ranges of the Gaussians that a lamp lights
+    (`runs`), and the volume of a Gaussian in each range (`volumes`) [m^3]."""
     dents: list[list[list[int]]]
-    """Per solid that keeps dents and has no gloss: index ranges of its Gaussians, whose light
+    """For each solid that keeps dents and has no gloss: index ranges of its Gaussians, whose light
     follows the shape."""
     fragments: list[list[list[int]]]
-    """Per material that crumbles: index ranges of its Gaussians, which are drawn as fragments where
-    the material is broken."""
+    """For each material that crumbles: index ranges of its Gaussians, which are drawn as fragments
+    where the material is broken."""
     static: int
     """Number of Gaussians of static parts, which are not simulated."""
     sleep: dict[str, Any] | None

@@ -71,8 +71,8 @@ def film(
     """Write the files of a view in every format, with every output, from each side.
 
     Each frame is drawn from all sides before the next frame is drawn. Every video has an encoder,
-    which receives each picture when it is drawn. Large pictures are drawn from fewer sides at a
-    time (`MOST_PIXELS`), because every encoder stores several pictures.
+    which receives each picture when it is drawn. An encoder keeps several pictures in memory.
+    Therefore, if pictures are large, only some sides are drawn at the same time (`MOST_PIXELS`).
 
     Args:
         clip: The clip.

@@ -91,7 +91,7 @@ def refuse_outputs(view: View, frames: int) -> None:
     """Refuse the outputs of a view if they cannot be made from this number of frames.
 
     Raises:
-        InputError: An output that describes motion is for a single frame, or a package is missing.
+        InputError: An output needs motion, but there is only one frame; or a package is missing.
     """
     moving = [name for name in view.outputs if name in ("flow", "velocity")]
     if moving and frames < 2:

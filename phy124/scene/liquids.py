@@ -66,7 +66,7 @@ def refuse_unprojectable(scene: Any) -> None:
 def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
     """Yield field, value and description of features that are not supported.
 
-    `mixes`: some materials are not liquids.
+    `mixes` is true if some materials are not liquids.
     """
     yield from _of_objects(scene)
     for wall in () if mixes else scene.boundaries:

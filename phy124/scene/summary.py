@@ -19,8 +19,8 @@ def summarise(scene: Scene, cells: str = "") -> str:
 
     Args:
         scene: The scene.
-        cells: Description of the number of cells, if the number is chosen later; by default, the
-            number in the scene.
+        cells: Words that replace the number of cells in a scene whose grid is chosen later. By
+            default, the line contains the scene's number.
     """
     items = [_describe_material(scene.material)]
     if scene.parts:

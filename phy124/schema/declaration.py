@@ -17,7 +17,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Follow references; return the schema (of an optional field, the schema of its value)."""
+        """Return the schema to which a node refers; for an optional field, that of its value."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:

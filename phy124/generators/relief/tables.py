@@ -52,7 +52,7 @@ class Sizes(NamedTuple):
     """Angle about the vertical axis between the front and the camera."""
     right: float
     down: float
-    """Position of the centre of the top's upper face, relative to the centre of the image."""
+    """Position of the centre of the table top's upper face, relative to the centre of the image."""
     half: float
     """Half width of the top, at the front."""
     deep: float
@@ -60,7 +60,7 @@ class Sizes(NamedTuple):
     thick: float
     """Thickness of the top."""
     leg: float
-    """Half thickness of the legs; also of the backrest."""
+    """Half thickness of the legs and of the backrest."""
     high: float
     """Height of the legs."""
     back: float

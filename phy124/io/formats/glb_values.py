@@ -131,7 +131,7 @@ PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
 """First version of splat-transform that wrote scales as lengths."""
 FEW = 0.01
-"""Largest fraction of negative scales in a file of lengths.
+"""If more than this fraction of the scales in a file is negative, the scales are logarithms.
 
 In mirrored objects, some lengths are negative.
 """

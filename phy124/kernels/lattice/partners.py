@@ -25,7 +25,7 @@ OTHER = wp.constant(-0.2)
 """Two points are on one side of a part if the cosine between their normals is at least this."""
 DEEPEST = wp.constant(0.5)
 """A point counts as inside a part only up to this depth below the surface of the part [cells].
-Without this limit, the outer sides of two thin parts that lie on each other would be pushed through
+Two thin parts may lie on each other. Without this limit, contact would push the outer sides through
 the parts, which creates energy.
 """
 

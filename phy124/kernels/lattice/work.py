@@ -20,16 +20,16 @@ STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 points, and two parts of the stress (viscosity and artificial viscosity).
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""For each kind of contact, the index of the first of three work sums [J]. The kinds are contact
+"""For each kind of contact, the index of the first of three sums of work [J]. The kinds are contact
 with walls, of a body with itself, between bodies, and with freely moving rigid solids. In these
 sums, such a solid counts as a wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
-"""Index of each of the three work sums: of the wall's motion, of normal impulses, and of tangential
+"""Indices of three sums of work: by the wall's motion, by normal impulses, and by tangential
 impulses. The last two are computed with the velocity relative to the wall.
 """
 COUNT = 17
-"""Total number of work sums."""
+"""Number of sums of work."""
 
 
 @build_once

@@ -28,7 +28,7 @@ computed with the velocities of the walls. The next index after each of the thre
 computed with the velocities of the liquid, as in `WallImpulses`.
 """
 COUNT = 9
-"""Total number of work sums."""
+"""Number of sums of work."""
 
 
 @build_once

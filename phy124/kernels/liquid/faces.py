@@ -12,9 +12,9 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 
 FILL = 3
-"""Index of the sum of particle volumes, with quadratic weights around the cell's centre [m^3]."""
+"""Index of a sum of particle volumes [m^3]; the weights are quadratic around the cell's centre."""
 HAT = 7
-"""Index of the sum of particle volumes, with linear weights around the cell's centre [m^3]."""
+"""Index of a sum of particle volumes [m^3]; the weights are linear around the cell's centre."""
 
 
 @build_once

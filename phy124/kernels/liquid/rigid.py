@@ -22,14 +22,14 @@ def rigid_sums(sums: Table, solid: int):
 
 @wp.func
 def clear_rigid(sums: Table, solids: int, p: int):
-    """Set the forces and moments of a part of the cells on all solids to zero."""
+    """Set the forces and moments of part `p` of the cells on all solids to zero."""
     for k in range(6 * solids):
         sums[RIGID + k, p] = wp.float64(0.0)
 
 
 @wp.func
 def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
-    """Add a force and a moment to the sums of a part of the cells for a solid."""
+    """Add a force and a moment on a solid to the sums of part `p` of the cells."""
     row = RIGID + 6 * solid
     for axis in range(3):
         sums[row + axis, p] += force[axis]

@@ -162,7 +162,7 @@ def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
 
 @wp.func
 def veil(solid: Solid, origin: wp.vec3, ray: wp.vec3, limit: float, pixel: float) -> float:
-    """Return the opacity of a solid in front of a surface at `limit` along the ray."""
+    """Return the opacity of a solid in front of a surface, which the ray meets at `limit`."""
     hit = Hit()
     if solid.radius > 0.0:
         hit = capsule_hit(solid, origin, ray)

@@ -44,7 +44,7 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
 
 
 def log2_screened(count: int) -> int:
-    """Return the base-2 logarithm of the number of points to screen for `count` values."""
+    """Return the base-2 logarithm of the number of screened points in a fit of `count` values."""
     return 3 + (count > 1) + (count > 3)
 
 

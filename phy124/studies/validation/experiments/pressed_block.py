@@ -69,7 +69,7 @@ def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]
     Args:
         cells: Cells across half the block.
         moving: Number of axes with moving plates: z, then y, then x.
-        fixed: Number of axes with fixed plates, which follow the axes with moving plates.
+        fixed: Number of axes with fixed plates: the next axes in the same order.
         nu: Poisson's ratio.
 
     Returns:

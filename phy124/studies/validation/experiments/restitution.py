@@ -66,7 +66,7 @@ class Bounce:
 
 
 def speed(depth: float) -> float:
-    """Return the initial speed [m/s] for a maximum depth / radius by Hertz's law."""
+    """Return the initial speed [m/s] by Hertz's law; `depth` is relative to the radius."""
     return math.sqrt(0.8 * depth**2.5 * E / (DENSITY * math.pi))
 
 
