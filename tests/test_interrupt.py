@@ -387,6 +387,26 @@ def test_render_and_compare_keep_only_finished_films(tmp_path, monkeypatch, caps
     assert made == {"front.mp4", "comparison.json"}
 
 
+def test_stopped_sweep_says_how_many_clips_are_finished(tmp_path, monkeypatch, capsys):
+    def report(bars: Bars, stage: str, done: int, total: int) -> None:
+        if done == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    write_ply(tmp_path / "ball.ply", ball(60))
+    (tmp_path / "sweep.toml").write_text(f"""
+pictures = "{(tmp_path / "ball.ply").as_posix()}"
+scene = "drop"
+[set]
+"accuracy.cells" = 8
+"time.frames" = 3
+"material.E" = [1e4, 1e5]
+""")
+    monkeypatch.setattr(Bars, "_report", report)
+    command = ["sweep", str(tmp_path / "sweep.toml"), "--workers", "0", "--device", "cpu"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 130
+    assert "stopped; finished clips: 1; the same command" in capsys.readouterr().err
+
+
 def pressing_ctrl_c(where: str, after: int = 1):
     """A `Bars._report` that interrupts a stage at its report number `after`."""
     reports = itertools.count(1)

@@ -9,7 +9,7 @@ import tyro
 
 from phy124.commands.bars import Bars
 from phy124.commands.options import Device, refuse_workers
-from phy124.errors import InputError
+from phy124.errors import Cancelled, Incomplete, InputError
 from phy124.runtime.context import RunContext
 from phy124.runtime.cores import cores
 from phy124.runtime.device import pick_device
@@ -60,17 +60,21 @@ class Sweep:
             return self._predict(plan, device)
         out = self.out or f"out/{Path(self.file).stem}"
         counts = Counts()
-        with Bars(quiet=self.json, keeps=True, left=lambda: counts.left) as bars:
-            run(
-                plan,
-                out,
-                ray=self.ray,
-                workers=self.workers,
-                shard=parts_of(self.shard),
-                device=device,
-                progress=bars,
-                counts=counts,
-            )
+        try:
+            with Bars(quiet=self.json, keeps=True, left=lambda: counts.left) as bars:
+                run(
+                    plan,
+                    out,
+                    ray=self.ray,
+                    workers=self.workers,
+                    shard=parts_of(self.shard),
+                    device=device,
+                    progress=bars,
+                    counts=counts,
+                )
+        except Cancelled as stop:
+            kept = f"finished clips: {counts.clips}; the same command makes the others"
+            raise Incomplete(kept) from stop
         if plan.sweep.archive is not None:
             pack(Storage(out), plan.sweep.archive)
         outcome = {"out": out, "here": counts.here, **counts.ended}
