@@ -228,6 +228,13 @@ def test_snow_clamps_stretches_and_remembers_the_volume():
     np.testing.assert_allclose(tight, np.exp(4.0) * fresh, rtol=1e-9)
 
 
+def test_snow_of_a_weak_lump_breaks_at_a_smaller_stretch():
+    material, half = Snow(), np.array([[0.0, -0.5]])
+    after = evaluate(material, np.diag([0.9, 1.0, 1.05])[None], h=half)
+    np.testing.assert_allclose(np.diag(after.F[0]), [0.975, 1.0, 1.00375], rtol=1e-9)
+    assert after.history[0, 1] == -0.5
+
+
 DISSIPATIVE = [Metal(), Foam(), Sand(), Snow(), Snow(nu=0.49, extension=0.4, compression=0.06)]
 
 

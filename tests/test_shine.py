@@ -173,6 +173,22 @@ def test_a_stretched_liquid_has_no_stripes(solid):
         assert depth.std() < 0.12 * depth.mean()
 
 
+def test_the_gloss_of_a_viscous_liquid_shows_no_rows():
+    """Rows of particles make normals wavy; viscosity flattens such waves."""
+    floor = Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
+    along, up = np.arange(CELL / 2, 1, CELL), np.arange(CELL / 2, 0.3, CELL)
+    rows = np.arange(CELL / 2, 2, 2.6 * CELL)
+    x = np.stack(np.meshgrid(along, rows, up, indexing="ij"), axis=-1).reshape(-1, 3)
+    tilt = []
+    for calm in (False, True):
+        volumes = np.full(len(x), 2.6 * CELL**3)
+        drawn = Liquid(x, 2 * CELL, None, floor, volumes, calm).shape(still(x), floor)
+        inner = (abs(x[:, 0] - 0.5) < 0.2) & (abs(x[:, 1] - 1) < 0.4) & (drawn.normals[:, 2] > 0.5)
+        tilt.append(np.abs(drawn.normals[inner, 1]).max())
+    assert inner.sum() > 30
+    assert tilt[1] < tilt[0] / 3
+
+
 def depths(drawn, line):
     """Return the optical depth of discs, seen from above, along a line [M,2]."""
     seen = drawn.opacities > 0

@@ -101,17 +101,20 @@ def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float6
 def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Limit stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
-    Stretches and hardening do not change if clamping would increase the energy, because snow with a
-    Poisson's ratio near 1/2 would otherwise gain energy by fracture. Under pressure, a stretch
-    therefore causes no fracture. For most elastic particles, bounds of the eigenvalues of F F^T
-    already show that no stretch needs clamping.
+    The strain `largest - 1` at which a particle breaks differs from the material's by the fraction
+    h[1]. Stretches and hardening do not change if clamping would increase the energy, because snow
+    with a Poisson's ratio near 1/2 would otherwise gain energy by fracture. Under pressure, a
+    stretch therefore causes no fracture. For most elastic particles, bounds of the eigenvalues of
+    F F^T already show that no stretch needs clamping.
     """
     s = F[0, 0]
+    unit = type(s)(1.0)
+    largest = unit + (theta[3] - unit) * (unit + h[1])
     b = gram(F)
     middle = wp.trace(b) / type(s)(3.0)
     dev = deviator(b)
     spread = wp.sqrt(type(s)(2.0) / type(s)(3.0) * wp.ddot(dev, dev))
-    if middle - spread >= theta[2] * theta[2] and middle + spread <= theta[3] * theta[3]:
+    if middle - spread >= theta[2] * theta[2] and middle + spread <= largest * largest:
         return F, h
     wide = to_double(F)
     squared = wide * wp.transpose(wide)
@@ -120,10 +123,10 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     trial = wp.vec3d(
         wp.sqrt(wp.max(at[0], tiny)), wp.sqrt(wp.max(at[1], tiny)), wp.sqrt(wp.max(at[2], tiny))
     )
-    kept = clamp_stretches(trial, wp.float64(theta[2]), wp.float64(theta[3]))
+    kept = clamp_stretches(trial, wp.float64(theta[2]), wp.float64(largest))
     f = wp.cw_div(kept, trial)
-    volume = (type(s)(1.0) + h[0]) / type(s)(f[0] * f[1] * f[2])
-    after = wp.vector(wp.min(volume, type(s)(LOOSEST)) - type(s)(1.0), h[1])
+    volume = (unit + h[0]) / type(s)(f[0] * f[1] * f[2])
+    after = wp.vector(wp.min(volume, type(s)(LOOSEST)) - unit, h[1])
     side = wp.float64(1.0)
     if wp.determinant(F) < type(s)(0.0):
         side = -side

@@ -3,6 +3,8 @@
 import math
 from typing import Annotated, ClassVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
 from phy124.kernels.transfer import Law
@@ -125,6 +127,10 @@ class Material(Section):
     def history(self) -> tuple[float, float]:
         """Return the initial history variables of a particle."""
         return (0.0, 0.0)
+
+    def histories(self, x: NDArray) -> NDArray[np.float64]:
+        """Return the initial history variables [P,2] of the particles of a body at x [P,3], m."""
+        return np.tile(np.array(self.history(), np.float64), (len(x), 1))
 
     def wave_speed(self) -> float:
         """Return the speed `sqrt(A / rho)` [m/s], which limits substeps of unstrained material."""

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from typing import ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from phy124.kernels import granular, hencky
 from phy124.kernels.transfer import Law
 from phy124.materials.base import FEW, Elastic, Logarithmic
+from phy124.materials.lumps import lumps
 
 PACKING = 2 / 3
 """Largest product xi c of snow's hardening xi and critical compression c.
@@ -106,6 +109,10 @@ class Snow(Elastic):
     """
     hardening: float = Field(default=10.0, ge=0, le=20)
     """Rate at which packing increases the stiffness, up to a factor e^4."""
+    unevenness: float = Field(default=0.0, ge=0, le=2)
+    """Standard deviation of ln(extension) between lumps of a body, which breaks where it is weak.
+    With 0, the strength is the same everywhere.
+    """
 
     @model_validator(mode="after")
     def _dissipates(self) -> Snow:
@@ -124,6 +131,13 @@ class Snow(Elastic):
         """
         elastic = super().calm_strain(growth, stiffness)
         return min(elastic, math.log(growth) / max(self.hardening, 1.0))
+
+    def histories(self, x: NDArray) -> NDArray[np.float64]:
+        """Return Jp - 1 = 0 and the relative deviation of `extension` at x [P,3], m, as [P,2]."""
+        rows = super().histories(x)
+        if self.unevenness:
+            rows[:, 1] = np.expm1(self.unevenness * lumps(x))
+        return rows
 
     def theta(self) -> tuple[float, ...]:
         """Return (mu, lambda, smallest stretch, largest stretch, hardening)."""

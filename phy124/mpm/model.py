@@ -154,7 +154,11 @@ class Model:
         material = np.zeros(count, int) if material is None else material
         body = np.zeros(count, int) if body is None else np.asarray(body)
         density = np.array([section.density for section in materials])[material]
-        history = np.array([section.history() for section in materials])[material]
+        history = np.empty((count, 2))
+        for part, section in itertools.product(np.unique(body), range(len(materials))):
+            which = np.flatnonzero((body == part) & (material == section))
+            if len(which):
+                history[which] = materials[section].histories(np.asarray(x)[which])
         groups = []
         for start, stop in _runs(materials, material, body):
             part = slice(start, stop)

@@ -200,14 +200,17 @@ class Liquid:
         visibility: float | None,
         planes: Planes = NOWHERE,
         volumes: NDArray | None = None,
+        calm: bool = False,
     ) -> None:
         """Measure the liquid at rest, whose Gaussians have their centres at x [N,3], m.
 
         `cell` is the cell size of the simulation's grid [m]. The liquid dims light to 1/e over the
         distance `visibility` [m]; None means that it is opaque. It may touch flat walls. Without
-        volumes [N], m^3, equal volumes fill the liquid at rest.
+        volumes [N], m^3, equal volumes fill the liquid at rest. A `calm` liquid is so viscous that
+        its surface has no ripples, and shows none of the rows of its particles in its gloss.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
+        self._calm = calm
         if volumes is None:
             ones = np.full(len(x), field.cell**3)
             density = np.median(field.sample(field.smooth(field.add(ones))))
@@ -235,7 +238,9 @@ class Liquid:
         kind: Any = discs.Shape
         shapes = wp.empty(n, dtype=kind, device="cpu")
         sums: Any = np.zeros((2, *field.size), np.float32)
-        fields = [phi, filled, field.slopes(phi), field.spread(phi), field.lengths(filled)]
+        slopes = field.slopes(phi)
+        calm = field.slopes(field.blur(field.blur(phi))) if self._calm else slopes
+        fields = [phi, filled, slopes, calm, field.spread(phi), field.lengths(filled)]
         inputs = [walls, per_cell, x, self._volumes, self._spread, speeds, *fields]
         field.launch(discs.find_surface, n, inputs, [shapes, *sums])
         rgb = np.clip(0.5 + SH_C0 * part.sh[:, 0], 0, 1)

@@ -106,7 +106,8 @@ class Shine:
             volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
         before = self._planes[0] if self._planes else NOWHERE
         x = _finite(clip.means[0][which])
-        return Liquid(x, self._cell, liquid["visibility"], before, volumes)
+        calm = liquid.get("viscosity", 0.0) > FOAMS
+        return Liquid(x, self._cell, liquid["visibility"], before, volumes, calm)
 
     @property
     def needs_velocities(self) -> bool:

@@ -164,7 +164,8 @@ def snow(F: Array, C: Array, h: Array, t: Array) -> Array:
 
 def snow_return(F: Array, h: Array, t: Array, dt: float) -> tuple[Array, Array]:
     U, s, Vt = signed_svd(F)
-    new = np.clip(np.abs(s), t[2], t[3]) * np.where(s < 0, -1, 1)
+    largest = 1 + (t[3] - 1) * (1 + h[:, 1:])
+    new = np.clip(np.abs(s), t[2], largest) * np.where(s < 0, -1, 1)
     volume = np.minimum((1 + h[:, 0]) * s.prod(1) / new.prod(1), LOOSEST) - 1
     after = np.column_stack([volume, h[:, 1]])
 

@@ -132,6 +132,8 @@ class Shape:
     kind: int
     normal: wp.vec3
     """Unit normal, outwards."""
+    gloss: wp.vec3
+    """Normal that the reflections use. A normal shorter than 1 reflects less light."""
     move: float
     """Distance from the Gaussian to the surface, along the normal."""
     fade: float
@@ -142,8 +144,6 @@ class Shape:
     """Value of phi."""
     foam: float
     """Fraction of foam in the liquid."""
-    shine: float
-    """Length of the normal that the reflections use."""
 
 
 @wp.func
@@ -207,6 +207,7 @@ def find_surface(
     phi: wp.array(dtype=float),  # filled fraction of the space in front of walls
     filled: wp.array(dtype=float),  # filled fraction of cells
     slopes: wp.array(dtype=wp.vec3),  # gradient of phi
+    calm: wp.array(dtype=wp.vec3),  # gradient of phi that determines the gloss
     spreads: wp.array(dtype=float),  # factor by which smoothing lowers phi
     lengths: wp.array(dtype=wp.vec3),
     shapes_out: wp.array(dtype=Shape),
@@ -273,9 +274,13 @@ def find_surface(
     shape.move = move
     shape.normal = outwards
     shape.foam = foam
-    shape.shine = 1.0 - foam
+    shape.gloss = outwards
+    if fade > 0.0 and not wet:
+        slope = interpolate(cells, calm, at)
+        shape.gloss = slope / -wp.max(wp.length(slope), 1.0e-9)
+    shape.gloss *= 1.0 - foam
     if rim and not wet:
-        shape.shine *= RIM
+        shape.gloss *= RIM
     if alone:
         shape.kind = DROP
     elif not torn and not thin and fade < 0.5 and here < LEVEL:
@@ -369,7 +374,7 @@ def shape_gaussians(
         pale = THIN * wp.exp(-2.0 * depth)
         scale = radius * wp.vec3(1.0, 1.0, FLAT + shape.foam * (THICK - FLAT))
         quat = turn_to(shape.normal)
-        normal = shape.shine * shape.normal
+        normal = shape.gloss
         mean += shape.move * cells.cell * shape.normal
     elif shape.kind == FLECK:
         opacity = 0.9
