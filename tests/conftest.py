@@ -84,6 +84,23 @@ def bodies_of_many_tests_are_set_up_once() -> Iterator[None]:
         yield
 
 
+COARSE: dict[bytes, Any] = {}
+"""The solids of `coarse_solids`, as phy124.particles.solid keeps its own."""
+
+
+@pytest.fixture
+def coarse_solids(request) -> Iterator[None]:
+    """Solids of an eighth of the voxels, for quick tests of all but the particles: finding the
+    voxels of a solid takes longer than most of these tests."""
+    from phy124.particles import solid
+
+    with pytest.MonkeyPatch.context() as patch:
+        if request.node.get_closest_marker("slow") is None:
+            patch.setattr(solid, "ACROSS", solid.ACROSS // 2)
+            patch.setattr(solid, "_kept", COARSE)
+        yield
+
+
 @pytest.fixture(scope="session")
 def real_objects() -> Path:
     """Folder of real objects as Gaussians, with their licences; skips where it is absent."""

@@ -20,6 +20,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 @pytest.fixture
 def quick(monkeypatch) -> Scene:

@@ -17,6 +17,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 PARTICLES = {"accuracy": {"cells": 16, "solver": "mpm"}}
 SCENE = Scene.named("press").replaced({**PARTICLES, "time.frames": 5})
 TIMES = np.arange(4) / 10

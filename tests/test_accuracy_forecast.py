@@ -19,6 +19,8 @@ from phy124.scene import PRESETS, Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 OBJECT = ball(300)
 QUICK = [

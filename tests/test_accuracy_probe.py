@@ -12,6 +12,8 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.solver import kernels
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 QUICK = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2, "time.fps": 240.0}
 WALLS = {
     "container": {"kind": "container"},

@@ -26,6 +26,8 @@ from phy124.schema.arguments.words import join_repeats
 from support.clips import random_clip
 from support.served import free_port
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ROOT = Path(__file__).parents[1]
 
 

@@ -31,6 +31,8 @@ from phy124.simulation import Simulation, Stopped, prepare
 from support.captures import captured
 from support.clips import random_clip
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SUBSCRIBER = Path(__file__).parent / "support/bridge_subscriber.py"
 CHANGES = ("accuracy=draft", "time.frames=6")
 

@@ -27,6 +27,8 @@ from phy124.simulation import Simulation, Stopped, prepare
 from support.ros_double import JAZZY
 from support.steered import EPOCH, OPTIONS, WEIGHTLESS, point, scene, steered, transform, wrench
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 def asked(**members):
     return SimpleNamespace(**members)

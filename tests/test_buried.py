@@ -7,6 +7,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DOWN = {"kind": "half_space", "point": [0, 0, 0.5], "normal": [0, 0, -1.0]}
 UP = {"kind": "half_space", "point": [0, 0, 0.9], "normal": [0, 0, 1.0]}
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 3, "time.fps": 24.0}

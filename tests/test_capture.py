@@ -25,6 +25,8 @@ from phy124.studies.validation.accuracy.study import Study
 from support.captures import captured
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 FLOOR = Reading(floor=True)
 QUICK = {"accuracy": {"cells": 10}, "time.frames": 3, "parts": []}
 

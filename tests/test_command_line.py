@@ -21,6 +21,8 @@ from phy124.schema.arguments.words import list_fields
 from support.processes import run_program
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 @pytest.mark.parametrize(
     ("typed", "sentence"),

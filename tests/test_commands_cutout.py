@@ -11,6 +11,8 @@ from PIL import Image
 
 from phy124.__main__ import main
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = ["--set", "accuracy={cells=8}", "--frames", "3", "--size", "64", "--device", "cpu"]
 FEW = [*QUICK, "--gaussians", "2000", "--views", "front"]

@@ -15,6 +15,8 @@ from phy124.simulation import Simulation, prepare
 from support.runs import resumed
 from support.shapes import ball, thrown_block
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 PARTICLES = {"accuracy": {"cells": 8, "solver": "mpm"}}
 SCENE = {**PARTICLES, "time.frames": 4, "time.fps": 60.0, "object.lift": 0.0}
 LATTICE = {**SCENE, "accuracy": {"cells": 8, "solver": "lattice"}, "contacts": True}

@@ -16,6 +16,8 @@ from demo.visitors import Visitors
 from demo.work import Done
 from phy124.scene import Scene
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 GONE = "The server no longer has"
 TEDDY = Path(__file__).parents[1] / "demo/examples/teddy.png"
 

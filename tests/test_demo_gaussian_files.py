@@ -25,6 +25,8 @@ from phy124.runtime.isolated import Deadline, Unfinished
 from phy124.scene import Scene
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SOON = Deadline(60)
 HEAD, ROWS = ply.encode(rotate_gaussians(ball(1200), orientation("y", "z").T)).split(

@@ -26,6 +26,8 @@ from phy124.scene import Scene
 from support.hostile import PHONE, heic_claiming
 from support.processes import until
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 
 

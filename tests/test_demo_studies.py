@@ -22,6 +22,8 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import Scene
 from support.orders import small_order
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = {"time.frames": 3, "binding": "lattice", "accuracy": {"cells": 32}}
 

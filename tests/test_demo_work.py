@@ -25,6 +25,8 @@ from phy124.scene import Scene
 from phy124.simulation import Setup
 from support.orders import small_order
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 
 

@@ -10,6 +10,8 @@ from phy124.pipeline.run_folder import list_results, remove_results
 from phy124.scene import Scene
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SCENE = Scene().replaced({"time.frames": 2, "accuracy": {"cells": 8}, "view.size": (16, 16)})
 
 

@@ -12,6 +12,8 @@ import phy124
 from phy124.generators import GENERATORS
 from support.pages import ROOT
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 FOLDER = ROOT / "docs/examples"
 PROGRAMS = sorted(FOLDER.glob("[0-9]*.py"))
 LONGEST = 40

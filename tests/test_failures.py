@@ -22,6 +22,8 @@ from phy124.pipeline import PAUSE, resume
 from phy124.runtime.failures import Kind, failure
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 FULL = OSError(errno.ENOSPC, "No space left on device", "clip.safetensors")
 REFUSED = InputError("scene", "x", "it is no scene.", "Choose another.")
 PROBLEMS = {

@@ -21,6 +21,8 @@ from support.liquids import pool
 from support.runs import SCENE, WITH
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SHORT = {"accuracy": {"cells": 6}, "time.frames": 3, "checks.energy": True}
 SAND = {
     "checks.energy": False,

@@ -18,6 +18,8 @@ from support.hostile import cut, flip
 from support.processes import run_program
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 STATUSES = {0, 1, 2, 3}
 """Done, refused by the machine, refused by us, stopped early."""
 QUICK = ["--set", "accuracy={cells=6}", "--frames", "2", "--size", "16", "--views", "front"]

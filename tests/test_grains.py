@@ -14,6 +14,8 @@ from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SPACING = 0.08
 SAND = {"material.law": "sand", "accuracy": {"cells": 8}, "time.frames": 3, "object.lift": 0.1}
 

@@ -33,6 +33,8 @@ from phy124.studies.validation.accuracy.verify import Verdict
 from support.processes import run_program
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SCENE = Scene.named("press").replaced(
     {"accuracy": {"cells": 10}, "time.frames": 6, "view.size": 32, "view.views": ["front", "left"]}

@@ -12,6 +12,8 @@ from phy124.simulation import Simulation, prepare
 from support.processes import run_program
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 HEAVY = {"torch", "diffusers", "gradio", "mcap", "transformers", "rclpy"}
 HUB = HEAVY | {"huggingface_hub"}
 SCIPY = {f"scipy.{part}" for part in ("fft", "linalg", "ndimage", "sparse", "spatial", "special")}

@@ -18,6 +18,8 @@ from phy124.scene import Scene
 from phy124.simulation import Stopped
 from support.pages import ROOT
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 GROUND = [{"kind": "ground"}, {"kind": "sphere", "centre": [0, 0.8, 0.2], "radius": 0.25}]
 
 

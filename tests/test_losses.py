@@ -24,7 +24,10 @@ from phy124.runtime.failures import failure
 from support.runs import RESULTS, SCENE, names
 from support.shapes import ball
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded")
+pytestmark = [
+    pytest.mark.skipif(os.name == "nt", reason="no locks, so nothing is recorded"),
+    pytest.mark.usefixtures("coarse_solids"),
+]
 
 
 @contextmanager

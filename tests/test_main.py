@@ -24,6 +24,8 @@ from support.processes import run_program
 from support.shapes import ball
 from support.videos import read_video
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 QUICK = ["--accuracy", "draft", "--frames", "3", "--size", "64", "--device", "cpu"]
 FEW = ["--gaussians", "2000"]

@@ -17,6 +17,8 @@ from phy124.simulation import Simulation, prepare
 from support.runs import SCENE, TORN, WITH, copied_at
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ARRAYS = ("means", "quats", "scales")
 SCENES = {
     **{name: WITH[name] for name in ("plain", "free solid")},

@@ -18,6 +18,8 @@ from phy124.scene import Scene
 from phy124.simulation.bodies import proportions_of
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 DUCK = Path(__file__).parents[1] / "demo/examples/duck.png"
 SMALL = ["--frames", "2", "--size", "16", "--views", "front", "--device", "cpu"]
 BY_PARTICLES = ["--set", "accuracy.solver=mpm"]

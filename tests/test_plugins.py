@@ -50,6 +50,8 @@ from phy124.simulation import Simulation, prepare
 from support.clips import random_clip
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 QUICK = {"accuracy": {"cells": 8}, "time.frames": 3}
 
 

@@ -14,6 +14,8 @@ from phy124.simulation import Interrupted, Simulation, prepare
 from support.runs import resumed
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SCENE = {"accuracy": {"cells": 10}, "time.frames": 6}
 
 
