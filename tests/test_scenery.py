@@ -16,8 +16,6 @@ from phy124.simulation.materials import assign_materials
 from support.runs import resumed
 from support.shapes import ball
 
-pytestmark = pytest.mark.usefixtures("coarse_solids")
-
 COUNT = 300
 NAMES = ("means", "quats", "scales", "opacities", "sh")
 
