@@ -102,9 +102,9 @@ def test_unknown_extensions_are_skipped_with_one_note(tmp_path, rng, version):
         (record(AXES, struct.pack("<I", 0)), "system of axes, 0, is unknown"),
         (record(AXES, struct.pack("<I", 17)), "system of axes, 17, is unknown"),
         (record(AXES, b"\x06"), "system of axes, 0, is unknown"),
-        (record(AXES, struct.pack("<I", 6))[:-1], "cut short"),
-        (struct.pack("<II", 7, 0xFFFFFFFF), "cut short"),
-        (b"\x01\x02", "cut short"),
+        (record(AXES, struct.pack("<I", 6))[:-1], "ends inside an extension"),
+        (struct.pack("<II", 7, 0xFFFFFFFF), "ends inside an extension"),
+        (b"\x01\x02", "ends inside an extension"),
     ],
 )
 def test_damaged_extensions_leave_the_usual_axes(records, words):

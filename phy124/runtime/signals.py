@@ -44,7 +44,7 @@ def without_signals(names: Collection[str] = NAMES) -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    blocked = {getattr(signal, name) for name in names}
+    blocked = {getattr(signal, name) for name in filter(partial(hasattr, signal), names)}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, blocked)
     try:
         yield
