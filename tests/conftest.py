@@ -14,7 +14,6 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # two test processes share two cores
 
-import fcntl
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -25,7 +24,7 @@ import pytest
 import warp as wp
 
 from phy124.gaussians import Gaussians
-from phy124.runtime.kernel_cache import has_headers
+from phy124.runtime.startup import start
 from support.gpu_module import GpuModule
 
 ROOT = Path(__file__).parents[1]
@@ -56,19 +55,9 @@ def pytest_pycollect_makemodule(module_path: Path, parent: Any) -> pytest.Module
 
 
 @pytest.fixture(scope="session", autouse=True)
-def each_module_is_compiled_once(tmp_path_factory) -> None:
-    """While one test process compiles a module, another that needs it waits for the result."""
-    locks = tmp_path_factory.getbasetemp().parent / "locks"
-    locks.mkdir(exist_ok=True)
-    compile_module = wp.Module._compile
-
-    def alone(module: wp.Module, *arguments: Any, **options: Any) -> bool:
-        # The first module brings the compiler's headers with it, which are for all.
-        with open(locks / (module.name if has_headers() else "headers"), "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            return compile_module(module, *arguments, **options)
-
-    wp.Module._compile = alone
+def each_module_is_compiled_once() -> None:
+    """Tests that launch kernels themselves wait for other processes' compilations, too."""
+    start()
 
 
 @pytest.fixture(scope="session", autouse=True)

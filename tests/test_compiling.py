@@ -30,9 +30,12 @@ for name in ("one", "two", "three"):
     def add(values: wp.array(dtype=float), out: wp.array(dtype=float)):
         out[wp.tid()] = values[wp.tid()] + 1.0
     made.append(add)
+build, built = wp._src.build.build_cpu, []
+wp._src.build.build_cpu = lambda *file, **options: built.append(build(*file, **options))
 print("ready", flush=True)
 sys.stdin.readline()
-print(compile_missing(made))
+compile_missing(made)
+print(len(built))
 for add in made:
     out = wp.zeros(3)
     wp.launch(add, 3, inputs=[wp.ones(3)], outputs=[out])
@@ -134,7 +137,7 @@ def test_without_headers_the_first_module_is_compiled_alone(monkeypatch):
 
 
 @pytest.mark.slow
-def test_two_processes_compile_the_same_module(tmp_path):
+def test_two_processes_compile_each_module_once(tmp_path):
     program = tmp_path / "small.py"
     program.write_text(SMALL)
     place = {"WARP_CACHE_PATH": str(tmp_path / "cache"), "PYTHONPATH": str(Path.cwd())}
@@ -154,10 +157,12 @@ def test_two_processes_compile_the_same_module(tmp_path):
     for process in started:
         process.stdin.write("\n")
         process.stdin.flush()
+    compiled = 0
     for process in started:
         printed, problems = process.communicate()
         assert (process.returncode, problems) == (0, "")
-        assert int(printed) <= 3
+        compiled += int(printed)
+    assert compiled == 3
     modules = [*(tmp_path / "cache").rglob("wp_phy124_test_*")]
     assert len([path for path in modules if path.is_dir()]) == 3, "and no half of one is left"
     assert len([*(tmp_path / "cache").rglob("headers_*/*")]) == 1

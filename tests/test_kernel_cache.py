@@ -143,6 +143,32 @@ def test_failed_compilation_leaves_nothing(cache, monkeypatch):
     assert not [*cache.glob("wp_*")]
 
 
+def test_what_another_process_compiles_is_awaited(cache, monkeypatch):
+    assert works(adding())
+    folder = stored(cache, ".o").parent
+    hidden = folder.rename(cache / "hidden")
+    other = os.open(cache / kernel_cache.LOCKS / folder.name, os.O_RDWR | os.O_CREAT)
+    fcntl.flock(other, fcntl.LOCK_EX)
+
+    def finish(_: float) -> None:
+        hidden.rename(folder)
+        os.close(other)
+
+    monkeypatch.setattr(kernel_cache.time, "sleep", finish)
+    monkeypatch.setattr("warp._src.build.build_cpu", pytest.fail)
+    assert works(adding())
+
+
+def test_nobody_waits_long_for_a_paused_process(cache, monkeypatch):
+    assert works(adding())
+    folder = stored(cache, ".o").parent
+    folder.rename(cache / "hidden")
+    monkeypatch.setattr(kernel_cache, "LONGEST_WAIT", 0.05)
+    with open(cache / kernel_cache.LOCKS / folder.name, "w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert works(adding())
+
+
 def test_partial_kernels_are_removed_between_compilations(cache):
     with subprocess.Popen(["true"]) as ended:
         ended.wait()

@@ -1,8 +1,7 @@
 """Compiles missing kernels in parallel before they are needed; Warp alone compiles one at a time.
 
-Threads suffice, because the compiler releases Python's global lock. Several processes may compile
-the same kernels, because each process writes to its own folder and renames the folder when it is
-complete.
+Threads suffice, because the compiler releases Python's global lock. If several processes need the
+same module, one compiles it and the others wait (phy124/runtime/kernel_cache.py).
 """
 
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,8 @@
 """Repairs Warp's cache of compiled kernels, and reuses the compiler's precompiled headers.
 
-A module that cannot be loaded is compiled again, and incomplete modules are removed. If the disk is
-full, compilation is refused, because the compiler would crash the whole program.
+A module that cannot be loaded is compiled again, and incomplete modules are removed. Processes that
+need the same module compile it once. If the disk is full, compilation is refused, because the
+compiler would crash the whole program.
 """
 
 import errno
@@ -33,6 +34,10 @@ FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
 """Patterns of the names of temporary files that remain if the compiling process is killed."""
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
+LOCKS = "locks"
+"""Folder of the cache that has an empty file for each module: the lock of its compilation."""
+LONGEST_WAIT = 120
+"""Longest wait for another process that compiles the same module [s]; it may have been paused."""
 OLD = 600
 """Age at which temporary headers count as abandoned [s]; compiling headers takes only seconds."""
 
@@ -59,7 +64,8 @@ def keep_sound() -> None:
     def built(
         module: Any, device: Any = None, folder: Any = None, *rest: Any, **options: Any
     ) -> Any:
-        with _building(None if folder is None else Path(folder)):
+        place = None if folder is None else Path(folder)
+        with _alone(place), _building(place):
             return build(module, device, folder, *rest, **options)
 
     load_whole.mends = True  # pyright: ignore[reportFunctionMemberAccess]
@@ -134,6 +140,44 @@ def _is_whole(file: Path) -> bool:
         stream.seek(start + size * (count - 1))
         last = stream.read(size)  # the header of the last section is at the end of the file
         return len(last) == size and any(last)
+
+
+@contextmanager
+def _alone(folder: Path | None) -> Iterator[None]:
+    """Within this context, no other process compiles the module of this folder.
+
+    A process that has waited finds the module compiled. The first module of a cache also compiles
+    the headers, so all modules wait for it.
+    """
+    if folder is None or folder.is_dir() or fcntl is None:
+        yield
+        return
+    file = folder.parent / LOCKS / (folder.name if has_headers() else "headers")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError:  # the disk is full, or the cache cannot be written
+        yield
+        return
+    try:
+        _await(descriptor)
+        yield
+    finally:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_UN)  # a forked process may keep the file open
+        os.close(descriptor)
+
+
+def _await(descriptor: int) -> None:
+    """Wait for the exclusive lock of a file, for at most `LONGEST_WAIT`."""
+    end = time.monotonic() + LONGEST_WAIT
+    while fcntl is not None and time.monotonic() < end:
+        try:
+            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            time.sleep(0.02)
+        except OSError:  # the file system has no locks
+            return None
 
 
 @contextmanager
