@@ -35,7 +35,7 @@ def test_carriers_are_the_nearest_particles(rng):
     index, weights = find_carriers(points, particles.astype(np.float32), 0.3)
     far = np.linalg.norm(points[:, None].astype(float) - particles.astype(np.float32), axis=2)
     near = np.sort(far, axis=1)[:, :9]
-    assert np.allclose(np.take_along_axis(far, index, axis=1), near[:, :8], atol=1e-12)
+    assert np.allclose(np.take_along_axis(far, index, axis=1), near[:, :8], rtol=0, atol=1e-12)
     reach = np.minimum(near[:, 8:], 2 * near[:, 7:8])
     reach = np.minimum(reach, np.maximum(0.3, 2 * near[:, :1]))
     expected = (1 - np.minimum(near[:, :8] / reach, 1) ** 2) ** 2 + 1e-9

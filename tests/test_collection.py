@@ -1,5 +1,6 @@
-"""Test files: none imports another; a run of the GPU tests skips those that lack a package."""
+"""Test files: imports, and small tolerances; GPU tests, which skip absent packages."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -36,3 +37,28 @@ def test_no_test_file_imports_another():
     paths = Path(__file__).parent.rglob("*.py")
     named = {path.name: imports.findall(path.read_text()) for path in paths}
     assert not {name: lines for name, lines in named.items() if lines}
+
+
+CLOSE = ("allclose", "isclose", "assert_allclose")
+"""Functions that add a relative tolerance of 1e-5 or 1e-7 to `atol`, unless `rtol` is given."""
+
+
+def hidden(text: str) -> list[int]:
+    """Return the lines of calls whose `atol` is below 1e-7 and whose relative tolerance is not
+    given."""
+    lines = []
+    for call in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)):
+        options = {option.arg: option.value for option in call.keywords}
+        if "atol" in options and "rtol" not in options and ast.unparse(call.func).endswith(CLOSE):
+            parts = (part for part in ast.walk(options["atol"]) if isinstance(part, ast.Constant))
+            if any(isinstance(part.value, float) and part.value < 1e-7 for part in parts):
+                lines.append(call.lineno)
+    return lines
+
+
+def test_small_tolerance_needs_a_relative_one():
+    assert hidden("np.allclose(a, b, atol=1e-12 * abs(b).max())") == [1]
+    assert not hidden("np.allclose(a, b, rtol=0, atol=1e-12)")
+    texts = {path: path.read_text("utf-8") for path in Path(__file__).parent.rglob("*.py")}
+    results = {path.name: hidden(text) for path, text in texts.items() if "atol=" in text}
+    assert not {name: lines for name, lines in results.items() if lines}

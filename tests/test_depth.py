@@ -19,4 +19,6 @@ def test_depth_is_the_negative_distance(shape, rng):
     x = rng.uniform(-1, 1, (200, 3))
     _, distance = distances(shape, VECTORS[shape], x)
     assert distance.min() < 0 < distance.max()
-    np.testing.assert_allclose(measure_depth(shape, VECTORS[shape], x), -distance, atol=1e-12)
+    np.testing.assert_allclose(
+        measure_depth(shape, VECTORS[shape], x), -distance, rtol=0, atol=1e-12
+    )

@@ -357,7 +357,7 @@ PUSHER = {
 def test_an_object_with_a_motion_is_a_wall_where_it_is_drawn(changes, lower, upper):
     declared = scene(objects=[{**PUSHER, **changes}], pairs=[{"friction": 0.3}])
     *_, wall = declared.with_solids().boundaries
-    np.testing.assert_allclose(wall.extent(None), [lower, upper], atol=1e-12)
+    np.testing.assert_allclose(wall.extent(None), [lower, upper], rtol=0, atol=1e-12)
     assert (wall.friction, wall.contact) == (0.3, "separate")
     drawn = make_shape(declared.objects[0].shape, declared.objects[0].sides, (1, 1, 1)).means
     np.testing.assert_allclose(np.ptp(drawn, axis=0), np.subtract(upper, lower), atol=0.06)

@@ -59,7 +59,7 @@ def test_kernel_fills_voxels_as_defined(kind):
     for result, expected in zip(
         _part_moments(fraction, surfaces, SAMPLES), fill(fraction, surfaces, SAMPLES), strict=True
     ):
-        np.testing.assert_allclose(result, expected, atol=1e-9)
+        np.testing.assert_allclose(result, expected, rtol=0, atol=1e-9)
 
 
 def test_edges_and_corners_of_an_aligned_box_are_boxes():
@@ -72,6 +72,6 @@ def test_edges_and_corners_of_an_aligned_box_are_boxes():
     inwards = np.where(voxels.indices > 1, -1, 1)
     assert at_edge.sum() == 30
     centres = inwards * (1 - sides) / 2
-    np.testing.assert_allclose(voxels.shift[at_edge], centres[at_edge], atol=1e-9)
+    np.testing.assert_allclose(voxels.shift[at_edge], centres[at_edge], rtol=0, atol=1e-9)
     moments = np.eye(3) * sides[:, None] ** 2 / 12
-    np.testing.assert_allclose(voxels.spread[at_edge], moments[at_edge], atol=1e-9)
+    np.testing.assert_allclose(voxels.spread[at_edge], moments[at_edge], rtol=0, atol=1e-9)
