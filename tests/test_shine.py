@@ -165,6 +165,16 @@ def test_a_stretched_film_has_no_stripes():
     assert depth.std() < 0.12 * depth.mean()
 
 
+def test_a_film_that_has_sunk_into_its_floor_is_hardly_paler():
+    step, floor = np.arange(CELL / 4, 1, CELL / 2), Planes(np.array([[0, 0, 1.0]]), np.zeros(1))
+    x = np.stack(np.meshgrid(step, step, [0.4 * CELL], indexing="ij"), axis=-1).reshape(-1, 3)
+    volumes = np.full(len(x), 0.4 * CELL * (CELL / 2) ** 2)
+    liquid = Liquid(x, 2 * CELL, 0.05, floor, volumes)
+    drawn = liquid.shape(still(x * np.where(x[:, :1] > 0.5, [1, 1, -1], 1)), floor)
+    depth = depths(drawn, np.column_stack([[0.3, 0.7], [0.5, 0.5]]))
+    assert depth[1] == pytest.approx(depth[0], rel=0.25)
+
+
 def test_a_stretched_liquid_has_no_stripes(solid):
     liquid = Liquid(solid, 2 * CELL, 0.5)
     for stretch in (2.8, 3.2):

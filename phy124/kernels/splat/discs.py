@@ -289,7 +289,9 @@ def find_surface(
         shape.kind = FLECK
     elif fade > 0.0:
         shape.kind = DISC
-        depth = thickness(lengths[place], outwards) * per_cell / (1.0 + lower)
+        # A cell behind a wall is empty, although Gaussians may have sunk into it.
+        before = nearest(cells, at + wp.max(0.5 - gap, 0.0) * facing)
+        depth = thickness(lengths[before], outwards) * per_cell / (1.0 + lower)
         wp.atomic_add(counts_out, place, fade)
         wp.atomic_add(depths_out, place, fade * wp.min(depth, OPAQUE))
     shapes_out[n] = shape
