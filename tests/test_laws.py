@@ -235,6 +235,21 @@ def test_snow_of_a_weak_lump_breaks_at_a_smaller_stretch():
     assert after.history[0, 1] == -0.5
 
 
+@pytest.mark.parametrize("size", [0.005, 0.05, 0.3])
+def test_snow_in_float32_breaks_and_packs_as_its_singular_values_do(size, rng):
+    material = Snow(E=1e5, compression=0.03, extension=0.003)
+    U, V = (np.linalg.qr(rng.standard_normal((3000, 3, 3)))[0] for _ in range(2))
+    sigma = 1 + rng.uniform(-size, size, (3000, 3))
+    sigma[:1000, 1] = sigma[:1000, 0]
+    F = (U * sigma[:, None] @ V).astype(np.float32).astype(np.float64)
+    h = rng.uniform(-0.5, 0.5, (3000, 2)).astype(np.float32).astype(np.float64)
+    elastic, after = TWINS["snow"].project(F, h, np.array(material.theta()), 0.0)
+    assert (np.abs(elastic - F).max(axis=(1, 2)) > 1e-4).mean() > 0.3
+    point = evaluate(material, F, h=h, precision="float32")
+    np.testing.assert_allclose(point.F, elastic, atol=5e-7)
+    np.testing.assert_allclose(point.history, after, atol=1e-6)
+
+
 DISSIPATIVE = [Metal(), Foam(), Sand(), Snow(), Snow(nu=0.49, extension=0.4, compression=0.06)]
 
 

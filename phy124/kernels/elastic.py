@@ -14,6 +14,9 @@ from phy124.kernels.spectral import (
     deviator,
     from_double,
     gram,
+    invariants,
+    next_power,
+    quadratic,
     signed_stretch,
     symmetric,
     to_double,
@@ -76,11 +79,40 @@ def polar(F: Any):
 
 
 @wp.func
+def series_range(s: wp.float32):
+    """Return the |A|^2 up to which `root`, summed to A^5, is exact to rounding in float32."""
+    return wp.float32(0.0144)
+
+
+@wp.func
+def series_range(s: wp.float64):  # noqa: F811
+    """Return the |A|^2 up to which `root`, summed to A^5, is exact to rounding in float64."""
+    return wp.float64(1.0e-5)
+
+
+@wp.func
+def root(a: Any):
+    """Return sqrt(I + A) of a small symmetric A: the binomial series up to A^5."""
+    s = a[0, 0]
+    squared = gram(a)
+    i = invariants(a, squared)
+    third = wp.vector(i[2], -i[1], i[0])
+    fourth = next_power(third, i)
+    total = type(s)(0.0625) * third - type(s)(0.0390625) * fourth
+    total += type(s)(0.02734375) * next_power(fourth, i)
+    total += wp.vector(type(s)(1.0), type(s)(0.5), type(s)(-0.125))
+    return quadratic(total, a, squared)
+
+
+@wp.func
 def stretch(F: Any):
-    """Return V of F = V R for any F, by Newton's iteration, or in float64 if the iteration does not
-    converge.
+    """Return V of F = V R for any F: by a series, by Newton's iteration, or in float64 if the
+    iteration does not converge.
     """
     s = F[0, 0]
+    strain = gram(F) - wp.identity(3, dtype=type(s))
+    if wp.ddot(strain, strain) < series_range(s) and wp.determinant(F) > type(s)(0.0):
+        return root(strain)
     R = polar(F)
     if wp.determinant(F) > type(s)(0.0) and wp.ddot(R, R) < type(s)(3.0) + polar_miss(s):
         return F * wp.transpose(R)

@@ -7,17 +7,20 @@ import warp as wp
 from phy124.kernels.elastic import fixed_corotated, fixed_corotated_energy, fixed_corotated_modulus
 from phy124.kernels.hencky import log_strain
 from phy124.kernels.spectral import (
+    decompose,
     deviator,
-    eigenvalues,
     exponential,
     from_double,
     gram,
+    interpolant,
+    quadratic,
     to_double,
-    with_values,
 )
 
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening; the stiffness grows at most by a factor e^4 = 55."""
+CLOSE = wp.constant(0.1)
+"""Square of the largest strain F F^T - I that is computed in the precision of F."""
 LOOSEST = wp.constant(1.0e6)
 """Upper limit of Jp; without it, Jp of scattered snow would overflow."""
 
@@ -77,24 +80,64 @@ def snow_modulus(F: Any, h: Any, theta: Any):
 
 
 @wp.func
-def clamp_stretches(s: wp.vec3d, minimum: wp.float64, maximum: wp.float64) -> wp.vec3d:
-    """Return the stretches clamped to a range."""
-    return wp.vec3d(
-        wp.clamp(s[0], minimum, maximum),
-        wp.clamp(s[1], minimum, maximum),
-        wp.clamp(s[2], minimum, maximum),
-    )
+def volume_growth(s: Any):
+    """Return the product of the stretches 1 + s, minus 1, without cancellation."""
+    pairs = s[0] * s[1] + s[1] * s[2] + s[2] * s[0]
+    return s[0] + s[1] + s[2] + pairs + s[0] * s[1] * s[2]
 
 
 @wp.func
-def stretch_energy(s: wp.vec3d, side: wp.float64, mu: wp.float64, lam: wp.float64) -> wp.float64:
-    """Return `fixed_corotated_energy` for three stretches; `side` is -1 if the smallest stretch is
-    inverted.
+def stretch_energy(s: Any, theta: Any):
+    """Return `fixed_corotated_energy` for the stretches 1 + s."""
+    growth = volume_growth(s)
+    return theta[0] * wp.dot(s, s) + theta[1] / type(growth)(2.0) * growth * growth
+
+
+@wp.func
+def stretch_of(strain: Any):
+    """Return sqrt(1 + strain) - 1 without cancellation; the strain of a point is set to -1 + 1e-12.
+
+    This limit has no effect in float32.
     """
-    unit = wp.float64(1.0)
-    d = wp.vec3d(s[0] - unit, s[1] - unit, side * s[2] - unit)
-    j1 = side * s[0] * s[1] * s[2] - unit
-    return mu * wp.dot(d, d) + lam / wp.float64(2.0) * j1 * j1
+    unit = type(strain)(1.0)
+    least = wp.max(strain, type(strain)(1.0e-12) - unit)
+    return least / (unit + wp.sqrt(unit + least))
+
+
+@wp.func
+def limit_stretches(F: Any, strain: Any, h: Any, theta: Any, most: Any):
+    """Return F with its stretches between theta[2] and 1 + `most`, and the history.
+
+    Nothing changes if that would increase the energy. `strain` is F F^T - I.
+    """
+    unit = type(most)(1.0)
+    q, p, d, squared, x = decompose(strain)
+    trial = wp.vector(stretch_of(q + p * x[0]), stretch_of(q + p * x[1]), stretch_of(q + p * x[2]))
+    least = theta[2] - unit
+    kept = wp.vector(
+        wp.clamp(trial[0], least, most),
+        wp.clamp(trial[1], least, most),
+        wp.clamp(trial[2], least, most),
+    )
+    f = wp.cw_div(kept - trial, trial + wp.vector(unit, unit, unit))
+    bulk = volume_growth(kept)
+    more = (unit + h[0]) * (volume_growth(trial) - bulk) / (unit + bulk)
+    after = wp.vector(wp.min(h[0] + more, type(unit)(LOOSEST) - unit), h[1])
+    if wp.determinant(F) < type(unit)(0.0):
+        trial[2] = -type(unit)(2.0) - trial[2]
+        kept[2] = -type(unit)(2.0) - kept[2]
+    gain = snow_hardening(after, theta) * stretch_energy(kept, theta)
+    if gain > snow_hardening(h, theta) * stretch_energy(trial, theta):
+        return F, h
+    return F + quadratic(interpolant(x, f), d, squared) * F, after
+
+
+@wp.func
+def is_positive(a: Any):
+    """Return whether all eigenvalues of a symmetric matrix are positive (Sylvester)."""
+    zero = type(a[0, 0])(0.0)
+    minor = a[0, 0] * a[1, 1] - a[0, 1] * a[0, 1]
+    return a[0, 0] > zero and minor > zero and wp.determinant(a) > zero
 
 
 @wp.func
@@ -104,35 +147,26 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     The strain `largest - 1` at which a particle breaks differs from the material's by the fraction
     h[1]. Stretches and hardening do not change if clamping would increase the energy, because snow
     with a Poisson's ratio near 1/2 would otherwise gain energy by fracture. Under pressure, a
-    stretch therefore causes no fracture. For most elastic particles, bounds of the eigenvalues of
-    F F^T already show that no stretch needs clamping.
+    stretch therefore causes no fracture. Large or inverted strains, which are rare, are computed in
+    float64.
     """
     s = F[0, 0]
     unit = type(s)(1.0)
-    largest = unit + (theta[3] - unit) * (unit + h[1])
-    b = gram(F)
-    middle = wp.trace(b) / type(s)(3.0)
-    dev = deviator(b)
-    spread = wp.sqrt(type(s)(2.0) / type(s)(3.0) * wp.ddot(dev, dev))
-    if middle - spread >= theta[2] * theta[2] and middle + spread <= largest * largest:
+    most = (theta[3] - unit) * (unit + h[1])
+    eye = wp.identity(3, dtype=type(s))
+    strain = gram(F) - eye
+    lower = (theta[2] - unit) * (theta[2] + unit)
+    upper = most * (type(s)(2.0) + most)
+    if is_positive(strain - lower * eye) and is_positive(upper * eye - strain):
         return F, h
+    if wp.ddot(strain, strain) < type(s)(CLOSE) and wp.determinant(F) > type(s)(0.0):
+        return limit_stretches(F, strain, h, theta, most)
+    exact = wp.vector(
+        wp.float64(theta[0]), wp.float64(theta[1]), wp.float64(theta[2]), wp.float64(theta[3]),
+        wp.float64(theta[4]),
+    )  # fmt: skip
+    before = wp.vector(wp.float64(h[0]), wp.float64(h[1]))
     wide = to_double(F)
-    squared = wide * wp.transpose(wide)
-    at = eigenvalues(squared)
-    tiny = wp.float64(1.0e-12)
-    trial = wp.vec3d(
-        wp.sqrt(wp.max(at[0], tiny)), wp.sqrt(wp.max(at[1], tiny)), wp.sqrt(wp.max(at[2], tiny))
-    )
-    kept = clamp_stretches(trial, wp.float64(theta[2]), wp.float64(largest))
-    f = wp.cw_div(kept, trial)
-    volume = (unit + h[0]) / type(s)(f[0] * f[1] * f[2])
-    after = wp.vector(wp.min(volume, type(s)(LOOSEST)) - unit, h[1])
-    side = wp.float64(1.0)
-    if wp.determinant(F) < type(s)(0.0):
-        side = -side
-    mu = wp.float64(theta[0])
-    lam = wp.float64(theta[1])
-    gain = wp.float64(snow_hardening(after, theta)) * stretch_energy(kept, side, mu, lam)
-    if gain > wp.float64(snow_hardening(h, theta)) * stretch_energy(trial, side, mu, lam):
-        return F, h
-    return from_double(with_values(squared, at, f) * wide, s), after
+    beyond = gram(wide) - wp.identity(3, dtype=wp.float64)
+    limited, after = limit_stretches(wide, beyond, before, exact, wp.float64(most))
+    return from_double(limited, s), wp.vector(type(s)(after[0]), type(s)(after[1]))

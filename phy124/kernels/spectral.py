@@ -1,10 +1,10 @@
-"""Computes functions of a symmetric 3x3 matrix from eigenvalues, in float64, without eigenvectors.
+"""Computes functions of a symmetric 3x3 matrix from its eigenvalues, without eigenvectors.
 
-The eigenvalues have a closed form (Smith 1961). A function of the matrix is then the quadratic
-polynomial that interpolates the function at the eigenvalues (Newton's divided differences). If
-eigenvalues coincide, the result remains exact up to rounding, because the error of each divided
-difference is multiplied by the gap between the eigenvalues. The laws use these functions only for
-the few particles for which faster formulas are not accurate.
+The eigenvalues are the roots of a cubic (Smith 1961). A function of the matrix is then the
+quadratic polynomial that interpolates the function at the eigenvalues (Newton's divided
+differences). If eigenvalues coincide, the result remains exact up to rounding, because the error of
+each divided difference is multiplied by the gap between the eigenvalues. The laws use these
+functions only for particles for which faster formulas are not accurate, mostly in float64.
 
 The module also computes squares of symmetric 3x3 matrices, and power series by the Cayley-Hamilton
 theorem. Every power of A is a quadratic c0 I + c1 A + c2 A^2, whose coefficients follow from the
@@ -16,7 +16,9 @@ from typing import Any
 
 import warp as wp
 
-THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
+SQRT_3 = wp.constant(wp.float64(1.7320508075688772))
+FIRST, SECOND = wp.constant(wp.float64(1 / 6)), wp.constant(wp.float64(0.016346))
+"""Coefficients of a quadratic that differs from `farthest_root` by at most 4e-3."""
 
 
 @wp.func
@@ -40,39 +42,82 @@ def from_double(m: wp.mat33d, like: Any):
 
 
 @wp.func
-def eigenvalues(b: wp.mat33d) -> wp.vec3d:
+def distinctness(a: Any, b: Any):
+    """Return the product of the squared differences between the eigenvalues of a symmetric matrix.
+
+    The product is a sum of squares of minors of the entries of I, A and A^2 (Parlett 2002). No
+    terms cancel, so it is exact to rounding even if eigenvalues almost coincide. `b` is A^2.
+    """
+    off = wp.vector(a[0, 1], a[0, 2], a[1, 2])
+    off_b = wp.vector(b[0, 1], b[0, 2], b[1, 2])
+    d = wp.vector(a[0, 0] - a[1, 1], a[0, 0] - a[2, 2], a[1, 1] - a[2, 2])
+    d_b = wp.vector(b[0, 0] - b[1, 1], b[0, 0] - b[2, 2], b[1, 1] - b[2, 2])
+    mixed = wp.cross(off, off_b)
+    minors = wp.outer(d, off_b) - wp.outer(d_b, off)
+    first = d[0] * d_b[1] - d[1] * d_b[0]
+    two = type(first)(2.0)
+    return first * first + two * wp.ddot(minors, minors) + type(two)(12.0) * wp.dot(mixed, mixed)
+
+
+@wp.func
+def farthest_root(t: Any):
+    """Return the root z >= sqrt(3) of z^3 - 3 z = t, 0 <= t <= 2, by three Newton steps."""
+    unit = type(t)(1.0)
+    z = type(t)(SQRT_3) + t * (type(t)(FIRST) - type(t)(SECOND) * t)
+    for _ in range(3):
+        square = z * z
+        z = (type(t)(2.0) * square * z + t) / (type(t)(3.0) * (square - unit))
+    return z
+
+
+@wp.func
+def decompose(a: Any):
+    """Return q, p, D, D^2 and x of a symmetric A = q I + p D.
+
+    The trace of D is zero and its norm is sqrt(6). Its eigenvalues x, largest first, are exact to
+    rounding: they are the roots of x^3 - 3 x = det D, of which the farthest from zero is well
+    conditioned. If A is a multiple of I, D is zero, and x is arbitrary.
+    """
+    s = a[0, 0]
+    q = wp.trace(a) / type(s)(3.0)
+    d = deviator(a)
+    p = wp.sqrt(wp.ddot(d, d) / type(s)(6.0))
+    if p > type(s)(0.0):
+        d = (type(s)(1.0) / p) * d
+    squared = gram(d)
+    det = wp.determinant(d)
+    z = farthest_root(wp.min(wp.abs(det), type(s)(2.0)))
+    half = type(s)(0.5)
+    apart = half * wp.sqrt(distinctness(d, squared)) / (type(s)(3.0) * (z * z - type(s)(1.0)))
+    x = wp.vector(z, apart - half * z, -apart - half * z)
+    if det < type(s)(0.0):
+        x = wp.vector(half * z + apart, half * z - apart, -z)
+    return q, p, d, squared, x
+
+
+@wp.func
+def eigenvalues(a: Any):
     """Return the eigenvalues of a symmetric matrix, largest first."""
-    unit = wp.float64(1.0)
-    q = wp.trace(b) / wp.float64(3.0)
-    d = b - q * wp.identity(3, dtype=wp.float64)
-    p = wp.sqrt(wp.ddot(d, d) / wp.float64(6.0))
-    if p <= wp.float64(0.0):
-        return wp.vec3d(q, q, q)
-    angle = wp.acos(wp.clamp(wp.determinant(d / p) / wp.float64(2.0), -unit, unit)) / wp.float64(
-        3.0
-    )
-    high = q + wp.float64(2.0) * p * wp.cos(angle)
-    low = q + wp.float64(2.0) * p * wp.cos(angle + THIRD_TURN)
-    return wp.vec3d(high, wp.float64(3.0) * q - high - low, low)
+    q, p, _, _, x = decompose(a)
+    return wp.vector(q, q, q) + p * x
 
 
 @wp.func
-def slope(rise: wp.float64, run: wp.float64) -> wp.float64:
+def slope(rise: Any, run: Any):
     """Return rise / run, or 0 if the two interpolation nodes coincide."""
-    if run > wp.float64(0.0):
+    if run > type(run)(0.0):
         return rise / run
-    return wp.float64(0.0)
+    return type(run)(0.0)
 
 
 @wp.func
-def with_values(b: wp.mat33d, at: wp.vec3d, f: wp.vec3d) -> wp.mat33d:
-    """Return f(b), computed from the values f_i = f(at_i) at the eigenvalues at_i of b (largest
+def interpolant(x: Any, f: Any):
+    """Return the coefficients c of the quadratic c0 + c1 t + c2 t^2 with the values f at x (largest
     first).
     """
-    first = slope(f[0] - f[1], at[0] - at[1])
-    second = slope(first - slope(f[1] - f[2], at[1] - at[2]), at[0] - at[2])
-    unit = wp.identity(3, dtype=wp.float64)
-    return f[0] * unit + (b - at[0] * unit) * (first * unit + second * (b - at[1] * unit))
+    first = slope(f[0] - f[1], x[0] - x[1])
+    second = slope(first - slope(f[1] - f[2], x[1] - x[2]), x[0] - x[2])
+    return wp.vector(f[0] - x[0] * (first - second * x[1]), first - second * (x[0] + x[1]), second)
 
 
 @wp.func
@@ -81,15 +126,15 @@ def signed_stretch(F: wp.mat33d) -> wp.mat33d:
 
     The smallest stretch has the sign of det F.
     """
-    b = F * wp.transpose(F)
-    at = eigenvalues(b)
+    q, p, d, squared, x = decompose(F * wp.transpose(F))
     zero = wp.float64(0.0)
-    smallest = wp.sqrt(wp.max(at[2], zero))
+    smallest = wp.sqrt(wp.max(q + p * x[2], zero))
     if wp.determinant(F) < zero:
         smallest = -smallest
-    return with_values(
-        b, at, wp.vec3d(wp.sqrt(wp.max(at[0], zero)), wp.sqrt(wp.max(at[1], zero)), smallest)
+    roots = wp.vec3d(
+        wp.sqrt(wp.max(q + p * x[0], zero)), wp.sqrt(wp.max(q + p * x[1], zero)), smallest
     )
+    return quadratic(interpolant(x, roots), d, squared)
 
 
 @wp.func
@@ -98,20 +143,14 @@ def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
 
     Stretches below `floor` are set to `floor`; reflections are ignored.
     """
-    b = F * wp.transpose(F)
-    at = eigenvalues(b)
-    half = wp.float64(0.5)
+    q, p, d, squared, x = decompose(F * wp.transpose(F))
     floor_squared = floor * floor
-    return with_values(
-        b,
-        at,
-        half
-        * wp.vec3d(
-            wp.log(wp.max(at[0], floor_squared)),
-            wp.log(wp.max(at[1], floor_squared)),
-            wp.log(wp.max(at[2], floor_squared)),
-        ),
+    logs = wp.vec3d(
+        wp.log(wp.max(q + p * x[0], floor_squared)),
+        wp.log(wp.max(q + p * x[1], floor_squared)),
+        wp.log(wp.max(q + p * x[2], floor_squared)),
     )
+    return quadratic(interpolant(x, wp.float64(0.5) * logs), d, squared)
 
 
 @wp.func
