@@ -18,7 +18,7 @@ with handling(ending(130)):  # an error message instead of a traceback
     from phy124.errors import InputError
     from phy124.runtime.failures import Kind, failure
     from phy124.runtime.installation import install_command
-    from phy124.runtime.memory import refuse_narrow, share_heap
+    from phy124.runtime.memory import pause_collection, refuse_narrow, share_heap
     from phy124.runtime.streams import steady_streams
 
     from .settings import PREFIX, Settings
@@ -71,15 +71,17 @@ def serve(settings: Settings) -> None:
         limit = "The page needs the package gradio, which is not installed."
         raise InputError("page", "gradio", limit, f"Run `{install_command('demo')}`.")
     share_heap()
-    import_gradio()
-    from .folder import lock_folder
-    from .server import check_address, end_on_signals, launch, prepare
+    with pause_collection():
+        import_gradio()
+        from .folder import lock_folder
+        from .server import check_address, end_on_signals, launch, prepare
 
     check_address(settings)
     end_on_signals()
     with lock_folder(settings.folder) as root:
         prepare(settings, root)
-        from .ui import STYLE, build, open_studio, theme
+        with pause_collection():
+            from .ui import STYLE, build, open_studio, theme
 
         studio = open_studio(settings, root)
         threading.Thread(target=studio.warm_up, name="warm-up", daemon=True).start()

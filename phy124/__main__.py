@@ -14,15 +14,14 @@ from phy124.runtime.signals import ending, handling, interrupt
 
 with handling(ending(130, "phy124: stopped\n")):  # an error message instead of a traceback
     import atexit
-    import gc
     import json
     import os
     import sys
     import threading
     import traceback
     import warnings
-    from collections.abc import Iterator, Sequence
-    from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+    from collections.abc import Sequence
+    from contextlib import ExitStack, redirect_stdout, suppress
     from functools import partial
     from typing import Any, NoReturn
 
@@ -30,7 +29,7 @@ with handling(ending(130, "phy124: stopped\n")):  # an error message instead of 
     from phy124.runtime.failures import failure
     from phy124.runtime.late_builtins import declare_late
     from phy124.runtime.light_imports import import_lightly
-    from phy124.runtime.memory import refuse_narrow, share_heap
+    from phy124.runtime.memory import pause_collection, refuse_narrow, share_heap
     from phy124.runtime.streams import steady_streams
     from phy124.schema.arguments.parsing import Answered
     from phy124.schema.arguments.words import split_operands
@@ -80,7 +79,7 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
     with ExitStack() as stack:
         stack.enter_context(warnings.catch_warnings())
         warnings.showwarning = _note
-        with _no_collection():
+        with pause_collection():
             command = _parse(arguments)
         if "warp" in sys.modules:  # Some commands, such as `weights`, do not need Warp.
             _start(talkative=verbose and "--json" not in split_operands(arguments)[0])
@@ -91,23 +90,6 @@ def _run(arguments: list[str], *, quiet: bool, verbose: bool) -> int:
             nowhere = stack.enter_context(open(os.devnull, "w", encoding="utf-8", errors="replace"))
             stack.enter_context(redirect_stdout(nowhere))
         return command.run()
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Disable the garbage collector within this context, in which modules are imported.
-
-    Later collections also skip the objects that exist at the end of the context. If they did not
-    skip them, collections would take 0.9 s of a command that takes 6 s.
-    """
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.freeze()
-            gc.enable()
 
 
 def _start(*, talkative: bool) -> None:

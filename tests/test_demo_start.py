@@ -1,5 +1,6 @@
 """Before the page is served: where it listens, and what it does not send through proxies."""
 
+import gc
 import inspect
 import os
 import socket
@@ -8,7 +9,7 @@ from threading import Thread
 
 import pytest
 
-from demo.__main__ import import_gradio, main
+from demo.__main__ import import_gradio, main, serve
 from demo.jobs import Studio
 from demo.server import check_address, reach_itself, tool_routes, without_cors
 from demo.settings import Settings
@@ -48,6 +49,20 @@ def test_gradio_is_imported_without_declarations_for_editors(monkeypatch, gradio
     import_gradio()
     assert not read
     assert inspect.getfile(gradio.Textbox).endswith("textbox.py")
+
+
+def test_no_garbage_is_looked_for_while_the_page_is_imported(monkeypatch):
+    class Imported(Exception):
+        pass
+
+    def check_collector() -> None:
+        assert not gc.isenabled()
+        raise Imported
+
+    monkeypatch.setattr("demo.__main__.import_gradio", check_collector)
+    with pytest.raises(Imported):
+        serve(Settings())
+    assert gc.isenabled()
 
 
 def test_setting_turns_the_tools_for_agents_off(tmp_path):

@@ -1,10 +1,12 @@
 """Measures the memory available to this process, and checks that limits are large enough."""
 
 import ctypes
+import gc
 import math
 import mmap
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +104,24 @@ def share_heap() -> None:
         with suppress(ValueError, OSError):
             if (os.confstr("CS_GNU_LIBC_VERSION") or "").startswith("glibc"):
                 ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
+
+
+@contextmanager
+def pause_collection() -> Iterator[None]:
+    """Disable the garbage collector within this context, in which modules are imported.
+
+    Later collections also skip the objects that exist at the end of the context. If they did not
+    skip them, collections would take 0.9 s of a command that takes 6 s, and 2 of the 11 s that the
+    imports of the page take.
+    """
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.freeze()
+            gc.enable()
 
 
 def refuse_narrow() -> None:

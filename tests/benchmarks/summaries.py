@@ -7,9 +7,8 @@ Nothing is measured here.
 
 import re
 from collections.abc import Callable, Iterator
+from typing import Any
 
-import matplotlib
-from matplotlib.figure import Figure
 from tables import DOCS, fill_block, markdown
 
 IMAGES = DOCS / "images/results"
@@ -212,6 +211,13 @@ def fill_readme() -> str:
     return fill_block(content, "times", tabulate_times())
 
 
+def make_figure(width: float, height: float) -> Any:
+    """Return an empty figure of a size [inch]."""
+    from matplotlib.figure import Figure  # late, since tests of the tables need no plots
+
+    return Figure((width, height), layout="constrained")
+
+
 def plot_validation() -> None:
     """Draw each measured value with its error, relative to its published range."""
     lines = (DOCS / "lab/experiments.md").read_text("utf-8").splitlines()
@@ -219,7 +225,7 @@ def plot_validation() -> None:
         re.match(r"\[(.+?)\]", row[0])[1] for row in read_table("experiments.md", EXPERIMENTS)[1:]
     ]
     tables = [table for table in find_tables(lines) if table[0][0].startswith("quantity")]
-    figure = Figure((7, 4), layout="constrained")
+    figure = make_figure(7, 4)
     axes = figure.subplots()
     axes.axvspan(-1, 1, color="tab:green", alpha=0.15, label="published range")
     for height, (heads, *rows) in enumerate(tables):
@@ -246,8 +252,10 @@ def plot_validation() -> None:
     save(figure, "validation")
 
 
-def save(figure: Figure, name: str) -> None:
+def save(figure: Any, name: str) -> None:
     """Write a plot; equal plots are equal files."""
+    import matplotlib
+
     with matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(IMAGES / f"{name}.svg", metadata={"Date": None})
 
@@ -255,7 +263,7 @@ def save(figure: Figure, name: str) -> None:
 def plot_presets() -> None:
     """Draw the seconds of each preset."""
     rows = sorted(read_table("benchmarks.md", "## Presets")[1:], key=lambda row: float(row[3]))
-    figure = Figure((7, 4), layout="constrained")
+    figure = make_figure(7, 4)
     axes = figure.subplots()
     for column, level, shift in ((2, "draft", -0.2), (3, "standard", 0.2)):
         heights = [place + shift for place in range(len(rows))]
@@ -272,7 +280,7 @@ def plot_presets() -> None:
 
 def plot_sizes() -> None:
     """Draw processor time and memory against Gaussians, cells and frames."""
-    figure = Figure((7, 4.5), layout="constrained")
+    figure = make_figure(7, 4.5)
     above, below = figure.subplots(2, len(SIZES), sharey="row", sharex="col")
     for name, time, memory in zip(SIZES, above, below, strict=True):
         heads, *rows = read_table("sizes.md", f"<!-- {name} -->")

@@ -6,10 +6,9 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from phy124.scene import Scene
-from phy124.schema.declaration import Declaration, Node
+from phy124.schema.declaration import Node, read_declaration
 
 Wrap = Callable[[Any], Any]
-DECLARED = Declaration(Scene)
 ODD = [None, True, "text", "", [], {}, [1], math.nan, math.inf, -math.inf, 10**400, object()]
 """Values that are tried for fields of every type."""
 HUGE = [0.0, 1e-300, 1e9, 1e308, -1e308]
@@ -29,12 +28,12 @@ class Leaf(NamedTuple):
 
 def leaves(files: dict[str, str]) -> list[Leaf]:
     """Return all values; `files` maps kinds to files for fields that must name a file."""
-    return list(_walk(DECLARED.schema, "", lambda value: value, files))
+    return list(_walk(read_declaration(Scene).schema, "", lambda value: value, files))
 
 
 def _walk(node: Node, path: str, wrap: Wrap, files: dict[str, str]) -> Iterator[Leaf]:
-    node = DECLARED.resolve(node)
-    kinds = DECLARED.kinds(node)
+    node = read_declaration(Scene).resolve(node)
+    kinds = read_declaration(Scene).kinds(node)
     if kinds:
         tag = node["discriminator"]["propertyName"]
         yield Leaf(f"{path}.{tag}", lambda value: wrap({tag: value}), {"type": "string"})
@@ -45,7 +44,7 @@ def _walk(node: Node, path: str, wrap: Wrap, files: dict[str, str]) -> Iterator[
 
 
 def _inside(node: Node, path: str, wrap: Wrap, files: dict[str, str]) -> Iterator[Leaf]:
-    for choice in DECLARED.choices(node):
+    for choice in read_declaration(Scene).choices(node):
         if "properties" in choice:
             yield from _section(choice, path, wrap, files)
         elif "prefixItems" in choice:
