@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from phy124.lattice.material import Material
 from phy124.lattice.solver import LatticeSolver
 from phy124.mpm import Attachable, Clock, Model, Pair, Solver, State
+from phy124.mpm.kept import Kept
 from phy124.mpm.pairs import fill_of
 from phy124.mpm.timestep import Substep
 
@@ -192,10 +193,12 @@ class CoupledSolver(Solver):
         self._part.restore(snapshot)
 
 
-class _Lattices:
+class _Lattices(Kept):
     """The lattices in a substep of the particles; a rejected substep restores their state."""
 
-    def __init__(self, lattice: LatticeSolver, materials: Sequence[Material]) -> None:
+    kept = ("_lattice", "_materials")
+
+    def __init__(self, lattice: LatticeSolver, materials: list[Material]) -> None:
         self._lattice, self._materials = lattice, materials
         self.times = (0.0, 0.0)
         """Kick and drift of the substep [s]."""
@@ -206,17 +209,6 @@ class _Lattices:
         The launches come after the particles' grids are updated and before walls act on the grids.
         """
         self._lattice.start_step(*self.times)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return the current state."""
-        materials = {str(i): each.snapshot() for i, each in enumerate(self._materials)}
-        return {"lattice": self._lattice.snapshot(), "materials": materials}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self._lattice.restore(snapshot["lattice"])
-        for number, material in enumerate(self._materials):
-            material.restore(snapshot["materials"][str(number)])
 
 
 def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:

@@ -16,15 +16,15 @@ from phy124.kernels.lattice import work as at
 from phy124.kernels.lattice.contact import DRIVEN
 from phy124.kernels.work import WORK
 from phy124.lattice.crew import Crew
+from phy124.lattice.impulses import ContactWork
 from phy124.lattice.meetings import Meetings
 from phy124.lattice.shock import LatticeClock, in_shock_only
 from phy124.lattice.solids import Solids
 from phy124.lattice.walls import Nodes, Walls
-from phy124.lattice.work import ContactWork
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import put_rows
 
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
@@ -61,8 +61,10 @@ class Works(NamedTuple):
     """Work of contact between bodies."""
 
 
-class Energies:
+class Energies(Kept):
     """Adds launches that sum work; sums nothing until `start` is called."""
+
+    kept = ("_sums", "_clamps")
 
     def __init__(self, model: Model, nodes: Nodes, crew: Crew, clock: LatticeClock) -> None:
         """Store the parts of a solver that stay the same during a run.
@@ -171,16 +173,6 @@ class Energies:
         """Set all sums to zero."""
         self._sums.zero_()
         self._clamps = -self._of_clamps()
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
-        rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
-        return {"rows": rows, "clamps": self._clamps.tolist()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, the first worker gets the total."""
-        put_rows(self._sums, snapshot["rows"])
-        self._clamps = np.array(snapshot["clamps"])
 
     def _of_clamps(self) -> NDArray[np.float64]:
         """Return the work of clamps and its part by motion, from sums of walls and clamps."""

@@ -26,10 +26,10 @@ from phy124.kernels.lattice.partners import SIDEWAYS
 from phy124.kernels.lattice.work import ITSELF, PAIRS
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import PassedOn
+from phy124.lattice.impulses import ContactWork
 from phy124.lattice.partners import REACH, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import DEEP, EXACT, Nodes
-from phy124.lattice.work import ContactWork
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks

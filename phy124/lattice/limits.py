@@ -6,7 +6,6 @@ since the last measurement may have become too large.
 """
 
 import math
-from typing import Any
 
 from phy124.lattice.crew import Crew
 from phy124.lattice.meetings import Meetings
@@ -16,6 +15,7 @@ from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.walls import Walls
 from phy124.lattice.workers import MEASURE
 from phy124.mpm.grid import Unstable
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.rejection import StepRejection
 from phy124.mpm.runner import Runner
@@ -34,8 +34,10 @@ VIOLENT = 0.35
 """Strain rate times substep length above which the limits are measured every substep."""
 
 
-class Limits:
+class Limits(Kept):
     """Limits the substeps of a lattice solver by measured values."""
+
+    kept = ("measured", "probing", "_strain", "_probed")
 
     def __init__(
         self,
@@ -205,16 +207,3 @@ class Limits:
         steps.append(math.sqrt(2 * WAY * dx / max(self._rejection.acceleration, 1e-30)) / dt)
         violent = clock.in_shock or clock.extremes.gradient * dt > VIOLENT
         return 1 if violent else max(MEASURE_EVERY, int(min(steps)))
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        return {
-            "measured": self.measured,
-            "probing": self.probing,
-            "probed": (self._strain, self._probed),
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self._strain, self._probed = snapshot["probed"]
-        self.measured, self.probing = snapshot["measured"], snapshot["probing"]

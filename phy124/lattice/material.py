@@ -19,13 +19,16 @@ from phy124.lattice.clamps import PassedOn
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
 from phy124.mpm.grid import Grid
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import Pair
 from phy124.mpm.stage import Named
 
 
-class Material:
+class Material(Kept):
     """Contact of one body's surface points with one particle body."""
+
+    kept = ("force", "sums", "_near")
 
     def __init__(
         self,
@@ -138,16 +141,9 @@ class Material:
             self.most = max(self.most, len(near))
             put(self._list, self._near)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the contact forces and the sums of impulses."""
-        near = self._near.copy()
-        return {"force": self.force.numpy().copy(), "sums": self.sums.numpy().copy(), "near": near}
-
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        self.force.assign(snapshot["force"])
-        self.sums.assign(snapshot["sums"])
-        self._near = np.array(snapshot["near"], np.int32)
+        super().restore(snapshot)
         put(self._list, self._near)
 
 

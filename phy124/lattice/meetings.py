@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.kernels.lattice.contact import make_place
 from phy124.lattice.clamps import PassedOn
-from phy124.lattice.division import Division
+from phy124.lattice.impulses import ContactWork
 from phy124.lattice.itself import FRICTION, Meeting
 from phy124.lattice.partners import FAR, Partners
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
-from phy124.lattice.work import ContactWork
+from phy124.lattice.workers import Division
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.stage import Named
@@ -29,8 +30,10 @@ SAMPLED = 1.5
 """Distance between sampled points [cells]."""
 
 
-class Meetings:
+class Meetings(Kept):
     """Contact between different bodies, and contact between parts of the same body."""
+
+    kept = ("of_bodies", "of_pairs")
 
     def __init__(
         self,
@@ -139,12 +142,7 @@ class Meetings:
         if self.of_pairs:
             self._slack = 0.0
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the pairs of points and their forces."""
-        return {str(number): meeting.snapshot() for number, meeting in enumerate(self.every)}
-
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        for number, meeting in enumerate(self.every):
-            meeting.restore(snapshot[str(number)])
+        super().restore(snapshot)
         self.way = math.inf

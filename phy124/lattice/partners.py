@@ -13,9 +13,9 @@ from phy124.kernels.lattice.contact import NODES
 from phy124.kernels.lattice.partners import make_expose, make_flag, make_flag_simd, make_partner
 from phy124.kernels.lattice.rows import SIMD
 from phy124.kernels.launches import put
-from phy124.lattice.division import Division
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import Nodes
+from phy124.lattice.workers import Division
 from phy124.mpm.model import Model
 
 FAR = 3.0

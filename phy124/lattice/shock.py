@@ -9,7 +9,6 @@ a few points flat, even slow motions have a high rate of compression.
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 from phy124.materials.base import Material
 from phy124.mpm.clock import Clock
@@ -40,12 +39,12 @@ COLLAPSED = 1e-6
 """Smallest valid substep, relative to the substep of the undeformed body."""
 STALLED = 1000
 """This number of substeps lasts at least as long as one substep of the undeformed body."""
-KEPT = ("closing", "lasting", "seen")
-"""Names of additional numbers in the clock's state."""
 
 
 class LatticeClock(Clock):
     """The clock of bodies on lattices."""
+
+    kept = (*Clock.kept, "closing", "lasting", "seen")
 
     calm = math.inf
     """Closing rate above which the artificial viscosity acts [1/s]."""
@@ -101,16 +100,6 @@ class LatticeClock(Clock):
             return False
         self._marked = self.substeps, self.time
         return taken >= STALLED and 0 <= elapsed < usual
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        return {**super().snapshot(), **{name: getattr(self, name) for name in KEPT}}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        super().restore(snapshot)
-        for name in KEPT:
-            setattr(self, name, snapshot.get(name, 0.0))
 
 
 def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:

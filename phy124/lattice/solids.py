@@ -21,10 +21,11 @@ from phy124.kernels.lattice.work import SOLIDS
 from phy124.kernels.launches import put
 from phy124.kernels.work import EXCHANGE, IMPULSE
 from phy124.lattice.clamps import PassedOn
+from phy124.lattice.impulses import ContactWork
 from phy124.lattice.surface import Surface
 from phy124.lattice.walls import AHEAD, CLOSE, REACH, Nodes
-from phy124.lattice.work import ContactWork
 from phy124.mpm.free import POINTS, STAGE, FreeBodies, FreeBody, Plane
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
@@ -37,6 +38,8 @@ LISTED = 1.0
 
 class Solids(FreeBodies):
     """All freely moving rigid solids of a run on lattices."""
+
+    kept = ("_bodies", "_sums", "_begun", "_impulses", "_reach_points", "_touches")
 
     def __init__(
         self, model: Model, solids: Sequence[FreeBody], surface: Surface, nodes: Nodes
@@ -95,14 +98,14 @@ class Solids(FreeBodies):
             recovery: Speed at which points inside a solid are moved out, divided by their depth
                 [1/s].
         """
-        self.recovery, forces, sides = recovery, self._forces(), self._sides()
+        self.recovery, earlier = recovery, [touch.snapshot() for touch in self._touches]
         self._touches = [
             _Touch(self, index, body, tracks)
             for index, body in itertools.product(range(len(self.all)), self._met)
         ]
-        self._put_forces(forces)
-        self._list()
-        self._put_sides(sides)
+        for touch, kept in zip(self._touches, earlier, strict=False):
+            touch.restore(kept)
+        self._list(turn=not earlier)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
         """Return the launches of a substep that apply, correct and sum impulses.
@@ -137,61 +140,26 @@ class Solids(FreeBodies):
         """
         dx = self._model.dx
         self._reach_points = min(REACH * dx, 2 * AHEAD * step + CLOSE * dx)
-        self._list()
+        self._list(turn=True)
 
-    def _list(self) -> None:
+    def _list(self, *, turn: bool) -> None:
+        """List the points near each solid; `turn`: also update the normals near boxes.
+
+        A run updates the normals only when limits are measured, so a restored run does not.
+        """
         for touch in self._touches:
-            touch.list_near(self._reach_points, LISTED * self._model.dx)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state; empty if there are no solids."""
-        if not self.all:
-            return {}
-        return {
-            "bodies": np.array([body.numpy() for body in self._bodies]),
-            "sums": self._sums.numpy().copy(),
-            "begun": self._begun.copy(),
-            "walls": {str(i): each.numpy().copy() for i, each in enumerate(self._impulses)},
-            "forces": self._forces(),
-            "sides": self._sides(),
-            "reach": self._reach_points,
-        }
+            touch.list_near(self._reach_points, LISTED * self._model.dx, turn=turn)
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        if not self.all:
-            return
-        for body, kept in zip(self._bodies, snapshot["bodies"], strict=True):
-            body.assign(kept)
-        self._sums.assign(snapshot["sums"])
-        self._begun = np.asarray(snapshot["begun"])
-        for number, impulses in enumerate(self._impulses):
-            impulses.assign(snapshot["walls"][str(number)])
-        self._put_forces(snapshot["forces"])
-        self._reach_points = float(snapshot["reach"])
-        self._list()
-        self._put_sides(snapshot.get("sides", {}))
-
-    def _forces(self) -> dict[str, NDArray]:
-        return {str(i): touch.force.numpy().copy() for i, touch in enumerate(self._touches)}
-
-    def _put_forces(self, forces: dict[str, NDArray]) -> None:
-        for number, touch in enumerate(self._touches):
-            if str(number) in forces:
-                touch.force.assign(forces[str(number)])
-
-    def _sides(self) -> dict[str, NDArray]:
-        return {str(i): touch.side.numpy().copy() for i, touch in enumerate(self._touches)}
-
-    def _put_sides(self, sides: dict[str, NDArray]) -> None:
-        """Set the normals at points on flat parts of the surface, whenever limits are measured."""
-        for number, touch in enumerate(self._touches):
-            if str(number) in sides:
-                touch.side.assign(sides[str(number)])
+        super().restore(snapshot)
+        self._list(turn=False)
 
 
-class _Touch:
+class _Touch(Kept):
     """The contact of the surface points of one body with one solid."""
+
+    kept = ("force", "side")
 
     def __init__(self, solids: Solids, index: int, body: int, tracks: Tracks) -> None:
         model, self._surface = solids._model, solids._surface
@@ -259,8 +227,8 @@ class _Touch:
         known = self._list, self._points, self._gap, self.force
         self._work = None if work is None else work.of(SOLIDS, *known)
 
-    def list_near(self, reach: float, more: float) -> None:
-        """List the points within `reach` + `more` [m] of the solid."""
+    def list_near(self, reach: float, more: float, *, turn: bool) -> None:
+        """List the points within `reach` + `more` [m] of the solid; `turn` as in `Solids`."""
         if self._look is None:
             return
         self._look.launch()
@@ -273,7 +241,7 @@ class _Touch:
                 self.force.assign(force)
             self._near = near.astype(np.int32)
             put(self._list, self._near)
-        if len(near) and self._is_box:
+        if turn and len(near) and self._is_box:
             self._turn(near)
         touch, resist, account = self._launches
         touch.set_param_at_index(2, reach)

@@ -16,7 +16,6 @@ import warp as wp
 from numpy.typing import NDArray
 
 from phy124.lattice.crew import Crew
-from phy124.lattice.division import Division
 from phy124.lattice.energies import Energies
 from phy124.lattice.limits import Limits
 from phy124.lattice.meetings import Meetings
@@ -27,9 +26,10 @@ from phy124.lattice.solids import Solids
 from phy124.lattice.spectrum import Spectrum
 from phy124.lattice.surface import make_surface
 from phy124.lattice.walls import Boundary, Walls
-from phy124.lattice.workers import PLACE
+from phy124.lattice.workers import PLACE, Division
 from phy124.mpm.free import FreeBody
 from phy124.mpm.grid import Grid
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
@@ -40,14 +40,14 @@ from phy124.mpm.stage import Accumulator, Attachable, Named, Stage, launches
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
-KEPT = ("u", "residue", "v", "lagging")
+NODES = ("u", "residue", "v", "lagging")
 """Names of the node arrays that belong to the state."""
-PARTS = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
-"""Names of the solver's components with a state, in the order in which they are restored."""
 
 
-class LatticeSolver:
+class LatticeSolver(Kept):
     """Advances the nodes of bodies in time under forces, boundaries and contact."""
+
+    kept = ("walls", "meetings", "pairs", "free", "clock", "spectrum")
 
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[LatticeClock]] = LatticeClock
@@ -364,21 +364,20 @@ class LatticeSolver:
         """
         nodes = self.nodes_state
         return {
-            "nodes": {name: wp.clone(getattr(nodes, name)) for name in KEPT},
-            **{name: getattr(self, name).snapshot() for name in PARTS},
-            **self.limits.snapshot(),
+            **super().snapshot(),
+            "nodes": {name: wp.clone(getattr(nodes, name)) for name in NODES},
+            "limits": self.limits.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         for name, array in snapshot["nodes"].items():
             getattr(self.nodes_state, name).assign(array)
-        for name in PARTS:
-            getattr(self, name).restore(snapshot[name])
+        super().restore(snapshot)
         self.crew.stray.zero_()
         self.crew.take_maxima()
         # The distances from moving walls refer to the time of the snapshot.
         self._place_walls()
         self.limits.look()
-        self.limits.restore(snapshot)
+        self.limits.restore(snapshot["limits"])
         self.follow()

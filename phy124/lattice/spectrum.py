@@ -185,8 +185,8 @@ class Spectrum:
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
         self._trials.shape.assign(np.array(snapshot["shape"]))
-        self.stiffen(snapshot.get("stiffened", 1.0))
-        self.square, self.steady = snapshot["square"], snapshot.get("steady", False)
+        self.stiffen(snapshot["stiffened"])
+        self.square, self.steady = snapshot["square"], snapshot["steady"]
 
 
 def _shorten(z: float) -> float:

@@ -33,11 +33,10 @@ from phy124.kernels.lattice.rows import SIMD, Rows, rows_for
 from phy124.kernels.lattice.work import WALLS
 from phy124.kernels.launches import put
 from phy124.lattice.clamps import Clamp, PassedOn, acts_on
-from phy124.lattice.division import Division
-from phy124.lattice.impulses import Impulses
+from phy124.lattice.impulses import ContactWork, Impulses
 from phy124.lattice.rest import RestLattice
 from phy124.lattice.surface import Surface
-from phy124.lattice.work import ContactWork
+from phy124.lattice.workers import Division
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import STILL, Tracks

@@ -24,6 +24,7 @@ from phy124.liquid.rigid import FreeSolids, Moments, Motion
 from phy124.liquid.solids import Solids
 from phy124.liquid.walls import Walls
 from phy124.mpm import FreeBodies, Grid, Model, Stage, State
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import Repeatable
 from phy124.mpm.tracks import Tracks
@@ -46,8 +47,13 @@ a step [s] under the last pressure.
 """
 
 
-class Bodies:
+class Bodies(Kept):
     """The bodies of other materials in a run; each body is a wall for the liquid."""
+
+    kept = (
+        *("_before", "_impulses", "_kick", "_shifts", "_centres", "_forces", "_films"),
+        *("period", "work"),
+    )
 
     def __init__(
         self,
@@ -70,6 +76,8 @@ class Bodies:
         """
         self._model, self._state, self._grids = model, state, grids
         self._expect, self._motion, self.work = expect, (state.v, state.C), work
+        if expect is not None:  # The next motion is predicted under the last pressure.
+            self.kept = (*self.kept, "limit", "pushes", "turns")
         self.numbers = work.numbers
         """Indices of the bodies."""
         t, device, count = types(model.real), model.device, len(self.numbers)
@@ -95,8 +103,9 @@ class Bodies:
         """Shortest vibration period of light bodies [s]."""
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
-        self._before: list[tuple[NDArray, NDArray]] = []
         every = self.first + count
+        self._before = np.zeros((0, 2, 3))
+        """Momentum and angular momentum of each solid and body before the last step."""
         self._films = np.zeros((every, 2, 3))
         """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
@@ -259,7 +268,7 @@ class Bodies:
         self._mobility.assign(mobility)
         self._exchanged.zero_()
         self.pressed.zero_()
-        self._before = [(motion.momentum, motion.angular) for motion in motions]
+        self._before = np.array([(motion.momentum, motion.angular) for motion in motions])
         self._centres = centres
         self._kick, self._pull = kick, pull
 
@@ -276,7 +285,7 @@ class Bodies:
         steps. An impact is therefore not assumed to continue.
         """
         weight = np.stack([motion.mass * pull, np.zeros(3)])
-        if not self._before or self._kick == 0:
+        if not len(self._before) or self._kick == 0:
             return kick * weight[0], kick * weight[1]
         impulse, moment = self._impulses[index]
         moment = moment - np.cross(self._centres[index], impulse)
@@ -408,41 +417,6 @@ class Bodies:
 
     def _launch(self, kernel: Any, count: int, inputs: list, outputs: list) -> None:
         wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=self._model.device)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the impulses and motions of the last step."""
-        before = [[momentum.tolist(), angular.tolist()] for momentum, angular in self._before]
-        impulses, shifts = self._impulses.tolist(), self._shifts.tolist()
-        centres = self._centres.tolist()
-        return {
-            "before": before,
-            "impulses": impulses,
-            "kick": self._kick,
-            "shifts": shifts,
-            "centres": centres,
-            "forces": self._forces.tolist(),
-            "period": self.period,
-            "films": self._films.tolist(),
-            "work": self.work.total.tolist(),
-            **(self._pressure() if self._expect else {}),
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self._before = [(np.array(p), np.array(L)) for p, L in snapshot["before"]]
-        self._impulses, self._kick = np.array(snapshot["impulses"]), snapshot["kick"]
-        self._shifts, self._centres = np.array(snapshot["shifts"]), np.array(snapshot["centres"])
-        self._forces, self._films = (np.array(snapshot[name]) for name in ("forces", "films"))
-        self.period, self.work.total = snapshot["period"], np.array(snapshot["work"])
-        if self._expect:
-            self.limit = snapshot["limit"]
-            self.pushes.assign(snapshot["pushes"])
-            self.turns.assign(snapshot["turns"])
-
-    def _pressure(self) -> dict[str, Any]:
-        """Return the last accelerations, with which the next motion is predicted."""
-        pushes, turns = wp.clone(self.pushes), wp.clone(self.turns)
-        return {"limit": self.limit, "pushes": pushes, "turns": turns}
 
 
 Advance = Callable[[float], None]

@@ -13,10 +13,10 @@ from phy124.liquid.cells import Cells
 from phy124.liquid.impulses import WallImpulses
 from phy124.liquid.walls import Walls
 from phy124.mpm import Model, State
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import put_rows
 
 STAGE = "dissipation"
 """Name of the stages in reports; the name is the same for all materials."""
@@ -39,8 +39,10 @@ class Works(NamedTuple):
     """Work of the uniform acceleration on moves that restore density and moves out of bodies."""
 
 
-class Energies:
+class Energies(Kept):
     """Records the launches that sum mechanical work. Nothing is summed until `start` is called."""
+
+    kept = ("_sums",)
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
         """Store the particles and cells of a run.
@@ -135,15 +137,6 @@ class Energies:
     def clear(self) -> None:
         """Set all sums to zero."""
         self._sums.zero_()
-
-    def snapshot(self) -> list[list[float]]:
-        """Return a snapshot of the sums."""
-        rows: list[list[float]] = np.asarray(self._sums.numpy()).tolist()
-        return rows
-
-    def restore(self, snapshot: list[list[float]]) -> None:
-        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
-        put_rows(self._sums, snapshot)
 
     def _row(self, worker: int) -> wp.array:
         return cast("wp.array", self._sums[worker])

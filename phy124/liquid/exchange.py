@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 
 from phy124.kernels.lattice.work import make_node_work
 from phy124.mpm import Model, State
+from phy124.mpm.kept import Kept
 
 if TYPE_CHECKING:
     from phy124.lattice.solver import LatticeSolver
 
 
-class BodyWork:
+class BodyWork(Kept):
     """Work on bodies of particles. Nothing is summed until `start` is called."""
+
+    kept = ("total",)
 
     def __init__(self, model: Model, state: State) -> None:
         """Store the particles; all bodies that are not liquid are included."""

@@ -26,6 +26,7 @@ from phy124.liquid.walls import Walls, walls_of, walls_of_bodies, walls_of_solid
 from phy124.mpm import Accumulator, Attachable, FreeBodies, FreeBody, Grid, Model, State, Unstable
 from phy124.mpm.free import Plane
 from phy124.mpm.grid import grids_of
+from phy124.mpm.kept import Kept
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pairs
 from phy124.mpm.rejection import StepRejection
@@ -51,8 +52,13 @@ SETTLE = 4
 """Number of corrections of the density before the first step."""
 
 
-class LiquidSolver:
+class LiquidSolver(Kept):
     """Advances a liquid in time under forces and walls."""
+
+    kept = (
+        *("state", "clock", "outliers", "repair", "free", "_bodies", "cells", "impulses"),
+        *("kick", "crowding", "_excess"),
+    )
 
     projects: ClassVar[bool] = True
     """Whether the solver makes a liquid incompressible by pressure projection."""
@@ -294,38 +300,18 @@ class LiquidSolver:
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot from which `restore` continues bit for bit."""
         return {
-            "state": self.state.snapshot(),
-            "clock": self.clock.snapshot(),
-            "repair": self.repair.snapshot(),
-            "cells": self.cells.snapshot(),
-            "kick": self.kick,
+            **super().snapshot(),
             # In the next step, viscosity acts before the pressure renews the motions of bodies.
             "motions": wp.clone(self.walls.motions),
-            "crowding": [self.crowding, self._excess],
-            **({"free": self.free.snapshot()} if self.free.all else {}),
-            **({"bodies": self._bodies.snapshot()} if self._bodies else {}),
             "pushes": self._phases.pushes.snapshot(),
-            "impulses": self.impulses.snapshot(),
-            "ballistic": self.outliers.most,
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
-        if "state" in snapshot:
-            self.state.restore(snapshot["state"])
-        self.clock.restore(snapshot["clock"])
-        self.repair.restore(snapshot["repair"])
+        super().restore(snapshot)
         self._phases.stray.zero_()
         self._missed.zero_()
-        self.kick = snapshot["kick"]
         self.walls.motions.assign(snapshot["motions"])
-        self.crowding, self._excess = snapshot["crowding"]
-        self.free.restore(snapshot.get("free", {}))
-        if self._bodies is not None:
-            self._bodies.restore(snapshot["bodies"])
-        self.cells.restore(snapshot["cells"])
-        self.impulses.restore(snapshot["impulses"])
-        self.outliers.most = snapshot.get("ballistic", 0)
         self._fitted = self.cells.count > 0
         if self._fitted:
             self._record()

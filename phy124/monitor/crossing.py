@@ -15,6 +15,8 @@ DEEP = 0.5
 class LatticeCrossing(Observer):
     """Measures how deep points are in a wall; finds other walls that touch the deepest point."""
 
+    kept = ("_deepest", "_between")
+
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
         """Return whether there are walls that points can be inside."""
@@ -56,11 +58,3 @@ class LatticeCrossing(Observer):
             f"is up to {self._deepest:.1f} cells inside {inside}. Move them so that they keep more "
             'distance, or use contact = "separate", so that the material can escape.'
         ]
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the largest depth, and the names of the walls."""
-        return {"deepest": self._deepest, "between": list(self._between)}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self._deepest, self._between = snapshot["deepest"], tuple(snapshot["between"])

@@ -6,7 +6,7 @@ Particles and substeps are described only after a problem has been detected.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 NO_PARTICLE = 2**31 - 1
 """An index larger than any particle's index."""
-VECTORS = ("momentum", "angular", "middle")
-"""Names of the fields that are vectors."""
 LIMITS = {
     "elastic": "the stiffness of the material",
     "speed": "its speed",
@@ -76,15 +74,6 @@ class Diagnostics:
         Leapfrog integration conserves this sum exactly in a vibration.
         """
         return self.kinetic + self.elastic + self.lag
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return the diagnostics as plain data."""
-        return {**asdict(self), **{name: getattr(self, name).tolist() for name in VECTORS}}
-
-    @classmethod
-    def from_snapshot(cls, data: dict[str, Any]) -> Diagnostics:
-        """Return the diagnostics from plain data."""
-        return cls(**{**data, **{name: np.array(data[name]) for name in VECTORS}})
 
 
 class Totals:

@@ -19,7 +19,7 @@ from phy124.mpm import Model, State
 from phy124.mpm.model import part_of
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
-from phy124.mpm.workers import Part, put_rows
+from phy124.mpm.workers import Part
 
 STAGE = "dissipation"
 """Name of the stages that sum the work of the stress."""
@@ -47,6 +47,7 @@ class Dissipation(Observer):
     """Sums the work of the stress in every substep."""
 
     in_gathers = True
+    kept = ("_sums", "_stress")
 
     def __init__(self) -> None:
         self._sums: wp.array | None = None
@@ -129,17 +130,6 @@ class Dissipation(Observer):
 
     def open(self) -> None:
         """Start counting from the current state."""
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums, and of the stress at the start of the next substep."""
-        assert self._sums is not None
-        return {"sums": self._sums.numpy().tolist(), "stress": wp.clone(self._stress)}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
-        assert self._sums is not None
-        put_rows(self._sums, snapshot["sums"])
-        self._stress.assign(snapshot["stress"])
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:

@@ -172,7 +172,7 @@ class LatticeWrenches(Wrenches):
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
         """Bind to the solver; its walls contain the sums."""
-        self._solver = solver
+        super().bind(solver, observers)
         self._before = self._now()
 
     def before_attempt(self, *, closely: bool = False) -> None:
@@ -185,12 +185,8 @@ class LatticeWrenches(Wrenches):
         impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return an empty snapshot, because the solver keeps the sums."""
-        return {}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Do nothing."""
+    def _read_impulses(self) -> None:
+        """Do nothing, because the solver keeps the sums."""
 
     def _now(self) -> NDArray[np.float64]:
         sums: NDArray[Any] = self._solver.walls.sums.numpy()
@@ -251,13 +247,6 @@ class LatticeContacts(Contacts):
         """Return the impulse on each surface point, then the impulse on each node [S+N,3], N s."""
         sums: NDArray[np.float64] = self._solver.walls.impulses.sums.numpy()
         return sums
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return an empty snapshot, because the walls keep the sums."""
-        return {}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Do nothing."""
 
 
 class LatticeMethod(Observer):

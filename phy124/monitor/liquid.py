@@ -18,6 +18,7 @@ class LiquidDissipation(Dissipation):
 
     in_gathers = False
     in_substeps = True
+    kept = ("_energies",)
 
     def __init__(self) -> None:
         """Prepare the sums of work; the summing starts when `bind` is called."""
@@ -74,11 +75,3 @@ class LiquidDissipation(Dissipation):
             "density": works.density,
             "transfers": loss.numerical + works.projection - works.density,
         }
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
-        return {"sums": self._energies.snapshot()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, the first worker gets all sums."""
-        self._energies.restore(snapshot["sums"])

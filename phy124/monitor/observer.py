@@ -18,6 +18,7 @@ from phy124.kernels.transfer import Law
 from phy124.materials import AnyMaterial
 from phy124.motion.scenery import Scenery
 from phy124.mpm import Attachable, Model, Stage, State
+from phy124.mpm.kept import Kept
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
@@ -121,7 +122,7 @@ class Observed(Protocol):
         ...
 
 
-class Observer:
+class Observer(Kept):
     """Observes one run; the base class observes nothing."""
 
     absent: ClassVar[dict[str, Any]] = {}
@@ -226,13 +227,6 @@ class Observer:
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
         """Return the observer's section of report.json; `frames` are all kept frames."""
         return {}
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as arrays and plain data."""
-        return {}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
 
 
 Kind = TypeVar("Kind", bound=Observer)

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 class PoolDissipation(LiquidDissipation):
     """Divides the energy loss of a liquid and of freely moving solids in the liquid by cause."""
 
+    kept = ("_energies", "_begun", "_others")
+
     _omits_shifts = True
     """Whether the work of a varying acceleration omits the moves that restore density."""
 
@@ -127,19 +129,11 @@ class PoolDissipation(LiquidDissipation):
         works = self._solver.free.works()
         return -(works if every else works[:, wet]).sum(axis=1)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
-        begun = [self._begun.tolist(), self._others.tolist()]
-        return {**super().snapshot(), "begun": begun}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums."""
-        super().restore(snapshot)
-        self._begun, self._others = map(np.array, snapshot["begun"])
-
 
 class MixedDissipation(PoolDissipation):
     """Divides the energy loss of a liquid and of particle bodies by cause."""
+
+    kept = (*PoolDissipation.kept, "_stress")
 
     in_gathers = True
     in_substeps = False
@@ -202,18 +196,11 @@ class MixedDissipation(PoolDissipation):
     def _sum_exchange(self) -> NDArray[np.float64]:
         return np.concatenate([super()._sum_exchange(), self._solver.bodies.work.total])
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
-        return {**super().snapshot(), "stress": self._stress.snapshot()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums."""
-        super().restore(snapshot)
-        self._stress.restore(snapshot["stress"])
-
 
 class ImmersedDissipation(PoolDissipation):
     """Divides the energy loss of a liquid and of bodies on lattices by cause."""
+
+    kept = (*PoolDissipation.kept, "_lattice")
 
     _omits_shifts = False
 
@@ -223,16 +210,21 @@ class ImmersedDissipation(PoolDissipation):
         yield from super().kernels(subject, real)
         yield from (make_node_work(real), make_contact_work(real))
 
+    def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
+        """Bind to the solver, and let liquid and lattices sum the work from their first step on."""
+        super().bind(solver, observers)
+        self._lattice = solver.lattice.energies
+
     def _liquid(self, solver: Any) -> Any:
         return solver.liquid
 
     def open(self) -> None:
         """Start counting from the current state."""
         super().open()
-        self._solver.lattice.energies.clear()
+        self._lattice.clear()
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        works = self._solver.lattice.energies.read()
+        works = self._lattice.read()
         return {
             "walls": works.walls + works.held,
             "material": 0.0 - works.viscous,
@@ -245,15 +237,6 @@ class ImmersedDissipation(PoolDissipation):
 
     def _sum_exchange(self) -> NDArray[np.float64]:
         return np.concatenate([super()._sum_exchange(), self._solver.bodies.work.total])
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
-        return {**super().snapshot(), "lattice": self._solver.lattice.energies.snapshot()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums."""
-        super().restore(snapshot)
-        self._solver.lattice.energies.restore(snapshot["lattice"])
 
 
 def without_liquids(subject: Subject) -> Subject:

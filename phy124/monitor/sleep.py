@@ -47,6 +47,7 @@ class Sleep(Observer):
     """Decides which frames of a run need no substeps."""
 
     absent: ClassVar[dict[str, Any]] = {"sleep": None}
+    kept = ("anchor", "drift", "speeds", "since", "skipped", "saved", "_last")
 
     def __init__(self, *, size: float, frames: int, fps: float) -> None:
         """Start with all objects awake.
@@ -138,25 +139,6 @@ class Sleep(Observer):
             self.speeds.append(speed)
         if self.anchor is None or self.drift > CALM * self._far:
             self.anchor, self.drift, self.speeds = x, 0.0, []
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as arrays and plain data."""
-        return {
-            "anchor": self.anchor,
-            "drift": self.drift,
-            "speeds": list(self.speeds),
-            "since": self.since,
-            "skipped": self.skipped,
-            "saved": self.saved,
-            "last": self._last,
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self.anchor, self.drift = snapshot["anchor"], snapshot["drift"]
-        self.speeds, self.since = list(snapshot["speeds"]), snapshot["since"]
-        self.skipped, self.saved = snapshot["skipped"], snapshot["saved"]
-        self._last = snapshot["last"]
 
     def report(self, frames: Sequence[Frame] = ()) -> dict[str, Any]:
         """Return the first skipped frame, and the numbers of skipped frames and saved substeps."""

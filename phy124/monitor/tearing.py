@@ -70,6 +70,7 @@ class Tearing(Observer):
     absent: ClassVar[dict[str, Any]] = {
         "balance": {"tearing": {"apart": 0, "stretch": 1.0, "loose": 0, "likely": False}}
     }
+    kept = ("count", "first", "stretch", "loose")
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
@@ -138,17 +139,6 @@ class Tearing(Observer):
     def likely(self) -> bool:
         """Whether a piece has separated, or stretched particles suggest that it may have."""
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        return {
-            "count": self.count, "first": self.first, "stretch": self.stretch, "loose": self.loose
-        }  # fmt: skip
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self.count, self.first = snapshot["count"], snapshot["first"]
-        self.stretch, self.loose = snapshot["stretch"], snapshot["loose"]
 
     def after_attempt(self) -> None:
         """Check the state at the end of a frame."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -121,6 +121,11 @@ def energy_supplied(start: float, work: float, walls: float) -> float:
 class Watchdog(Observer):
     """Checks one run; the balance is checked only if an `ExternalWork` observes the same run."""
 
+    kept = (
+        *("_begun", "_fastest", "_stopped", "_pushed", "min_J", "max_J"),
+        *("first", "last", "balance"),
+    )
+
     def __init__(self) -> None:
         self.balance = Balance()
         self._fastest, self._begun, self._closely = 0.0, False, False
@@ -199,28 +204,6 @@ class Watchdog(Observer):
             return Violation(f"{problem}, first {self._describe(int(broken[0]))}", self._unstable())
         index = int(compute_speeds(self.state).argmax())
         return Violation(f"{problem}; the fastest is {self._describe(index)}", FAST)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        return {
-            "begun": self._begun,
-            "fastest": self._fastest,
-            "stopped": self._stopped.tolist(),
-            "pushed": self._pushed.tolist(),
-            "min_J": self.min_J,
-            "max_J": self.max_J,
-            "first": self.first.snapshot(),
-            "last": self.last.snapshot(),
-            "balance": asdict(self.balance),
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self._begun, self._fastest = snapshot["begun"], snapshot["fastest"]
-        self._stopped, self._pushed = np.array(snapshot["stopped"]), np.array(snapshot["pushed"])
-        self.min_J, self.max_J = snapshot["min_J"], snapshot["max_J"]
-        self.first, self.last = (Diagnostics.from_snapshot(snapshot[k]) for k in ("first", "last"))
-        self.balance = Balance(**snapshot["balance"])
 
     def notes(self) -> list[str]:
         """Return notes about the course of the run."""

@@ -7,12 +7,18 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.timestep import MEASURE_EVERY, TRAVEL, Extremes, Substep, decay, stable_substep
 
 
-class Clock:
+class Clock(Kept):
     """The time of one run, on the host and on the device."""
+
+    kept = (
+        *("time", "last_dt", "substeps", "limiters", "needed", "extremes", "strain_rate"),
+        *("interval", "since_measured", "strain", "travel", "_last_measured", "since_complete"),
+    )
 
     def __init__(
         self, model: Model, *, ceiling: float = math.inf, measure_every: int = MEASURE_EVERY
@@ -147,32 +153,7 @@ class Clock:
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        return {
-            "time": self.time,
-            "last_dt": self.last_dt,
-            "substeps": self.substeps,
-            "since_measured": self.since_measured,
-            "interval": self.interval,
-            "strain_rate": self.strain_rate,
-            "strain": self.strain,
-            "travel": self.travel,
-            "looked": self._last_measured,
-            "since_complete": self.since_complete,
-            "extremes": list(self.extremes),
-            "limiters": dict(self.limiters),
-            "needed": dict(self.needed),
-        }
-
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot."""
-        self.time, self.last_dt = snapshot["time"], snapshot["last_dt"]
-        self.substeps, self.since_measured = snapshot["substeps"], snapshot["since_measured"]
-        self.interval = snapshot.get("interval", MEASURE_EVERY)
-        self.strain_rate = snapshot.get("strain_rate", 0.0)
-        self.strain, self.travel = (snapshot.get(name, math.inf) for name in ("strain", "travel"))
-        self._last_measured = snapshot.get("looked", 0.0)
-        self.since_complete = snapshot.get("since_complete", 0)
-        self.extremes = self.recent = Extremes(*snapshot["extremes"])
-        self.limiters, self.needed = dict(snapshot["limiters"]), dict(snapshot["needed"])
+        super().restore(snapshot)
+        self.recent = self.extremes

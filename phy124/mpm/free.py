@@ -19,6 +19,7 @@ from phy124.kernels import free as kernels
 from phy124.kernels.arguments import types
 from phy124.mpm.depth import measure_depth
 from phy124.mpm.grid import Grid
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.pairs import fill_of
 from phy124.mpm.stage import Recorded
@@ -145,8 +146,10 @@ class Plane(Protocol):
         ...
 
 
-class FreeBodies:
+class FreeBodies(Kept):
     """All free bodies of one run."""
+
+    kept = ("_bodies", "_totals", "_begun")
 
     def __init__(self, model: Model, solids: Sequence[FreeBody]) -> None:
         """Place the solids in their initial states.
@@ -346,27 +349,6 @@ class FreeBodies:
             for m, solid in pairs
         ]
         return float(max(speeds, default=0.0))
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state; empty if there are no solids."""
-        if not self.all:
-            return {}
-        return {
-            "bodies": np.array([body.numpy() for body in self._bodies]),
-            "totals": self._total(),
-            "begun": self._begun.copy(),
-        }
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        if not self.all:
-            return
-        for body, kept in zip(self._bodies, snapshot["bodies"], strict=True):
-            body.assign(kept)
-        for of_one, kept in zip(self._totals, snapshot["totals"], strict=True):
-            for sums, row in zip(of_one, kept, strict=True):
-                sums.assign(row)
-        self._begun = np.asarray(snapshot["begun"])
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, cast
 
@@ -19,6 +19,7 @@ from phy124.kernels.arguments import types
 from phy124.kernels.launches import record
 from phy124.kernels.transfer import Law
 from phy124.materials import Material
+from phy124.mpm.kept import Kept
 from phy124.mpm.timestep import CFL, beside_elastic
 
 PRECISIONS = {"float32": wp.float32, "float64": wp.float64}
@@ -266,8 +267,10 @@ class Model:
 
 
 @dataclass
-class State:
+class State(Kept):
     """The arrays of the particles that change every substep, on the device."""
+
+    kept = ("x", "residue", "v", "C", "F", "history", "total")
 
     x: wp.array
     """Positions [P,3], m."""
@@ -310,21 +313,12 @@ class State:
 
     def arrays(self) -> dict[str, wp.array]:
         """Return all arrays by name."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: getattr(self, name) for name in self.kept}
 
     @property
     def deformation(self) -> wp.array:
         """Deformation gradients that Gaussians follow: F_total with a plastic law, otherwise F."""
         return self.total if len(self.total) else self.F
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a copy of the state on the device, for `restore`."""
-        return {name: wp.clone(array) for name, array in self.arrays().items()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot on the device or from a file."""
-        for name, array in self.arrays().items():
-            array.assign(snapshot[name])
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:

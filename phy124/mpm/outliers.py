@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from phy124.kernels.arguments import types
 from phy124.kernels.ballistic import make_fly, make_hide
 from phy124.mpm.grid import MARGIN, Grid
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model, State
 from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
@@ -33,8 +34,10 @@ EVERYWHERE = 1e30
 """A coordinate larger than any position [m], but finite in float32."""
 
 
-class Outliers:
+class Outliers(Kept):
     """The box to which the grid is restricted; infinite as long as the particles stay together."""
+
+    kept = ("corners", "_half", "bounded", "most")
 
     def __init__(self, model: Model, state: State) -> None:
         self._model, self._state, self._half = model, state, np.zeros(3)
@@ -57,21 +60,10 @@ class Outliers:
         """Number of particles that are currently outside the box."""
         return len(self.indices)
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        half = self._half.tolist() if self.bounded else None
-        return {"corners": self.corners.numpy().tolist(), "half": half, "most": self.most}
-
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore the state from a snapshot; the particles must be restored first."""
-        self.corners.assign(np.array(snapshot["corners"], self.corners.numpy().dtype))
-        self.bounded, self.most, self.changed = (
-            snapshot["half"] is not None,
-            snapshot["most"],
-            False,
-        )
-        if self.bounded:
-            self._half = np.array(snapshot["half"])
+        super().restore(snapshot)
+        self.changed = False
         out = self._beyond() if self.bounded else []
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 

@@ -17,9 +17,9 @@ from phy124.kernels.arguments import types
 from phy124.kernels.contacts import MOMENT, SUMS
 from phy124.kernels.pairs import make_pair
 from phy124.mpm.grid import Grid
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded
-from phy124.mpm.workers import put_rows
 
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
@@ -41,8 +41,10 @@ class Pair(NamedTuple):
     """Whether both bodies have equal velocities at every node at which both have mass."""
 
 
-class Pairs:
+class Pairs(Kept):
     """All pairs of the bodies of one run."""
+
+    kept = ("_sums", "_begun", "_added")
 
     def __init__(self, model: Model, listed: Sequence[Pair], workers: int) -> None:
         """Allocate the sums of impulses.
@@ -128,16 +130,6 @@ class Pairs:
             (pair.first, pair.second): Wrench(row[:MOMENT], row[MOMENT:])
             for pair, row in zip(self.all, sums, strict=True)
         }
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
-        return {"sums": wp.clone(self._sums), "begun": self._begun, "added": self._added.copy()}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums; if the number of workers differs, restore only the totals."""
-        put_rows(self._sums, snapshot["sums"])
-        self._begun = np.asarray(snapshot["begun"])
-        self._added = np.array(snapshot.get("added", 0.0) + np.zeros((len(self.all), SUMS)))
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
         """Record the launches of a worker, one for each pair of bodies whose windows overlap.

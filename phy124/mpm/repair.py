@@ -13,6 +13,7 @@ import warp as wp
 from phy124.kernels.diagnostics import make_limit_total, make_reset
 from phy124.kernels.transfer import Law
 from phy124.mpm.clock import Clock
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
@@ -29,11 +30,13 @@ NO_PARTICLE = 2**31 - 1
 """An index larger than any particle's index."""
 
 
-class Repair:
+class Repair(Kept):
     """Repairs the deformations of a run's particles, after the first call of `begin`.
 
     Call `begin` and `end` for each frame; the solver calls `substep`.
     """
+
+    kept = ("count", "first")
 
     def __init__(self, model: Model, state: State, *, needed: bool = True) -> None:
         """Record the launches.
@@ -76,14 +79,6 @@ class Repair:
         """Finish a frame."""
         self.count, self.first = self._resets.numpy().tolist()
         self._launch(self._limit)
-
-    def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
-        return {"count": self.count, "first": self.first}
-
-    def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot."""
-        self.count, self.first = snapshot["count"], snapshot["first"]
 
     @staticmethod
     def _launch(launch: wp.Launch | None) -> None:

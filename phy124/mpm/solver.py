@@ -21,6 +21,7 @@ from phy124.mpm.fluctuation import APIC, Fluctuation, Scheme, usable_rpic
 from phy124.mpm.free import FreeBodies, FreeBody, Plane
 from phy124.mpm.graph import Graph, usable
 from phy124.mpm.grid import Corners, Grid, Unstable, corners_of, fit_all, grids_of
+from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model, State
 from phy124.mpm.outliers import Outliers
 from phy124.mpm.pairs import Pair, Pairs
@@ -49,8 +50,10 @@ CALM = 0.9
 """Largest growth of stiffness between measurements, relative to the stable growth."""
 
 
-class Solver:
+class Solver(Kept):
     """Advances a state in time under forces and boundaries."""
+
+    kept = ("state", "clock", "outliers", "repair", "pairs", "free")
 
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
@@ -240,26 +243,16 @@ class Solver:
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot from which `restore` continues bit for bit."""
         return {
-            "state": self.state.snapshot(),
-            "clock": self.clock.snapshot(),
-            "outliers": self.outliers.snapshot(),
-            "repair": self.repair.snapshot(),
+            **super().snapshot(),
             "windows": [[grid.low.tolist(), grid.size.tolist()] for grid in self.grids],
-            "pairs": self.pairs.snapshot(),
             "slabs": self.slabs.snapshot() if self.slabs else {},
-            **({"free": self.free.snapshot()} if self.free.all else {}),
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
         """Restore a snapshot; with an equal number of threads, the run continues bit for bit."""
-        self.state.restore(snapshot["state"])
-        self.clock.restore(snapshot["clock"])
-        self.outliers.restore(snapshot["outliers"])
-        self.repair.restore(snapshot["repair"])
+        super().restore(snapshot)
         self._stray.zero_()
         self._missed.zero_()
-        self.pairs.restore(snapshot["pairs"])
-        self.free.restore(snapshot.get("free", {}))
         for grid, (low, size) in zip(self.grids, snapshot["windows"], strict=True):
             grid.rebase(np.array(low), np.array(size))
         known = self._restore_slabs(snapshot["slabs"])

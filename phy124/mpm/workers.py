@@ -289,16 +289,6 @@ def numbers(count: int, model: Model) -> wp.array:
     return wp.zeros(count, dtype=model.real, device=model.device)
 
 
-def put_rows(sums: wp.array, rows: Any) -> None:
-    """Set sums with one row per worker; the first row gets the total if their number differs."""
-    rows = np.asarray(rows.numpy() if isinstance(rows, wp.array) else rows)
-    if rows.shape != sums.shape:
-        first = np.zeros(sums.shape)
-        first[0] = rows.sum(axis=0)
-        rows = first
-    sums.assign(rows)
-
-
 def usable_workers(particles: int, device: str, asked: int | None = None) -> int:
     """Return the requested or, by default, the fastest number of workers; 1 on a GPU."""
     if device != "cpu":

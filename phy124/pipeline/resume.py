@@ -29,7 +29,7 @@ from phy124.runtime.context import RunContext
 from phy124.scene import Scene
 from phy124.simulation import Simulation, prepare
 
-FORMAT = "phy124-pause-13"
+FORMAT = "phy124-pause-14"
 GAUSSIANS = ("means", "quats", "scales", "opacities", "sh")
 OBJECTS = "given.object_id"
 FILE = "file."
@@ -266,13 +266,13 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
     if version != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
     facts = {name: json.loads(text) for name, text in metadata.items()}
-    if tensors and facts.get("checksum") not in (None, _checksum(arrays)):
+    if tensors and facts["checksum"] != _checksum(arrays):
         raise InputError("paused run", path, "it was changed or damaged.", remedy)
     return facts, arrays
 
 
 def _checksum(tensors: Tensors) -> int:
-    """Return the CRC-32 of all arrays, sorted by name. Files of older versions have no checksum."""
+    """Return the CRC-32 of all arrays, sorted by name."""
     total = 0
     for name in sorted(tensors):
         total = zlib.crc32(np.ascontiguousarray(tensors[name]).data, total)
