@@ -138,7 +138,9 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
     @wp.func
     def begin(nodes_out: wp.array(dtype=t.vec4), n: int, q: t.vec4):
         if wp.static(updating):
-            nodes_out[n] = q
+            # The thread of an empty node stores the node, also if it is part of a column.
+            if q[3] > real(0.0):
+                nodes_out[n] = q
 
     @wp.func
     def respond(
@@ -166,7 +168,8 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
         if not holds(size, span, here):
             return
         if grid[n][3] <= real(0.0):
-            begin(grid_out, n, grid[n])
+            if wp.static(updating):
+                grid_out[n] = grid[n]
             return
 
         # The column's first node is this node, or one of the two nodes in front of it.

@@ -14,6 +14,7 @@ from phy124.generators.relief.surface import Surface, settle
 from phy124.materials import NeoHookean
 from phy124.monitor.diagnostics import compute_energies
 from phy124.rendering.compose.colours import Adjoint
+from phy124.rendering.liquid import Liquid
 from phy124.rendering.render import Renderer
 from phy124.rendering.stage.build import make_stage
 from phy124.runtime.context import RunContext
@@ -119,6 +120,7 @@ def monitors() -> Runs:
         "stress at a point": probed,
         "a vortex": lambda: problems.vortex(6, time=0.01),
         "two workers": in_two_parts,
+        "no balance": lambda: simulate(**{**FALLING, "checks.balance": False}),
         "energy": lambda: simulate(**{**FALLING, "checks.energy": True}),
         "aflip": lambda: simulate(**{**FALLING, "accuracy.transfer": "aflip"}),
         "rpic": lambda: simulate(**{**FALLING, "accuracy.rpic_damping": 30.0}),
@@ -127,10 +129,10 @@ def monitors() -> Runs:
 
 
 def far_away() -> None:
-    """Simulate particles in a cube, and one particle a thousand cubes away."""
+    """Simulate particles in a cube, and two particles a thousand cubes away."""
     rng = np.random.default_rng(0)
     x = rng.uniform(-0.3, 0.3, (200, 3))
-    x[-1] = 1000.0
+    x[-2:] = [[1000.0] * 3, [999.0] * 3]
     solver = make_solver(x, np.full(len(x), 1e-3), [NeoHookean(E=1e4)], dx=0.1)
     solver.advance(0.01)
 
@@ -160,6 +162,7 @@ def pictures() -> Runs:
         "by tiles": lambda: Renderer(blend="plain")(ball(800), Camera.orbit(30, 20, 1.4, 64)),
         "backwards": backwards,
         "on a stage": on_a_stage,
+        "a liquid": lambda: Liquid(ball(300).means, 0.1, visibility=0.2).shape(ball(300)),
         "colours": lambda: Simulation(
             prepare(splats(np.random.default_rng(0), 200, degree=1), few(), RunContext(threads=1))
         ).run(),
