@@ -38,7 +38,7 @@ class Projection:
         """
         self.solids = solids
         self._model, self._workers = model, workers
-        self._parts = workers if model.device == "cpu" else PARTS
+        self._parts = parts_on(model.device, workers)
         self._form = form_on(model.device)
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
@@ -147,6 +147,11 @@ class Projection:
         sums: Any = self.sums.numpy()
         largest, right = np.max(sums[[RESIDUAL, RIGHT]], axis=1).tolist()
         return largest <= tolerance * right or right == 0.0
+
+
+def parts_on(device: str, workers: int) -> int:
+    """Return the number of parts into which the cells are divided on a device."""
+    return workers if device == "cpu" else PARTS
 
 
 def form_on(device: str) -> str:

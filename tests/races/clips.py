@@ -57,9 +57,26 @@ def lattices() -> Clips:
     }
 
 
+def liquids() -> Clips:
+    """A solid, an elastic body, and a body on its lattice fall into water with the object."""
+    stone = {"name": "stone", "size": 0.5, "on": "object", "shape": "sphere"}
+    free = {**stone, "motion": {"kind": "free", "density": 400}}
+    elastic = {**stone, "material": {"law": "neo_hookean", "E": 1e5}}
+    lattice = {"cells": 8, "solver": "lattice"}
+    cases: dict[str, dict[str, Any]] = {
+        "solid": {"objects": [free]},
+        "body": {"objects": [elastic]},
+        "body on a lattice": {"objects": [elastic], "accuracy": lattice},
+    }
+    return {
+        name: lambda changes=changes: clip("water", **changes) for name, changes in cases.items()
+    }
+
+
 CLIPS: dict[str, Callable[[], Clips]] = {
     "presets": presets,
     "laws": laws,
     "solids": solids,
     "lattices": lattices,
+    "liquids": liquids,
 }

@@ -8,12 +8,19 @@ from phy124.kernels.lattice import rows
 
 THREADS = 2**7
 """Number of threads, so small that each thread sums several particles of a small body."""
+PARTS = 2**5
+"""Number of parts of a liquid's cells, so small that a part has several cells."""
 
 
 def shared_out(particles: int, device: str, most: int = THREADS) -> tuple[int, int, int, int]:
     """Return the result of `reduction.shared_out` on a GPU with few threads."""
     threads = min(particles, THREADS)
     return threads, 1, -(-particles // threads), threads
+
+
+def parts_on(device: str, workers: int) -> int:
+    """Return several parts for a single worker, as on a GPU; each of several workers has one."""
+    return PARTS if workers == 1 else workers
 
 
 def choose() -> None:
@@ -32,6 +39,7 @@ def choose() -> None:
 
     as_on_gpu(simd, "usable")
     as_on_gpu(projection, "form_on")
+    replace(projection, "parts_on", parts_on)
     as_on_gpu(model, "form_of")
     as_on_gpu(deform, "shapes_of")
     as_on_gpu(deform, "carry_of")

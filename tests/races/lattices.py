@@ -106,9 +106,13 @@ def liquids() -> Runs:
     stone = {"name": "stone", "size": 0.5, "on": "object", "shape": "sphere"}
     free = {**stone, "motion": {"kind": "free", "density": 400}}
     elastic = {**stone, "material": {"law": "neo_hookean", "E": 1e5}}
+    floats = {**free, "name": "beside", "place": [0.5, 0]}
+    stir = {**SOLIDS["sphere"], "motion": SWING}
     return {
         "a free solid": lambda: simulate("water", objects=[free], **SHORT),
-        "an elastic body": lambda: simulate("water", objects=[elastic], **SHORT),
+        "a body and a free solid": lambda: simulate("water", objects=[elastic, floats], **SHORT),
+        "moving walls": lambda: simulate("water", boundaries=[stir, SOLIDS["ground"]], **SHORT),
+        "a body on a lattice": lambda: on_lattice("water", objects=[elastic]),
         "two liquids": lambda: simulate("oil", objects=[WATER, elastic], **SHORT),
         "a zone": lambda: simulate("water", forces=[{"kind": "gravity"}, FORCES["zone"]], **SHORT),
         "two workers": lambda: simulate("water", threads=2, **SHORT, **{"checks.energy": True}),

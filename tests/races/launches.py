@@ -21,7 +21,7 @@ class Detective:
         self._run = ""
         self._turns: Counter[str] = Counter()
         self.seen: Counter[str] = Counter()
-        """Kernel -> number of examined launches."""
+        """Kernel -> number of examined launches, each of several threads."""
         self.raced: dict[str, dict[str, Counter[str]]] = defaultdict(dict)
         """Kernel -> kind and array of a race, such as "read-write grid_out" -> run -> number of
         words."""
@@ -38,10 +38,10 @@ class Detective:
         if turn >= FIRST and turn % THEN:
             launch()
             return
-        self.seen[inputs.name] += 1
-        if inputs.threads == 1:  # Nothing races with it.
+        if inputs.threads == 1:  # Nothing races with it, which says nothing about its kernel.
             launch()
             return
+        self.seen[inputs.name] += 1
         with self._record.noting():
             launch()
         for what, words in conflicts(self._record.entries(), inputs.arrays()).items():
