@@ -44,10 +44,10 @@ def cache(monkeypatch, tmp_path):
     return tmp_path
 
 
-def adding():
+def adding(module: str = "phy124_test_adding"):
     """A kernel that is not loaded yet, whoever has made it before."""
 
-    @kernel("phy124_test_adding")
+    @kernel(module)
     def add(values: wp.array(dtype=float)):
         values[wp.tid()] = 1.0 + values[wp.tid()]
 
@@ -59,6 +59,10 @@ def works(made) -> bool:
     values = wp.ones(3)
     wp.launch(made, 3, inputs=[values])
     return values.numpy().tolist() == [2.0] * 3
+
+
+def digest(folder: Path) -> str:
+    return folder.name.rpartition("_")[2]
 
 
 def stored(cache: Path, ending: str) -> Path:
@@ -143,11 +147,21 @@ def test_failed_compilation_leaves_nothing(cache, monkeypatch):
     assert not [*cache.glob("wp_*")]
 
 
+def test_equal_code_of_two_modules_is_compiled_once(cache, monkeypatch):
+    assert works(adding())
+    COMPILED.clear()
+    copied = []
+    copy = kernel_cache.shutil.copyfile
+    monkeypatch.setattr(kernel_cache.shutil, "copyfile", lambda *files: copied.append(copy(*files)))
+    assert works(adding("phy124_test_again"))
+    assert len(copied) == 1
+
+
 def test_what_another_process_compiles_is_awaited(cache, monkeypatch):
     assert works(adding())
     folder = stored(cache, ".o").parent
     hidden = folder.rename(cache / "hidden")
-    other = os.open(cache / kernel_cache.LOCKS / folder.name, os.O_RDWR | os.O_CREAT)
+    other = os.open(cache / kernel_cache.LOCKS / digest(folder), os.O_RDWR | os.O_CREAT)
     fcntl.flock(other, fcntl.LOCK_EX)
 
     def finish(_: float) -> None:
@@ -164,7 +178,7 @@ def test_nobody_waits_long_for_a_paused_process(cache, monkeypatch):
     folder = stored(cache, ".o").parent
     folder.rename(cache / "hidden")
     monkeypatch.setattr(kernel_cache, "LONGEST_WAIT", 0.05)
-    with open(cache / kernel_cache.LOCKS / folder.name, "w") as other:
+    with open(cache / kernel_cache.LOCKS / digest(folder), "w") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         assert works(adding())
 

@@ -1,7 +1,7 @@
 """Repairs Warp's cache of compiled kernels, and reuses the compiler's precompiled headers.
 
 A module that cannot be loaded is compiled again, and incomplete modules are removed. Processes that
-need the same module compile it once. If the disk is full, compilation is refused, because the
+need the same code compile it once. If the disk is full, compilation is refused, because the
 compiler would crash the whole program.
 """
 
@@ -35,7 +35,8 @@ FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
 LOCKS = "locks"
-"""Folder of the cache that has an empty file for each module: the lock of its compilation."""
+"""Folder of the cache that has an empty file for each hash of a module: the lock of its
+compilation."""
 LONGEST_WAIT = 120
 """Longest wait for another process that compiles the same module [s]; it may have been paused."""
 OLD = 600
@@ -48,9 +49,10 @@ def keep_sound() -> None:
     Unknown versions of Warp are not changed.
     """
     try:
+        from warp._src import build as compiler
         from warp._src.context import Module
 
-        load, build = Module.load, Module._compile
+        load, build, compile_cpu = Module.load, Module._compile, compiler.build_cpu
     except (ImportError, AttributeError):
         return
     if getattr(load, "mends", False):
@@ -68,6 +70,14 @@ def keep_sound() -> None:
         with _alone(place), _building(place):
             return build(module, device, folder, *rest, **options)
 
+    def compile_new(made: Any, source: Any, *rest: Any, **options: Any) -> None:
+        twin = _find_twin(Path(made), Path(source))
+        if twin is None:
+            compile_cpu(made, source, *rest, **options)
+        else:
+            shutil.copyfile(twin, made)
+
+    compiler.build_cpu = compile_new
     load_whole.mends = True  # pyright: ignore[reportFunctionMemberAccess]
     Module.load, Module._compile = load_whole, built  # pyright: ignore[reportAttributeAccessIssue]
     _sweep()
@@ -110,6 +120,25 @@ def _load_mended(
         return load(module, device, block)
 
 
+def _find_twin(made: Path, source: Path) -> Path | None:
+    """Return the object file of another module with the same code and options, if there is one.
+
+    Kernels of two laws are equal if they use the same functions of the laws. Warp's hash of a
+    module, at the end of its name, covers the options of the compiler.
+
+    Args:
+        made: The object file to make.
+        source: The module's C++ code.
+    """
+    code = source.read_bytes()
+    for folder in source.parents[1].glob(f"*_{source.stem.rpartition('_')[2]}"):
+        twin = folder / made.name.replace(source.stem, folder.name)
+        with suppress(OSError):
+            if (folder / f"{folder.name}.cpp").read_bytes() == code and _is_whole(twin):
+                return twin
+    return None
+
+
 def _discard(folder: Path) -> None:
     warnings.warn(f"{folder} was broken; its kernels are compiled again", stacklevel=5)
     shutil.rmtree(folder, ignore_errors=True)
@@ -144,7 +173,7 @@ def _is_whole(file: Path) -> bool:
 
 @contextmanager
 def _alone(folder: Path | None) -> Iterator[None]:
-    """Within this context, no other process compiles the module of this folder.
+    """Within this context, no other process or thread compiles the code of this folder's module.
 
     A process that has waited finds the module compiled. The first module of a cache also compiles
     the headers, so all modules wait for it.
@@ -152,7 +181,8 @@ def _alone(folder: Path | None) -> Iterator[None]:
     if folder is None or folder.is_dir() or fcntl is None:
         yield
         return
-    file = folder.parent / LOCKS / (folder.name if has_headers() else "headers")
+    digest = folder.name.rpartition("_")[2]
+    file = folder.parent / LOCKS / (digest if has_headers() else "headers")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
