@@ -25,6 +25,7 @@ from phy124.generators.relief.elevation import Raised
 from phy124.generators.relief.ends import Continued, continue_silhouette
 from phy124.generators.relief.flat import flatten
 from phy124.generators.relief.height import Silhouette
+from phy124.generators.relief.legs import Legs, find_legs
 from phy124.generators.relief.light import fit_light, unlight
 from phy124.generators.relief.picture import PADDING, WORK, opaque_size, work_picture
 from phy124.generators.relief.rings import find_ring
@@ -33,15 +34,17 @@ from phy124.generators.relief.shoulders import Shoulder, find_shoulder
 from phy124.generators.relief.sides import Box, check_back
 from phy124.generators.relief.solids import (
     apply_depth,
+    flat_topped,
     half_thickness,
     inflate,
     is_block,
+    is_polygonal,
     is_turned,
     make_slab,
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
 from phy124.generators.relief.table_fit import find_table
-from phy124.generators.relief.thin import find_thin
+from phy124.generators.relief.thin import circles_on_ground, find_thin
 from phy124.generators.relief.vessel import vessel_shell
 
 CARD = 0.12
@@ -103,16 +106,19 @@ def from_front(
         if shell is not None:
             step(1)
             return shell
-    work = continue_silhouette(rgba, PADDING)
+    legs = None
+    if depth is None and back is None and thickness == 1 and shape == "auto":
+        legs = _legs_beside(rgba)
     shell = _inflated_shell(
-        work,
-        count=count,
+        continue_silhouette(rgba, PADDING) if legs is None else legs.trunk,
+        count=count if legs is None else round(count * (1 - legs.share)),
         rng=rng,
         step=step,
         back=back,
         look=look,
         thickness=thickness,
-        shape=shape,
+        shape=shape if legs is None else "round",
+        legs=legs,
     )
     return Raised(np.radians(elevation), view.distance).stand(shell) if elevation else shell
 
@@ -127,17 +133,18 @@ def _inflated_shell(
     look: BackLook,
     thickness: float,
     shape: Shape,
+    legs: Legs | None,
 ) -> Shell:
     """Inflate the silhouette of the object to a shell that the front camera sees.
 
     The colours of the back are taken from an image of the back if there is one, otherwise from the
-    rim of the front. If the image has a fifth channel, the channel is the depth map. The other
-    arguments are those of `from_front`.
+    rim of the front. If the image has a fifth channel, the channel is the depth map. If there are
+    legs, the image shows the body alone. The other arguments are those of `from_front`.
     """
-    view = View.of(work.object_mask, VIEW_DISTANCE * WORK)
+    view = View.of(work.object_mask if legs is None else legs.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)
     silhouette = Silhouette.of(work.alpha)
-    joined = shoulder and shoulder.round_thickness(work.alpha)
+    joined = _parts_thickness(work, shoulder, legs)
     half = half_thickness(silhouette, work, WORK, shape, joined)
     mapped, thin, limited = work.rgba.shape[2] > 4, None, None
     if half is None:
@@ -158,7 +165,8 @@ def _inflated_shell(
     step(1)
     points, normals, spacing, caps = _points(surface, view, work, count, rng, lambda: step(1))
     step(2)
-    front = clean_picture(work.rgba[..., :4])
+    picture = work.rgba if legs is None else legs.rgba
+    front = clean_picture(picture[..., :4])
     inner = points - surface.inset(points, DRAWN_IN) * normals
     drawn, turned = view.project_points(inner, normals)
     if back is None:
@@ -166,11 +174,7 @@ def _inflated_shell(
         unlit = unlight(front, surface, light)
         if look == "auto":
             look = (
-                "mirror"
-                if thin is not None
-                else "plain"
-                if half is None
-                else choose_look(work.rgba)
+                "mirror" if thin is not None else "plain" if half is None else choose_look(picture)
             )
         imagined, reach = unlit, 0.0
         if look == "plain":
@@ -194,7 +198,32 @@ def _inflated_shell(
         shown = Shown(front, middle, FRONT, ACROSS), show_back(back, scale, work.object_mask)
         rgb = blend_pictures(drawn, turned, shown, view.distance)
     step(3)
-    return Shell(drawn, turned, spacing, rgb)
+    shell = Shell(drawn, turned, spacing, rgb)
+    return shell if legs is None else legs.join(shell, surface, view, front, rng)
+
+
+def _parts_thickness(work: Continued, shoulder: Shoulder | None, legs: Legs | None) -> Field | None:
+    """Return the squared half thicknesses of a vehicle with flat sides, or of a body with a
+    shoulder; None for other objects.
+    """
+    if legs is not None and legs.wheeled:
+        return flat_topped(work.alpha > 0.5)
+    return shoulder and shoulder.round_thickness(work.alpha)
+
+
+def _legs_beside(rgba: Field) -> Legs | None:
+    """Return the legs of an object that an image [H,W,4] shows from its side, or None.
+
+    Boxes, objects with thin parts and objects on free discs, such as scooters, have no legs. Nor
+    have objects that are seen from their front. Cars and benches may be symmetric from their side,
+    but they are wide.
+    """
+    legs = find_legs(rgba)
+    if legs is None or find_thin(legs.object_mask) or is_polygonal(legs.object_mask):
+        return None
+    if circles_on_ground(legs.object_mask):
+        return None
+    return legs if legs.is_long or choose_look(rgba) == "mirror" else None
 
 
 def _flatten(

@@ -147,7 +147,7 @@ def half_thickness(
     round_ = round_thickness(silhouette, size) if joined is None else joined
     if shape in ("round", "flat"):
         return round_
-    if shape == "auto" and _polygonal(picture.object_mask) and not _is_shaded(picture, round_):
+    if shape == "auto" and is_polygonal(picture.object_mask) and not _is_shaded(picture, round_):
         return None
     turned = shape == "upright" or picture.body is not None
     turned = turned or (is_turned(picture.object_mask) and not is_block(picture))
@@ -259,7 +259,7 @@ def _runs(inside: NDArray[np.bool_]) -> Field:
     return (below - above - 1).astype(np.float64)
 
 
-def _polygonal(object_mask: NDArray[np.bool_]) -> bool:
+def is_polygonal(object_mask: NDArray[np.bool_]) -> bool:
     """Return whether the outline is a polygon of few corners or a rounded rectangle."""
     outline = outline_of(object_mask)
     width, height = cv2.minAreaRect(outline)[1]

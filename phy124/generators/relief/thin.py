@@ -271,7 +271,7 @@ def find_wheels(object_mask: Mask) -> Wheels | None:
     """Return the two wheels of a bicycle that a silhouette [H,W] shows, or None."""
     rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
     height, (start, end) = np.ptp(rows) + 1, columns[[0, -1]]
-    wheels = _circles_on_ground(object_mask)
+    wheels = circles_on_ground(object_mask)
     if len(wheels) < 2:
         return None
     left, right = wheels[0], wheels[-1]
@@ -281,8 +281,11 @@ def find_wheels(object_mask: Mask) -> Wheels | None:
     return Wheels(left, right) if apart and large and inset < AT_ENDS * (end - start) else None
 
 
-def _circles_on_ground(object_mask: Mask) -> list[Wheel]:
-    """Return the discs on which a silhouette [H,W] stands, from left to right."""
+def circles_on_ground(object_mask: Mask, free: float = FREE) -> list[Wheel]:
+    """Return the discs on which a silhouette [H,W] stands, from left to right.
+
+    At least the fraction `free` of a circle around each disc is outside the silhouette.
+    """
     solid, size = _crop(object_mask), max(_crop(object_mask).shape)
     rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
     pad, height = size // 4, len(solid)
@@ -307,7 +310,7 @@ def _circles_on_ground(object_mask: Mask) -> list[Wheel]:
             np.rint(v).astype(int).clip(0, n - 1)
             for v, n in zip((down, across), solid.shape, strict=True)
         ]
-        if 1 - solid[tuple(place)].mean() > FREE:
+        if 1 - solid[tuple(place)].mean() >= free:
             wheels.append(Wheel(x - pad + columns[0], y - radius - pad + rows[0], radius))
     return wheels
 

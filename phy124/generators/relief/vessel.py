@@ -1,19 +1,15 @@
 """Builds the shell, including handles, of a vessel or a drum that was photographed from above."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from phy124.generators.relief.colours import clean_picture
 from phy124.generators.relief.elevation import Raised
-from phy124.generators.relief.height import Silhouette
 from phy124.generators.relief.lathe import Lathe, cut_lathe, find_lathe
-from phy124.generators.relief.picture import WORK
+from phy124.generators.relief.parts import inflate_part, keep
 from phy124.generators.relief.shell import DRAWN_IN, Shell, join
-from phy124.generators.relief.solids import round_thickness
-from phy124.generators.relief.surface import Surface, View, spread
+from phy124.generators.relief.surface import View
 from phy124.generators.relief.upright import Profile, upright_body
 
 Field = NDArray[np.float64]
@@ -78,16 +74,8 @@ def _handles(
 ) -> Shell:
     """Return the shell of handles, which lie in the vertical plane through the vessel's axis."""
     near = cv2.dilate(handles.astype(np.uint8), np.ones((2 * JOINT + 1,) * 2)) > 0
-    silhouette = Silhouette.of(np.where(near, rgba[..., 3], 0.0))
-    half = silhouette.extend(round_thickness(silhouette, WORK))
-    surface = Surface.seen(half, view.middle, view.distance)
-    points, normals, spacing, _ = spread(surface, (), count, rng)
-    column, row = np.rint(points[:, :2].T).astype(int)
-    rgb = front[row.clip(0, len(front) - 1), column.clip(0, front.shape[1] - 1)]
-    drawn, turned = view.project_points(points - surface.inset(points, DRAWN_IN) * normals, normals)
-    shell = lathe.camera.stand(Shell(drawn, turned, spacing, rgb))
+    part, _ = inflate_part(np.where(near, rgba[..., 3], 0.0), front, view, count, rng)
+    shell = lathe.camera.stand(part)
     x, y, z = shell.points.T
-    outside = np.hypot(x - offset, z) > np.interp(
-        -y, lathe.heights, lathe.radii - DRAWN_IN, left=0, right=0
-    )
-    return replace(shell, **{name: values[outside] for name, values in vars(shell).items()})
+    radii = np.interp(-y, lathe.heights, lathe.radii - DRAWN_IN, left=0, right=0)
+    return keep(shell, np.hypot(x - offset, z) > radii)
