@@ -43,8 +43,8 @@ ALONE = {
 """Kernels that are not looked at, and why they need not be."""
 TOLERANCE = 5e-4
 """Largest distance between clips of a body of 1 m whose threads came in different orders [m]. Most
-differ by 1e-7; by 2e-5 where a plate comes down within 4 ms; by 2.7e-4 where sand reaches the floor
-and rounding decides in which substep: of twelve orders seven give the one clip, five the other."""
+differ by 1e-7; by 2.7e-4 where sand reaches the floor and rounding decides in which substep: of
+twelve orders seven give the one clip, five the other."""
 
 needs_memory = pytest.mark.skipif(unusable() is not None, reason=str(unusable()))
 
