@@ -79,6 +79,13 @@ def test_an_empty_value_is_refused(typed, capsys):
     assert "it is empty. Give a value, or remove the option." in capsys.readouterr().err
 
 
+def test_an_empty_argument_is_not_called_an_option(capsys):
+    assert main(["generate", ""]) == 2
+    assert "argument 1 = '': it is empty. Give a value, or remove the argument." in (
+        capsys.readouterr().err
+    )
+
+
 @pytest.mark.parametrize(
     "typed",
     [

@@ -108,6 +108,7 @@ def test_a_scene_cannot_be_changed():
             "view.background.1 = 2: it must be a number from 0 to 1",
         ),
         ({"view": {"background": "graay"}}, "this is not a CSS colour name. Did you mean gray"),
+        ({"material": {"law": "fluid", "tint": "water"}}, 'colour name. Write "grey", "#80'),
         ({"object": {"size": float("nan")}}, "object.size = nan: it must be a number"),
         (
             {"forces": [{"kind": "gravity", "start": 2, "end": 1}]},
@@ -247,6 +248,16 @@ def test_values_are_replaced_by_dotted_path():
         scene.replaced({"boundaries.9.friction": 1})
 
 
+def test_an_index_adds_an_item_to_a_list_that_the_scene_leaves_out():
+    ball = {"objects.0.name": "ball", "objects.0.shape": "sphere", "objects.0.place": [0, 2]}
+    scene = Scene.named("press").replaced({**ball, "pairs.0.friction": 0.2})
+    assert scene.objects[0].name == "ball" and scene.pairs[0].friction == 0.2
+    with pytest.raises(InputError, match=r"object\.place = \[1\]: it must be two values"):
+        scene.replaced({"object.place.0": 1})
+    with pytest.raises(InputError, match="there is no item '1'; the list has 0 items"):
+        Scene.named("press").replaced({"objects.1.name": "ball"})
+
+
 def test_named_accuracies_resolve():
     assert Scene(accuracy="draft").resolution == PRESETS["draft"]
     assert Scene(accuracy={"cells": 20}).dx == 1 / 20
@@ -261,7 +272,10 @@ def test_accuracy_is_described_with_each_setting_and_choice():
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("2e4", 2e4), ("[1, 2]", [1, 2]), ("true", True), ("slip", "slip"), ("1\nx = 2", "1\nx = 2")],
+    [("2e4", 2e4), ("[1, 2]", [1, 2]), ("true", True), ("slip", "slip"), ("1\nx = 2", "1\nx = 2")]
+    # A shell removes the quotes of lists and tables.
+    + [("[front, orbit]", ["front", "orbit"]), ("[true, a.png]", [True, "a.png"])]
+    + [("{kind=sine, frequency=2}", {"kind": "sine", "frequency": 2}), ("[a b]", "[a b]")],
 )
 def test_values_are_written_as_in_toml(text, value):
     assert parse_value(text) == value

@@ -38,6 +38,16 @@ def test_every_kind_has_a_table(kind):
     assert f": {kind}\n" in format_reference()
 
 
+def test_sections_without_a_table_name_the_table_of_their_fields():
+    shown = format_reference().split("## `boundaries`: container")[1].split("\n## ")[0]
+    inside = next(line for line in shown.splitlines() if line.startswith("| `inside`"))
+    assert "a table like `forces.region` | `{lower = [-1.0, -1.0, 0.0], upper = " in inside
+    assert "## `forces.region`\n" in format_reference()
+    # "as below" is a promise that a table of these fields follows.
+    for section in format_reference().split("\n## `")[1:]:
+        assert " as below " not in section or "view.cameras" in section, section
+
+
 def test_every_field_says_what_it_is_and_shows_a_value():
     rows = [line.split(" | ") for line in format_reference().splitlines() if line.startswith("| `")]
     assert len(rows) > 200

@@ -42,7 +42,7 @@ class Reading(Section):
     Default: the up axis of the file's dialect or format.
     """
     front: str | None = None
-    """Axis of the file towards which the object faces, in the notation of --up."""
+    """Axis of the file towards which the object faces, written like the up axis."""
     dialect: str | None = None
     """Program that wrote the file: 3dgs, lgm, dreamgaussian, trellis, ... Default: the axes of the
     file's format are used.

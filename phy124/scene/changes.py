@@ -1,5 +1,7 @@
 """Changes to a scene's plain data at dotted paths, such as `material.E=2e4`."""
 
+import itertools
+import re
 import sys
 from typing import Any
 
@@ -18,6 +20,8 @@ TAGS = ("law", "kind")
 """Keys whose values are the name of the kind of a section."""
 LENGTH = ("time.frames", "time.seconds")
 """Two fields that set a scene's length; a change of `time.seconds` removes `time.frames`."""
+BARE = re.compile(r"([\[,=]\s*)(?!(?:true|false|inf|nan)\b)([A-Za-z][\w./-]*)(?=\s*[],}])")
+"""A word without quotes that is a value of a list or an inline table."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 
@@ -48,7 +52,7 @@ def _check_path(path: str) -> None:
     """Refuse a path that is too long or contains an empty name."""
     if "" in path.split("."):
         limit = "the name before or after a dot is empty."
-        raise InputError(shorten(path), "a path", limit, REFERENCE)
+        raise InputError(shorten(path) or "''", "a path", limit, REFERENCE)
     keys = path.count(".") + 1
     if keys > DEEPEST:
         limit = f"it has {keys:,} names; a path in a scene has at most {DEEPEST}."
@@ -56,12 +60,19 @@ def _check_path(path: str) -> None:
 
 
 def parse_value(text: str) -> Any:
-    """Parse a value in TOML notation; return text that is not valid TOML unchanged."""
-    try:
-        table = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return text
-    return table["value"] if len(table) == 1 else text
+    """Parse a value in TOML notation; return text that is not valid TOML unchanged.
+
+    In lists and tables, words need no quotes, because shells remove quotes: `views=["front"]`
+    arrives as `views=[front]`.
+    """
+    quoted = BARE.sub(r'\1"\2"', text)
+    for notation in (text, quoted) if text.startswith(("[", "{")) else (text,):
+        try:
+            table = tomllib.loads(f"value = {notation}")
+        except (ValueError, RecursionError):
+            continue
+        return table["value"] if len(table) == 1 else text
+    return text
 
 
 def parse_changes(texts: tuple[str, ...]) -> dict[str, Any]:
@@ -102,10 +113,11 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
     """Set a value in nested dicts and lists; an index equal to a list's length appends it."""
-    *parents, last = path.split(".")
+    keys = path.split(".")
     section: Any = data
-    for key in parents:
-        section = _item(section, key, path, value)
+    for key, inner in itertools.pairwise(keys):
+        section = _item(section, key, path, value, new=[] if inner.isdecimal() else {})
+    last = keys[-1]
     if isinstance(section, dict):
         if last in TAGS and section.get(last) != value:
             section.clear()
@@ -115,13 +127,13 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
         section[int(last)] = value
 
 
-def _item(section: Any, key: str, path: str, value: Any) -> Any:
-    """Return the dict or list under a key; create it if it does not exist.
+def _item(section: Any, key: str, path: str, value: Any, new: Any = None) -> Any:
+    """Return the dict or list under a key; if there is none, add and return `new`.
 
     A named accuracy is first replaced by its table of values, so that one value can be changed.
     """
     if isinstance(section, dict):
-        inner = section.setdefault(key, {})
+        inner = section.setdefault(key, new)
         if key == "accuracy" and isinstance(inner, str) and inner in PRESETS:
             section[key] = PRESETS[inner].model_dump()
         return section[key]
@@ -129,7 +141,7 @@ def _item(section: Any, key: str, path: str, value: Any) -> Any:
         raise InputError(path, value, f"the value before {key!r} has no fields.", REFERENCE)
     number = int(key) if key.isdecimal() else -1
     if number == len(section):
-        section.append({})
+        section.append(new)
     if not 0 <= number < len(section):
         items = "1 item" if len(section) == 1 else f"{len(section)} items"
         limit = f"there is no item {key!r}; the list has {items}."

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from typing import Any
 
 from phy124.errors import InputError, suggest
 from phy124.scene.scene import Scene
@@ -91,7 +92,7 @@ def format_reference(section: str | None = None) -> str:
 
 def list_pages() -> dict[str, str]:
     """Return tables in Markdown by section name; `scene` contains the scene's top-level fields."""
-    declared, written = read_declaration(Scene), set[str]()
+    declared, written = read_declaration(Scene), dict[str, str]()
     pages = dict[str, str]()
     for path, text in _format_section(declared, "Fields of a scene", declared.schema, "", written):
         name = path.partition(".")[0].partition("[")[0] or "scene"
@@ -106,18 +107,21 @@ def format_schema() -> str:
 
 
 def _format_section(
-    declared: Declaration, title: str, node: Node, path: str, written: set[str]
+    declared: Declaration, title: str, node: Node, path: str, written: dict[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the path and the table of a section, then of inner sections that are new."""
+    """Yield the path and the table of a section, then of inner sections that are new.
+
+    `written` maps the sections that have a table to the table's heading.
+    """
     description = (node.get("description") or "").replace("\n", " ")
-    table = "\n".join(_format_table(declared, node))
+    table = "\n".join(_format_table(declared, node, written))
     yield path, f"## {title}\n\n{description}\n\n{table}\n"
     for name, inner in node["properties"].items():
         where = f"{path}{name}"
         for kind, section in _list_sections(declared, inner):
             if section["title"] not in written:
-                written.add(section["title"])
                 label = f"`{where.replace('[]', '')}`" + (f": {kind}" if kind else "")
+                written[section["title"]] = label
                 many = "[]." if "items" in declared.resolve(inner) else "."
                 yield from _format_section(declared, label, section, f"{where}{many}", written)
 
@@ -133,27 +137,43 @@ def _list_sections(declared: Declaration, node: Node) -> Iterator[tuple[str, Nod
         yield from (("", choice) for choice in declared.choices(node) if "properties" in choice)
 
 
-def _format_table(declared: Declaration, node: Node) -> Iterator[str]:
+def _format_table(declared: Declaration, node: Node, written: dict[str, str]) -> Iterator[str]:
     yield "| field | accepts | default | meaning |\n|---|---|---|---|"
     fields = {name: declared.resolve(inner) for name, inner in node["properties"].items()}
     for name, inner in sorted(fields.items(), key=lambda field: "const" not in field[1]):
         if "const" in inner:
             yield f'| `{name}` | `"{inner["const"]}"` | required | selects this kind |'
             continue
-        default = "required" if name in node.get("required", []) else _format_default(inner)
+        # A section has one table, wherever else a scene may contain it.
+        tables = [
+            written[section["title"]]
+            for kind, section in _list_sections(declared, inner)
+            if not kind and section["title"] in written
+        ]
+        accepts = declared.describe(inner) + "".join(f" like {label}" for label in tables)
+        required = name in node.get("required", [])
+        default = "required" if required else _format_default(inner, below=not tables)
         examples = ", ".join(f"`{json.dumps(example)}`" for example in inner.get("examples", []))
         default += f", such as {examples}" if examples else ""
         meaning = inner.get("description", "")
-        yield f"| `{name}` | {declared.describe(inner)} | {default} | {meaning} |"
+        yield f"| `{name}` | {accepts} | {default} | {meaning} |"
 
 
-def _format_default(node: Node) -> str:
+def _format_default(node: Node, *, below: bool) -> str:
+    """Return the default of a field; a section whose table is not below is written in full."""
     default = node.get("default")
     if default in (None, [], ""):
         return "none"
     sections = default if isinstance(default, list) else [default]
     if isinstance(sections[0], dict):
         kinds = [section.get("law", section.get("kind")) for section in sections]
-        return ", ".join(filter(None, kinds)) or "as below"
+        named = ", ".join(filter(None, kinds))
+        return named or ("as below" if below else f"`{_format_inline(sections[0])}`")
     plain = isinstance(default, float) and format_number(default)
     return f"`{plain or json.dumps(default)}`"
+
+
+def _format_inline(section: dict[str, Any]) -> str:
+    """Return the fields of a section that are set, as an inline table of TOML."""
+    fields = [f"{name} = {json.dumps(value)}" for name, value in section.items() if value]
+    return "{" + ", ".join(fields) + "}"

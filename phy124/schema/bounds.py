@@ -48,7 +48,8 @@ def _named_colour(value: Any) -> Any:
     try:
         return tuple(channel / 255 for channel in ImageColor.getrgb(value)[:3])
     except ValueError:
-        close = difflib.get_close_matches(value, ImageColor.colormap, 1)
+        # "water" is not a misspelt "white", nor "sand" a misspelt "salmon".
+        close = difflib.get_close_matches(value, ImageColor.colormap, 1, cutoff=0.7)
         hint = (
             f"did you mean {close[0]}?" if close else 'write "grey", "#808080" or [0.5, 0.5, 0.5]'
         )

@@ -226,13 +226,16 @@ def _refuse_empty(
         raise InputError("command", name, "there is no such command.", suggest(name, [*commands]))
     options = split_operands(arguments)[0]
     _refuse_named_positionals(options, commands, program)
-    for before, text in itertools.pairwise(options):
+    for number, (before, text) in enumerate(itertools.pairwise(options), 1):
         option, equals, value = text.partition("=")
         if (option if equals else before) in empty:
             continue
         if not text or (equals and not value and option.startswith("--")):
-            where = option.lstrip("-") if equals else before.lstrip("-")
-            raise InputError(where, "''", "it is empty.", "Give a value, or remove the option.")
+            named = option if equals else before
+            dashed = named.startswith("-")
+            where = named.lstrip("-") if dashed else f"argument {number}"
+            remedy = f"Give a value, or remove the {'option' if dashed else 'argument'}."
+            raise InputError(where, "''", "it is empty.", remedy)
 
 
 def _refuse_named_positionals(options: Sequence[str], commands: Commands, program: str) -> None:
