@@ -198,6 +198,15 @@ def test_scene_runs_on_lattices_by_default_and_reports():
     assert "pressure projection" in ran
 
 
+def test_gravity_does_the_work_when_a_liquid_falls_on_a_held_body():
+    drop = {"name": "drop", "shape": "sphere", "size": 0.5, "lift": 1.1}
+    drop["material"] = {"law": "fluid"}
+    scene = pool(object={"held": True}, objects=[drop], time={"frames": 2, "fps": 24})
+    clip = Simulation(prepare(ball(), scene, RunContext(threads=1))).run()
+    assert clip.report["complete"], clip.report["stopped"]
+    assert clip.report["balance"]["energy_gain"] < 0.02
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

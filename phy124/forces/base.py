@@ -114,7 +114,10 @@ class Force(Section):
         """Return the force for a part of a model, or None if the force does not act in this part.
 
         The part's share of each sum over particles is the part's mass divided by the model's mass.
+        A uniform acceleration acts in every part. It moves no held body, but observers read it.
         """
+        if self.uniform and not self.totals:
+            return self
         total = self.mass_in(whole)
         share = self.mass_in(part) / total if total > 0 else 1.0
         if share in (0.0, 1.0) or not self.totals:
