@@ -100,6 +100,21 @@ def test_container_is_drawn_as_four_walls_on_the_floor():
         assert reach[1 if x else 0] == pytest.approx(0.8 if x else 0.9)
 
 
+def test_a_slope_is_drawn_down_to_the_floor():
+    slope = {"kind": "half_space", "point": [0, 0, 0.2], "normal": [0, 0.5, np.sqrt(0.75)]}
+    ground = {"kind": "ground", "height": -1.0}
+    (alone,), (panel,) = at(staged([slope]), 0).solids, at(staged([slope, ground]), 0).solids
+
+    def ends(panel) -> tuple[float, float]:
+        face = panel.centre + panel.half[0] * panel.axes[0]
+        way = panel.half[2] * panel.axes[2]
+        return (face - way)[2], (face + way)[2]
+
+    assert ends(panel)[0] == pytest.approx(-1.0) and ends(alone)[0] > -0.9
+    assert ends(panel)[1] == pytest.approx(ends(alone)[1])
+    assert panel.half[1] == pytest.approx(alone.half[1])
+
+
 def test_solids_and_clamps_are_drawn_as_what_they_are():
     swing = {"kind": "swing", "amplitude": [0.1, 0, 0], "frequency": 1.0}
     stage = staged(

@@ -1,5 +1,6 @@
 """Converts the scene's boundaries to visible solids: plates, walls, boxes and balls."""
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,6 +23,8 @@ object's size.
 WIDE = 1.1
 """Walls and plates are infinite; they are rendered with this width, relative to the object's width.
 """
+LONGEST = 5.0
+"""Largest length by which a slope is continued to the floor, in units of the object's width."""
 MARGIN = 0.02
 """Distance by which a rendered clamp exceeds the clamped material [object sizes]."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -40,6 +43,8 @@ class PlacedWall:
     """Whether the wall is a clamp, which holds the object instead of stopping it."""
     span: Corners
     """Box to which the rendering of an infinite wall is limited, m."""
+    floor: float = math.inf
+    """Height to which a slope is rendered downhill [m]; infinite: as far as the box reaches."""
 
     @property
     def is_floor(self) -> bool:
@@ -68,7 +73,10 @@ class PlacedWall:
 
 def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
     """Split boundaries into simple walls, and place them around an object at rest [N,3], m."""
-    return [wall for boundary in boundaries for wall in _walls(boundary, rest)]
+    walls = [wall for boundary in boundaries for wall in _walls(boundary, rest)]
+    # Material slides from a slope to the floor, and must not slide on nothing.
+    floors = [wall.height for wall in walls if wall.is_floor]
+    return [replace(wall, floor=max(floors, default=math.inf)) for wall in walls]
 
 
 def _walls(boundary: Boundary, rest: NDArray) -> Iterator[PlacedWall]:
@@ -138,7 +146,10 @@ def _around_cylinder(axis: NDArray, sizes: NDArray) -> NDArray[np.float64]:
 
 
 def _panel(wall: PlacedWall) -> Solid:
-    """Return an infinite wall as a slab behind the wall's face, as wide as the box of the wall."""
+    """Return an infinite wall as a slab behind the wall's face, as wide as the box of the wall.
+
+    A slope is continued downhill to the floor.
+    """
     point, normal, _ = wall.shape
     low, high = wall.span
     middle, half = (low + high) / 2, (high - low) / 2
@@ -146,6 +157,11 @@ def _panel(wall: PlacedWall) -> Solid:
     thick = THICK * float((high - low).max()) / WIDE
     on_face = middle - ((middle - point) @ normal) * normal
     sizes = np.array([thick / 2, *(np.abs(axes[1:]) @ half)])
+    if 1 - LEVEL < normal[2] < LEVEL:
+        below = (on_face[2] - wall.floor) / axes[2, 2] - sizes[2]
+        below = np.clip(below, 0.0, LONGEST * float((high - low).max()))
+        on_face = on_face - below / 2 * axes[2]
+        sizes[2] += below / 2
     return Solid(on_face - normal * thick / 2, axes, sizes)
 
 
