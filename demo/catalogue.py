@@ -180,7 +180,7 @@ def check_length(field: str, data: Any, settings: Settings) -> None:
     most = LONGEST + LONGER * settings.max_frames
     if len(json.dumps(data)) > most:
         limit = f"The scene is longer than {most:,} characters."
-        raise InputError(field, "too long", limit, "Use fewer forces.")
+        raise InputError(field, "too long", limit, "Use fewer forces and shorter texts.")
 
 
 def _check_counts(data: dict[str, Any], settings: Settings) -> None:

@@ -49,9 +49,11 @@ def photo(studio: Studio, label: str) -> gr.Image:
     image.data_model = _refusing(ImageData, label)
 
     def preprocess(payload: Any) -> str | None:
-        """Return the file's path; raise gr.Error if a data: URL is broken or too large."""
+        """Return the file's path; raise gr.Error if there is none, or a data: URL is broken."""
         if payload is None:
             return None
+        if not (payload.path or payload.url):  # Gradio accepts any object and drops its keys.
+            raise refusal(f"{label}: {NO_FILE}")
         if payload.url and payload.url.startswith("data:"):
             return save_data_url(payload.url, studio, label)
         return payload.path

@@ -409,6 +409,8 @@ def test_pictures_inside_a_request_are_measured_too(tmp_path, gradio, url, messa
         ({"picture": "duck.png"}, "image: This is not a file. Send the file itself"),
         ({"picture": ["duck.png"]}, "image: This is not a file"),
         ({"picture": {"path": 5}}, "image: This is not a file"),
+        ({"picture": {}}, "image: This is not a file"),
+        ({"known": {"depth": {"file": "depth.png"}}}, "depth: This is not a file"),
     ],
 )
 def test_values_are_checked_on_the_server(client, options, message):

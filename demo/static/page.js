@@ -175,7 +175,7 @@
 
     draw({ state, place, wait, elapsed, expected, warning }) {
       const left = Math.max(0, expected - elapsed), part = state === 'waiting' ? 0 : Math.min(0.98, elapsed / Math.max(expected, elapsed + 0.3));
-      const text = state === 'waiting' ? place > 0 ? `${place} before you${wait > 0 ? `, about ${seconds(wait)}` : ''}` : 'Starting soon' : left > 0.5 ? `about ${seconds(left)} to go` : 'nearly there';
+      const text = state === 'waiting' ? place > 0 ? `${place} before you${wait > 0 ? `, about ${seconds(wait)}` : ''}` : 'Starting soon' : left > 0.5 ? `about ${seconds(left)} to go` : elapsed < 2 * expected + 5 ? 'nearly there' : `longer than expected: ${seconds(elapsed)} so far`;
       const dot = part * globalThis.Phy124.live.played();
       this.element.replaceChildren(h('section', { class: `progress ${state}`, 'aria-label': 'Progress' },
         h('div', { class: 'line', role: 'progressbar', 'aria-label': 'Progress', 'aria-valuenow': Math.round(100 * part), 'aria-valuetext': text },

@@ -24,6 +24,15 @@ def test_a_lost_connection_and_a_reload_lose_nothing(visit):
 
 def test_reloaded_page_follows_its_run(visit):
     visit.begin(frames=60)
-    visit.page.reload()
-    visit.page.wait_for_selector("#progress .running")
+    page, late = visit.page, True
+
+    def answer(route) -> None:
+        state = {"state": "running", "elapsed": 60, "expected": 9, "live": [], "glimpses": []}
+        return route.fulfill(json=state) if late else route.continue_()
+
+    page.route("**/phy124/jobs/**", answer)
+    page.reload()
+    page.wait_for_selector("#progress .running")
+    page.get_by_text("longer than expected: 60 s so far").wait_for()
+    late = False
     visit.finished()
