@@ -17,6 +17,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 TIMEOUT = 600
 """Longest wait for a condition [s], chosen for a machine that runs ten other programs."""
+RESERVED: list[socket.socket] = []
+"""Sockets that reserve the ports of this process until its end."""
 TAIL = 4000
 """Number of characters of the server's log that a failure shows."""
 
@@ -129,12 +131,20 @@ def serving(
 
 
 def free_port() -> int:
-    """Return a free port, below the range of ports that connections of other programs get."""
+    """Return a free port, below the range of ports that connections of other programs get.
+
+    A server needs some seconds until it uses its port. Meanwhile, a UDP socket with the same number
+    keeps other tests from choosing the port.
+    """
     while True:
         port = 20_000 + secrets.randbelow(12_000)
+        mark = socket.socket(type=socket.SOCK_DGRAM)
         with socket.socket() as probe, contextlib.suppress(OSError):
+            mark.bind(("127.0.0.1", port))
             probe.bind(("127.0.0.1", port))
+            RESERVED.append(mark)
             return port
+        mark.close()
 
 
 def _answers(server: Server, warm: bool) -> bool:
