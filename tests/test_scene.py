@@ -35,6 +35,14 @@ def test_presets_survive_toml(name, tmp_path):
     assert Scene.from_toml(tmp_path / "s.toml") == scene
 
 
+@pytest.mark.parametrize("name", preset_names())
+def test_objects_that_are_held_at_the_foot_stand_on_a_floor(name):
+    """Otherwise, a bent part would hang below the floor of the film."""
+    boundaries = {boundary.kind: boundary for boundary in Scene.named(name).boundaries}
+    if "foot" in boundaries:
+        assert boundaries["ground"].motion == boundaries["foot"].motion
+
+
 def test_all_named_presets_are_there():
     assert set(preset_names()) >= EXPECTED
 
