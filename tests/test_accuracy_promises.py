@@ -296,6 +296,7 @@ def test_promise_ignores_the_tint(name):
         ("bounce", {}, "landing"),
         ("drop", {"object.lift": 0.0}, "standing"),
         ("sway", {}, "held"),
+        ("jelly", {}, "held"),
         ("spin", {}, "free"),
         ("push_right", {}, "free"),
     ],

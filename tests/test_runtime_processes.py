@@ -5,11 +5,12 @@ import os
 import signal
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from phy124.errors import Cancelled
-from phy124.runtime.processes import as_done, explain_end, processes
+from phy124.runtime.processes import _exit_codes, as_done, explain_end, processes
 from support.processes import run_program, until
 
 
@@ -64,6 +65,21 @@ ENDS = [
 def test_the_end_of_a_worker_is_explained_by_its_cause(codes, kind, words):
     explained = explain_end(codes)
     assert type(explained) is kind and words in str(explained)
+
+
+def test_exit_code_that_another_thread_reads_first_is_awaited():
+    class Worker:
+        codes = iter([None, None])
+
+        def join(self, timeout):
+            """Return at once."""
+
+        @property
+        def exitcode(self):
+            return next(self.codes, -signal.SIGKILL)
+
+    pool = SimpleNamespace(_processes={1: Worker()})
+    assert _exit_codes(pool) == {-signal.SIGKILL}
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import math
 from typing import Literal
 
 from phy124.boundaries import Press
+from phy124.boundaries.base import Movable
 from phy124.forces.held import Grab
 from phy124.materials import AnyMaterial
 from phy124.materials.base import Elastic
@@ -100,9 +101,14 @@ Motion = Literal["squeezed", "landing", "standing", "held", "free"]
 
 
 def motion_of(scene: Scene) -> Motion:
-    """Determine the kind of motion of a scene from its walls and the object's initial state."""
+    """Determine the kind of motion of a scene from its walls and the object's initial state.
+
+    A floor that moves exactly as the object's foot does not squeeze the object.
+    """
     walls = [b for b in scene.boundaries if not b.holds]
-    if any(wall.moves for wall in walls):
+    carried = [b.motion for b in scene.boundaries if b.holds and isinstance(b, Movable)]
+    moving = [wall for wall in walls if wall.moves]
+    if any(not isinstance(wall, Movable) or wall.motion not in carried for wall in moving):
         return "squeezed"
     if len(walls) < len(scene.boundaries):
         return "held"

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import signal
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -84,10 +85,16 @@ def as_done(
 
 
 def _exit_codes(pool: ProcessPoolExecutor) -> set[int]:
-    """Return the exit codes of a broken pool's workers; a signal is a negative number."""
+    """Return the exit codes of a broken pool's workers; a signal is a negative number.
+
+    If a thread of the pool waits for the same worker, the exit code is missing for a moment.
+    """
     workers = [*(pool._processes or {}).values()]  # no public attribute has them
+    end = time.monotonic() + LEFT
     for worker in workers:
-        worker.join(LEFT)
+        worker.join(max(0.0, end - time.monotonic()))
+        while worker.exitcode is None and time.monotonic() < end:
+            time.sleep(0.01)
     return {worker.exitcode for worker in workers if worker.exitcode is not None}
 
 
