@@ -159,3 +159,14 @@ def test_a_damaged_pause_is_refused(tmp_path):
     path.write_bytes(whole)
     with pytest.raises(InputError, match=r"it was changed or damaged.*without --resume"):
         resume.load(path)
+
+
+def test_a_pause_without_checksum_is_refused(tmp_path):
+    path = tmp_path / "run"
+    resume.save(Simulation(prepare(ball(200), Scene.named("press").replaced(SCENE))), path)
+    with safe_open(path, framework="numpy") as file:
+        metadata = {key: text for key, text in file.metadata().items() if key != "checksum"}
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    save_file(arrays, path, metadata)
+    with pytest.raises(InputError, match="it was changed or damaged"):
+        resume.load(path)

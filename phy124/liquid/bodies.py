@@ -51,8 +51,15 @@ class Bodies(Kept):
     """The bodies of other materials in a run; each body is a wall for the liquid."""
 
     kept = (
-        *("_before", "_impulses", "_kick", "_shifts", "_centres", "_forces", "_films"),
-        *("period", "work"),
+        "_before",
+        "_impulses",
+        "_kick",
+        "_shifts",
+        "_centres",
+        "_forces",
+        "_films",
+        "period",
+        "work",
     )
 
     def __init__(

@@ -56,8 +56,17 @@ class LiquidSolver(Kept):
     """Advances a liquid in time under forces and walls."""
 
     kept = (
-        *("state", "clock", "outliers", "repair", "free", "_bodies", "cells", "impulses"),
-        *("kick", "crowding", "_excess"),
+        "state",
+        "clock",
+        "outliers",
+        "repair",
+        "free",
+        "_bodies",
+        "cells",
+        "impulses",
+        "kick",
+        "crowding",
+        "_excess",
     )
 
     projects: ClassVar[bool] = True

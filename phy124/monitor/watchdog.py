@@ -122,8 +122,15 @@ class Watchdog(Observer):
     """Checks one run; the balance is checked only if an `ExternalWork` observes the same run."""
 
     kept = (
-        *("_begun", "_fastest", "_stopped", "_pushed", "min_J", "max_J"),
-        *("first", "last", "balance"),
+        "_begun",
+        "_fastest",
+        "_stopped",
+        "_pushed",
+        "min_J",
+        "max_J",
+        "first",
+        "last",
+        "balance",
     )
 
     def __init__(self) -> None:

@@ -16,8 +16,19 @@ class Clock(Kept):
     """The time of one run, on the host and on the device."""
 
     kept = (
-        *("time", "last_dt", "substeps", "limiters", "needed", "extremes", "strain_rate"),
-        *("interval", "since_measured", "strain", "travel", "_last_measured", "since_complete"),
+        "time",
+        "last_dt",
+        "substeps",
+        "limiters",
+        "needed",
+        "extremes",
+        "strain_rate",
+        "interval",
+        "since_measured",
+        "strain",
+        "travel",
+        "_last_measured",
+        "since_complete",
     )
 
     def __init__(

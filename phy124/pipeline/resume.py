@@ -266,7 +266,7 @@ def _read(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], Tensors]
     if version != FORMAT:
         raise InputError("paused run", path, "it is not a paused run.", remedy)
     facts = {name: json.loads(text) for name, text in metadata.items()}
-    if tensors and facts["checksum"] != _checksum(arrays):
+    if tensors and facts.get("checksum") != _checksum(arrays):
         raise InputError("paused run", path, "it was changed or damaged.", remedy)
     return facts, arrays
 
