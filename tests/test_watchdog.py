@@ -222,7 +222,7 @@ def test_energy_from_nowhere_is_noticed():
     s.state.v.assign(v)
     problem = watch.after_attempt()
     assert re.search(
-        r"\d+% of the energy has no physical source, most of the energy is in particle 5 of law "
+        r"\d+% of the energy has no physical source; most of the energy is in particle 5 of law "
         r"hencky, at \(.+\) m at rest and now at \(.+\) m with .+ m/s$",
         problem.what,
     )
@@ -237,7 +237,7 @@ def test_momentum_from_nowhere_is_noticed():
     s.state.v.assign(v)
     problem = watch.after_attempt()
     assert re.search(
-        r"1.00% of the momentum has no physical source, the fastest is particle 9 of law "
+        r"1.00% of the momentum has no physical source; the fastest is particle 9 of law "
         r"neo_hookean, at "
         r"\(.+\) m at rest .+",
         problem.what,

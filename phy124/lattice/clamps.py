@@ -162,8 +162,8 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each column, return the last clamped node, the first free node, and the ratio of their
-    motions.
+    """For each column of nodes that enters the clamp, return the last clamped node, the first free
+    node, and the ratio of their motions.
 
     Args:
         lattice: The lattice at rest.

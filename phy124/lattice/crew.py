@@ -413,7 +413,7 @@ class Crew:
             out: The accelerations [N,3], m/s^2.
         """
         span, pool = worker.nodes, self._pool if pool is None else pool
-        clock = self._model.array([1.0, 1.0, 0.0], self._model.real)  # resting nodes, for a second
+        clock = self._model.array([1.0, 1.0, 0.0], self._model.real)  # kick of 1 s from rest
         kick = self._kick(span, pool, self._donors, clock, self.no_pull, out, self._middle)
         return [("clear", cast("wp.array", out[span]).zero_), *kick]
 

@@ -25,9 +25,9 @@ from phy124.mpm.workers import run_timed
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN = 0.25
-"""The largest frequency is measured again after this strain, or twice this strain if steady."""
+"""The largest frequency is measured again after this strain; if it is steady, after twice this."""
 WAY = 0.25
-"""Largest distance that a point moves between two measurements of its wall distance [cells]."""
+"""Largest motion of a point between two measurements of its distance from walls [cells]."""
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35

@@ -23,7 +23,7 @@ FAR = 3.0
 REACH, NEAR = 1.4, 1.0
 """Largest distance between points that may touch [cells], within and between bodies."""
 LEAST = 0.05
-"""Smallest volume ratio for mapping displacements on the surface to the body at rest."""
+"""Least volume ratio J by which the map from the surface to the body at rest is divided."""
 AT_ONCE = 16
 """Number of points that are compared at a time (phy124/kernels/native/partners.h)."""
 BUCKETS = 32
@@ -116,7 +116,9 @@ class Partners:
 
     @cached_property
     def _results(self) -> dict[str, wp.array]:
-        """Results of the search for the points in `chosen`; there is room for all points."""
+        """Results of the search for the points in `chosen`; the arrays have space for all
+        points.
+        """
         vec3, mat33 = types(self._model.real).vec3, types(self._model.real).mat33
         kinds = {"chosen": int, "x": vec3, "normal": vec3, "turned": mat33}
         kinds |= {"J": self._model.real, "partner": int, "direction": vec3}

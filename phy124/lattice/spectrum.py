@@ -156,7 +156,7 @@ class Spectrum:
         """
         square, peak, trials = 0.0, self._peak(), self._trials
         for _ in range(rounds):
-            if not peak > 0:  # The only trial motion of a needle vanished by rounding.
+            if not peak > 0:  # In a needle, rounding may remove the only trial motion.
                 return square
             trials.prepare(1 / peak, share, self._size)
             self._complete(TRY)

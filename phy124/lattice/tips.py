@@ -16,7 +16,7 @@ from phy124.particles.lattice import PER_CELL
 SHARP = 0.6
 """A part is a tip, a hair or a sheet if the mean normal within a cell is shorter than this."""
 CLOSEST = 24
-"""Largest number of normals in such a mean."""
+"""Largest number of normals whose mean is taken."""
 ABOVE = 0.3
 """Integration points farther outside of the surface than this are surface points [cells]."""
 

@@ -42,13 +42,13 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import STILL, Tracks
 
 REACH = 0.6
-"""A wall holds points that have touched it up to this distance from the wall [cells]."""
+"""Distance from a wall [cells] up to which the wall holds points that have touched it."""
 AHEAD, CLOSE, FAR = 2.0, 0.1, 3.0
 """Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`,
 but at most up to `FAR` [cells].
 """
 TOUCHING = 0.5
-"""A wall counts as touching a point inside another wall up to this distance [cells]."""
+"""A point inside one wall also touches a second wall if it is at most this far away [cells]."""
 DEEP, EXACT = 0.1, 1e-3
 """If a point is deeper than `DEEP` inside a wall, further sweeps over all points follow, until no
 correction displaces a point by more than `EXACT` [cells].

@@ -170,7 +170,7 @@ class Bodies(Kept):
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps; the last pressure is no longer in the bound of the acceleration."""
+        """End the substeps; remove the last pressure from the bound of the acceleration."""
         self.work.end(self.pushes, self.turns, self._drift)
         self.free.finish()
         self.limit = 0.0
@@ -323,7 +323,9 @@ class Bodies(Kept):
         return cells.record(worker, kernels.make_yield(real), inputs, outputs)
 
     def answer(self, walls: Walls, step: wp.array, model: Model) -> wp.Launch | None:
-        """Return the launch that writes the motions of solids and bodies after the pressure."""
+        """Return the launch that writes the motions of solids and bodies after the pressure has
+        acted.
+        """
         inputs = [self._solids.first(walls), self._solids.scale, self._solids.plans]
         inputs += [self._solids.centres, self._mobility]
         outputs = [step, walls.motions, self._exchanged]

@@ -27,12 +27,13 @@ the number of iterations for viscosity below about 200.
 RESOLVED = 4.0
 """Smallest number of steps in a period of a body's vibration, unless `AVERAGED` holds."""
 AVERAGED = 1.5
-"""Smallest number of periods in a step; between both, the last pressure amplifies vibrations."""
+"""Smallest number of periods in a step. Between the two limits, the last pressure amplifies
+vibrations."""
 LIGHT_RESOLVED = 8.0
 """Smallest number of steps in a period of a light body, unless `LIGHT_AVERAGED` holds."""
 LIGHT_AVERAGED = 0.45
-"""Smallest number of periods in a step; between both, a step's pressure deforms a light body more
-than the liquid follows, and so creates energy.
+"""Smallest number of periods in a step. Between the two limits, a step's pressure deforms a light
+body more than the liquid follows, which creates energy.
 """
 
 

@@ -36,7 +36,8 @@ class Works(NamedTuple):
     projection: float
     """Work of the pressure, without the work of walls; includes the work of solids and bodies."""
     density: float
-    """Work of the uniform acceleration on moves that restore density and moves out of bodies."""
+    """Work of the uniform acceleration while particles are moved to restore density, or moved out
+    of bodies."""
 
 
 class Energies(Kept):

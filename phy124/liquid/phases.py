@@ -41,9 +41,9 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
 LAYERS = 4
-"""Layers of faces outside the liquid to which velocities are extrapolated; even (`Cells.known`)."""
+"""Number of layers of faces to which velocities are extrapolated; must be even (`Cells.known`)."""
 LAYERS_SHIFT = 2
-"""Layers of faces outside the liquid to which displacements are extrapolated; even, too."""
+"""Number of layers of faces to which displacements are extrapolated; must be even, too."""
 EXTENT = 7
 """Number of values for the extent: negated low corner, high corner, squared speed."""
 

@@ -342,7 +342,7 @@ class LiquidSolver(Kept):
         clock.wall = max(clock.wall, self.free.fastest())
 
     def _stable_step(self, until: float) -> None:
-        """Take one step; stable steps of this length divide the remaining time evenly."""
+        """Take one stable step, whose length divides the remaining time evenly."""
         self._fit()
         clock = self.clock
         if self._bodies is not None:

@@ -83,7 +83,9 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; those for forces compile when needed (0.3 s)."""
+        """Yield the kernels that measure walls; kernels for forces are compiled when needed, in 0.3
+        s.
+        """
         if subject.scene.boundaries:
             yield from (kernels.make_wall_copy(real), kernels.make_wall_sums(real))
 

@@ -103,7 +103,7 @@ class LatticeWork(MeanWork):
     If there are other forces, the work of a constant acceleration is also summed in every substep.
     The product of acceleration and displacement would not be suitable, since positions are known
     half a substep later than velocities. In a test with a wind against gravity and two substeps per
-    frame, its error was 32 % of the energy.
+    frame, the error of this product was 32 % of the energy.
     """
 
     _solver: Any = None

@@ -25,7 +25,7 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene asks why a liquid loses energy."""
+        """Return whether the scene requests the lost energy of a liquid by cause."""
         return subject.scene.checks.energy and subject.scene.projects
 
     @classmethod
@@ -52,8 +52,8 @@ class LiquidDissipation(Dissipation):
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
         """Return the energy [J] lost to viscosity, to friction at walls, and to numerical errors.
 
-        `gained` is for the liquid, `rubbed` is minus the work of walls, which includes friction,
-        and `stored` is zero.
+        `gained` refers to the liquid, `rubbed` is the negative work of walls (with friction), and
+        `stored` is zero.
         """
         works = self._energies.read()
         lost = rubbed + works.walls - gained

@@ -63,9 +63,9 @@ class PoolDissipation(LiquidDissipation):
     def false_gain(self) -> float:
         """Return the energy [J] that the exchange between liquid and bodies has created.
 
-        Where a light body rises, the displacements that restore the density fill its wake. The
-        potential energy that these displacements take from the liquid then pays for the work on the
-        body.
+        Where a light body rises, the displacements that restore the density fill its wake. The work
+        on the body then comes from the potential energy that these displacements take from the
+        liquid.
         """
         projection = self._projection()
         return max(0.0, min(-projection, -projection - self._energies.read().density))
@@ -122,7 +122,9 @@ class PoolDissipation(LiquidDissipation):
         return self._of_solids(every=False)
 
     def _of_solids(self, *, every: bool) -> NDArray[np.float64]:
-        """Return the work [J] on each freely moving solid, of the liquids or of everything."""
+        """Return the work [J] on each freely moving solid, done by the liquids alone or by
+        everything.
+        """
         if not self._solver.free.all:
             return np.zeros(0)
         wet = sorted(self._solver.model.wet) or [0]

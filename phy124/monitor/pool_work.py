@@ -76,8 +76,8 @@ class PoolWork(ExternalWork):
             return
         liquid, before, now = self._pool.liquid, self._before, self._measure()
         kick, drift, a = liquid.kick, liquid.clock.last_dt, now.pull
-        # The energy at the time of the positions follows from the last acceleration. If it changes,
-        # so does the energy.
+        # The energy at the time of the positions follows from the last acceleration. If the
+        # acceleration changes, so does this energy.
         changed = (kick - drift / 2) * float((a - before.pull) @ before.momentum)
         wet = float(a @ (now.wet - before.wet)) + changed
         # For the bodies, the acceleration is the mean over the step.

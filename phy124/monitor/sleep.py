@@ -40,7 +40,7 @@ STILL = 3e-4
 CALM = 1 / 6
 """Particles count as at rest if they have moved less than this fraction of `STILL`."""
 HELD = 0.1
-"""A body counts as supported if it moves less than this fraction of a free body's way."""
+"""A body counts as supported if it moves less than this fraction of a free fall."""
 
 
 class Sleep(Observer):
@@ -183,7 +183,9 @@ class Sleep(Observer):
         return way == 0 or self.drift <= HELD * way
 
     def _grows(self) -> bool:
-        """Return whether the motion was fastest in the last frame: an object may topple."""
+        """Return whether the motion was fastest in the last frame, as when an object begins to
+        topple.
+        """
         *before, latest = self.speeds
         return latest > max(before, default=0.0)
 

@@ -54,8 +54,8 @@ MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to all transferred momentum."""
 PROJECTED = 0.5
 """Tolerated spurious momentum in a projected liquid, relative to all transferred momentum. Layers
-thinner than a cell exert up to a quarter less than their weight on walls. When objects of two cells
-hit the floor, up to 35 % of the momentum is missing in the floor's impulse.
+thinner than a cell exert up to a quarter less than their weight on walls. When objects two cells
+wide hit the floor, the floor's impulse is up to 35 % too small.
 """
 LEVEL = 0.05
 """Error of a resting liquid's level [cells]. Spurious energy is compared with at least the energy
@@ -68,7 +68,7 @@ ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 QUIET = 1e-9
 """Energies below this fraction of volume times stiffness count as rounding errors."""
 COLLAPSE = 0.8
-"""Above this impact speed / speed of sound, materials that can collapse approach J = 0."""
+"""Above this ratio of impact speed to speed of sound, J of some materials approaches 0."""
 UNSEEN = 3e-4
 """Largest invisible strain: 0.1 pixels in 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
@@ -205,7 +205,7 @@ class Watchdog(Observer):
         return problem
 
     def diagnose(self, problem: str) -> Violation:
-        """Return an error that tells why the solver stopped, with a responsible particle."""
+        """Return an error that says why the solver stopped, and names a responsible particle."""
         broken = find_broken(self.state)
         if len(broken):
             return Violation(f"{problem}, first {self._describe(int(broken[0]))}", self._unstable())
@@ -356,7 +356,7 @@ class Watchdog(Observer):
         index = int(compute_energies(self.model, self.state).argmax())
         who = f"most of the energy is in {self._describe(index)}"
         rounded = energy <= self._strain_energy(faded)
-        what = f"{energy / turnover:.0%} of the energy has no physical source, {who}"
+        what = f"{energy / turnover:.0%} of the energy has no physical source; {who}"
         return Violation(what, ROUNDED if rounded else self._unstable())
 
     def _check_momentum(self, fraction: float) -> Violation | None:
@@ -367,7 +367,7 @@ class Watchdog(Observer):
             return None
         index = int(compute_speeds(self.state).argmax())
         what = (
-            f"{fraction:.2%} of the momentum has no physical source, "
+            f"{fraction:.2%} of the momentum has no physical source; "
             f"the fastest is {self._describe(index)}"
         )
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())

@@ -151,7 +151,9 @@ class Clock(Kept):
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep of length `drift` [s]; after a violent one, measure first."""
+        """Count a finished substep of length `drift` [s]; after a violent one, a measurement is
+        due.
+        """
         self.time += drift
         self.substeps += 1
         self.since_measured += 1

@@ -76,8 +76,8 @@ def put_back(now: Any, copy: Any) -> Any:
 
 
 def put_rows(sums: wp.array, rows: Any) -> None:
-    """Set an array; if it has one row per worker and their number differs, the first row gets the
-    total.
+    """Set an array. If it has one row per worker and the number of workers has changed, the first
+    row gets the total.
     """
     if len(rows) != len(sums):
         rows = np.asarray(rows.numpy() if isinstance(rows, wp.array) else rows)

@@ -85,7 +85,7 @@ class Model:
     held: frozenset[int] = frozenset()
     """Indices of bodies that never move."""
     wet: frozenset[int] = frozenset()
-    """Indices of the liquid bodies, which another solver moves."""
+    """Indices of the bodies that another solver moves: liquids, or bodies on lattices."""
     names: tuple[str, ...] = ()
     """Names of the bodies; empty if the bodies have no names."""
     tops: Mapping[str, float] = field(default_factory=dict)
@@ -93,11 +93,11 @@ class Model:
     integration points of a lattice lie below its surface, and free solids have no particles.
     """
     whole: Model | None = None
-    """The model of all bodies, for boundaries' shapes, if this one has only some bodies."""
+    """The model of all bodies, by which boundaries are placed, if this model has only some."""
     least_stiffness: float = 1.0
     """Smallest factor on Young's modulus E of a particle."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Returns the accelerations [P] by forces on particles; None: particles are independent."""
+    """Returns the accelerations [P] caused by forces on points; None: particles are independent."""
 
     @classmethod
     def of(
@@ -134,7 +134,7 @@ class Model:
             body: Index of each particle's body [P], counted from 0 and increasing; particles of one
                 law must be consecutive in each body. None: all particles are one body.
             held: Bodies that never move; they act like walls on the other bodies.
-            wet: Bodies of liquid, which another solver moves.
+            wet: Bodies that another solver moves: liquids, or bodies on lattices.
             names: Names of the bodies, in the order of the indices.
             tops: Height of the surface of each body on a lattice and of each free solid, by name
                 [m]; None: there are no such bodies.
@@ -230,7 +230,7 @@ class Model:
 
     @property
     def dry_groups(self) -> tuple[Group, ...]:
-        """Groups of particles without those of a liquid, which another solver moves."""
+        """Groups of the particles in bodies that no other solver moves."""
         return tuple(group for group in self.groups if group.body not in self.wet)
 
     @property

@@ -24,12 +24,12 @@ from phy124.mpm.tracks import Tracks
 TRIES = 100
 """Largest number of trials; each trial is at most half as long as the trial before."""
 FIRST = 4
-"""If sudden forces act all the time, this number of substeps at the start are trials."""
+"""If any force may be sudden, this number of substeps at the start of a run are trials."""
 PULL = 0.1
 """A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
 ROUNDED = 1 - 1e-6
-"""The bounds also cover this fraction of the previous frame; its first moment is left out.
-Otherwise, rounding errors could make them include forces that ended just before this frame.
+"""The bounds also cover this fraction of the previous frame, that is, all but its first moment.
+With the first moment, rounding errors could add forces that ended just before that frame.
 """
 
 
@@ -108,7 +108,7 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return after how many substeps speeds must be measured; the user's number if it is safe.
+        """Return the number of substeps between measurements of speeds: the user's, if it is safe.
 
         Up to the strain `calm`, no material stiffens significantly.
         """

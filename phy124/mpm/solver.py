@@ -85,7 +85,8 @@ class Solver(Kept):
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: from the free cores and particles.
             graph: Whether a frame runs as one graph on the device; None: on CUDA with one body.
-            measure_every: Number of substeps between measurements of the limits, used if safe.
+            measure_every: Number of substeps between measurements of the limits, used only if it is
+                safe.
             scheme: The grid-to-particle transfer scheme.
             gathered: Objects that read each part of the particles after every gather.
             acting: Forces, boundaries, sums and planes, as in `bind`.
@@ -272,7 +273,7 @@ class Solver(Kept):
         return known
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep; stable substeps of this length divide the remaining time evenly."""
+        """Take one stable substep, whose length divides the remaining time evenly."""
         self._measure_if_due()
         clock = self.clock
         limit = clock.stable()

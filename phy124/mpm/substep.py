@@ -169,7 +169,7 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return the launches that compute forces on a worker.
+        """Return the launches with which a worker applies forces to particles.
 
         The first worker gets all launches if a force cannot be divided between workers.
         """
@@ -278,8 +278,8 @@ class Recorder:
     def _scatter(self, part: Part) -> Iterator[Recorded]:
         """Yield the scatter of a part, preceded by RPIC damping if the scheme includes RPIC.
 
-        The damping runs before the scatter instead of after the gather, so that measurements in
-        between include the strain of the substep.
+        The damping runs before the scatter instead of after the gather, so that measurements
+        between two substeps include the strain of the substep.
         """
         if self.rpic > 0:
             inputs = [part.chosen, self.rpic, self.tracks.clock]

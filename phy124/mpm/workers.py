@@ -41,7 +41,7 @@ SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "foll
 the functions that are called after each substep (progress, budget and observers).
 """
 NODES = 16
-"""Particles are divided again only if slabs have more nodes per particle; limits the memory."""
+"""Particles are divided again only if slabs have more nodes per particle than this."""
 GROWN = 1.25
 """Particles are divided again if the ratio of slabs' to window's nodes grows by this factor."""
 GAP = 1
