@@ -420,7 +420,7 @@ def test_the_gaussians_of_a_free_solid_turn_with_it():
 
 def test_one_that_starts_inside_material_is_refused():
     inside = {**FREE, "on": "floor", "place": [0.2, 0.0]}
-    with pytest.raises(InputError, match=r"objects = box: it overlaps the object or wall that"):
+    with pytest.raises(InputError, match=r"objects = box: it overlaps another object or a wall"):
         Simulation(prepare(ball(400), scene(objects=[inside]), RunContext(threads=1)))
 
 

@@ -138,5 +138,8 @@ def heading(status: WeightStatus) -> list[str]:
     text = [f"{name}: {about.brings}", f"  {about.megabytes} MB, may be used {about.use}{needs}"]
     seconds = predict_seconds(about)
     if seconds is not None:
-        text.append(f"  now about {seconds:.0f} s a picture, {about.memory / 1e9:.1f} GB of memory")
+        gigabytes = about.memory / 1e9
+        text.append(
+            f"  at the present load {seconds:.0f} s per picture, {gigabytes:.1f} GB of memory"
+        )
     return text

@@ -44,7 +44,8 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh file."""
 COUNT = 24_000
-"""Number of Gaussians of a mesh as a further object of a scene; edges just look straight."""
+"""Number of Gaussians of a mesh as a further object of a scene. With fewer, edges would look
+ragged."""
 OBJECT_COUNT = 50_000
 """Number of Gaussians of a mesh as the first object of a scene."""
 GREY = (0.7, 0.7, 0.7)
@@ -285,7 +286,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         raise ValueError(
             "reading it needs more memory than is free.; Give a mesh with fewer triangles."
         ) from None
-    except Exception as error:  # trimesh raises many kinds, whose words describe its own code
+    except Exception as error:  # of many kinds, with messages about trimesh's own code
         raise ValueError(
             "it cannot be read as a mesh: the file is damaged or of another kind."
         ) from error

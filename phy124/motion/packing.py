@@ -27,7 +27,7 @@ STEP_F = 2.0**-10
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
-"""Arrays with more values are compressed at the fast level, the second of `LEVELS`."""
+"""Arrays with more values than this are compressed at the second, faster level of `LEVELS`."""
 LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10

@@ -32,7 +32,7 @@ GIGANTIC = 0.5
 STRAY = 1e-3
 GAP = 0.05
 LARGEST = 1e18
-"""Largest coordinate and scale [m]; the squares of larger ones overflow in float32."""
+"""Largest coordinate and scale [m]; the squares of larger values overflow in float32."""
 WIDE = 16.0
 """Upper bound of the visible area of a Gaussian, relative to the median area."""
 VISIBLE = 0.1

@@ -27,7 +27,7 @@ PER_CELL = 8
 SMALLEST = 1e-3
 """Smallest filled fraction of a cell with integration points."""
 FULLEST = 0.1
-"""In bodies of needles, the limit is this multiple of the fullest cell's fraction, if lower."""
+"""In thin needles, the limit is this multiple of the fullest cell's fraction, if that is lower."""
 HAZE = 0.005
 """Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1

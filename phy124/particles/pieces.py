@@ -92,9 +92,10 @@ def find_pieces(
         contact = np.tile(contact, 2)
         fits = small[a] & (size[a] >= LEAST) & (size[b] >= sliver) & ~alone[b]
         a, b = a[fits], b[fits]
-        # The last piece remains: of the pieces with the largest contact, the fullest one. A fuller
-        # piece with little contact may be the root of two prongs, which would extend the root. If a
-        # piece has joined the largest piece of its cell, it is moved with this piece.
+        # The last assignment counts, so a small piece joins the neighbour with the largest contact,
+        # and among equals the fullest one. A fuller neighbour with little contact may be the root
+        # of two prongs, which the small piece would connect. If the neighbour itself joins another
+        # piece, the small piece follows it.
         order = np.lexsort((size[b], contact[fits], a))
         target[a[order]] = b[order]
         target = target[target]

@@ -124,7 +124,7 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
     """Return the points that are farther than `distance` from all points of `others`."""
     if len(points) == 0:
         return points
-    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # This halves the build time.
+    tree = scipy.spatial.KDTree(others, balanced_tree=False)  # built in half the time
     nearest, _ = tree.query(points, distance_upper_bound=distance, workers=-1)
     return points[np.isinf(nearest)]
 

@@ -26,7 +26,7 @@ THIN = 1.2
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
 NOISE = 1e-4
-"""Up to this filled fraction, sheets' voxels are not refined, since resampling leaves many."""
+"""Voxels of sheets are not refined up to this filled fraction; resampling leaves many of them."""
 VEIL = 0.15
 """Up to this thickness, sheets are not refined [voxels]."""
 ROUND = 3.5

@@ -139,7 +139,7 @@ class RunFolder:
         if cut and not interrupted:
             interrupted = self._pause(folder, run)
         made |= {path.name for path in folder.glob("[!.]*")} | {REPORT}
-        if "shapes" not in report:  # complete videos have computed all frames
+        if "shapes" not in report:  # when the videos are complete, all frames have been computed
             report |= run.shapes_of(clip, every=not cut and problem is None)
         report = self._update(report, made, interrupted=cut or interrupted)
         with suppress(OSError, InputError):  # if the disk is full, the earlier report stays

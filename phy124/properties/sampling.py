@@ -1,4 +1,4 @@
-"""Evaluates points' values at other positions: takes the nearest point's, or interpolates."""
+"""Evaluates values at new positions: from the nearest point, or by interpolation."""
 
 from typing import Any
 

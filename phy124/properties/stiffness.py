@@ -88,6 +88,6 @@ def check_profile(profile: Table) -> None:
     if not (factors.min() >= SOFTEST and factors.max() <= STIFFEST):
         range_ = f"from {factors.min():g} to {factors.max():g}"
         raise ValueError(
-            f"factors {range_} are outside the range {SOFTEST:g} to "
-            f"{STIFFEST:g}; choose them between"
+            f"factors {range_} are outside the range {SOFTEST:g} to {STIFFEST:g}; choose factors "
+            "in this range"
         )

@@ -18,7 +18,7 @@ Number = Annotated[int, Field(ge=0, le=10_000_000)]
 Seconds = Annotated[float, Field(ge=1e-3, le=1e4)]
 Rate = Annotated[float, Field(ge=1, le=1000)]
 LENGTH = TypeAdapter(tuple[Seconds, Rate])
-"""Length of time [s] and frames per second."""
+"""Validates the length of a motion [s] together with its frames per second."""
 FLOOR = "floor"
 """Name of the floor. An object stands on the floor unless it stands on another object."""
 _Degrees = Annotated[float, Field(ge=-360, le=360)]

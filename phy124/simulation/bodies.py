@@ -242,7 +242,7 @@ def _source(gaussians: Gaussians, scene: Scene, index: int) -> Gaussians:
     if len(present) or not isinstance(body, SceneObject):
         return present
     if body.shape is not None:
-        # A pattern and a shade would move with drops and grains like a dye.
+        # In drops and grains, a pattern or shading would spread like a dye.
         patterned = not body.material.grains
         count = GRAINY if body.material.shade else None
         return make_shape(body.shape, body.sides, body.colour, patterned=patterned, count=count)

@@ -94,8 +94,8 @@ def refuse_solids(solids: Sequence[FreeBody], x: NDArray, scene: Scene) -> None:
     for solid in solids:
         deepest = solid.measure_depth(x).max(initial=-np.inf)
         if deepest > DEEPEST * scene.dx:
-            limit = f"it overlaps the object or wall that it would touch by {deepest:.2g} m."
-            remedy = 'Change place or lift, or let the object stand on that object: on = "...".'
+            limit = f"it overlaps another object or a wall by {deepest:.2g} m at the start."
+            remedy = 'Change place or lift, or let the object stand on the other one: on = "...".'
             raise InputError("objects", solid.name, limit, remedy)
 
 

@@ -40,7 +40,9 @@ from phy124.simulation.spent import Spent
 
 
 class Stopped(RuntimeError):
-    """Raised if a run ends early, as its results would be wrong; the message gives the reason."""
+    """Raised if a run ends early because its results would be wrong; the message gives the
+    reason.
+    """
 
     def __init__(self, why: str, remedies: Sequence[Remedy] = ()) -> None:
         self.remedies = tuple(remedies)
@@ -461,7 +463,9 @@ class Simulation:
         return [o for o in self.observers if o.in_substeps or o.in_gathers]
 
     def _follower(self, index: int) -> Callable[[], None]:
-        """Return the function after each substep: it runs observers, checks budget, reports."""
+        """Return a function to call after each substep: it runs observers and checks the time
+        budget.
+        """
         budget, frames = self.scene.time.budget, self.scene.time.frames
         progress, solver = self.setup.context.progress, self.solver
         last = solver.clock.substeps + self.most_substeps

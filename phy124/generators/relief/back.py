@@ -63,7 +63,7 @@ STRONG = 0.07
 BINS = 10
 """Number of bins per channel of the histogram that counts the colours of a flat card."""
 ALIKE = 6
-"""One of this number of front patches with similar colours is chosen at random."""
+"""Number of front patches with similar colours, of which one is chosen at random."""
 
 
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:

@@ -31,7 +31,7 @@ HALVINGS = 3
 LEFT = 0.015
 """Largest fraction of the silhouette that the circles leave empty."""
 MORE = 0.004
-"""This fraction exceeds its minimum over all elevations by at most this value."""
+"""The empty fraction exceeds its minimum over all elevations by at most this value."""
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
 EDGE = 1.0

@@ -47,7 +47,7 @@ WHEEL = 0.5
 LENGTH = 1.3
 """Smallest ratio of width to height of a symmetric object that is seen from its side."""
 TALLEST = 1.2
-"""Largest ratio of height to width of an object with four legs; persons may be higher."""
+"""Largest ratio of height to width of an object with four legs; persons have larger ratios."""
 LARGEST = 0.37
 """Largest fraction of the silhouette that belongs to the legs."""
 SPAN = 0.37
@@ -59,7 +59,8 @@ SEPARATE = 0.4
 FLARED = 2.5
 """Largest width of the upper half of a leg, relative to the median width of its lower half."""
 LONG = 1.2
-"""Smallest ratio of height to width of a leg; lower parts, such as wheels, are on both sides."""
+"""Smallest ratio of height to width of a leg; parts with a smaller ratio, such as wheels, are
+placed on both sides."""
 ROOT = 0.5
 """Height to which the legs continue inside the body, relative to the body's height."""
 ROOTED = 0.6
@@ -158,7 +159,7 @@ class Legs:
             away = max(0.0, deep - thick if self.wheeled else min(APART * deep, deep - thick))
             flat = _flatten(shell, WHEEL) if self.wheeled else shell
             near = 1 - away / view.distance
-            # The near legs stand on the ground. A leg on the far side alone stands there, too.
+            # The near legs stand on the ground, and so does a leg that exists only on the far side.
             foot = max(leg.foot - view.middle[1], 1.0)
             far = float(np.clip(near * ground / foot, near, 2 - near))
             for side in leg.sides:

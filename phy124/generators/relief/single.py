@@ -214,9 +214,9 @@ def _parts_thickness(work: Continued, shoulder: Shoulder | None, legs: Legs | No
 def _legs_beside(rgba: Field) -> Legs | None:
     """Return the legs of an object that an image [H,W,4] shows from its side, or None.
 
-    Boxes, objects with thin parts and objects on free discs, such as scooters, have no legs. Nor
-    have objects that are seen from their front. Cars and benches may be symmetric from their side,
-    but they are wide.
+    Boxes, objects with thin parts and objects on free discs, such as scooters, have no legs.
+    Objects seen from the front are left out as well. A symmetric outline is assumed to be a front,
+    unless it is as wide as that of a car or a bench.
     """
     legs = find_legs(rgba)
     if legs is None or find_thin(legs.object_mask) or is_polygonal(legs.object_mask):
@@ -236,7 +236,9 @@ def _flatten(
 
 
 def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) -> Shell | None:
-    """Return the shell of a ring that lies; None if the image [H,W,4] shows none from above."""
+    """Return the shell of a ring on the floor; None if the image [H,W,4] does not show one from
+    above.
+    """
     middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
     ring = find_ring(rgba[..., 3] > 0.5, middle, view.distance, radians)
     return ring and ring.shell(count, clean_picture(rgba), middle)
@@ -245,7 +247,9 @@ def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) ->
 def _table_shell(
     rgba: Field, view: View, count: int, rng: np.random.Generator, elevation: float | None
 ) -> Shell | None:
-    """Return the shell of a table, a stool or a chair; None if the image [H,W,4] shows none."""
+    """Return the shell of a table, a stool or a chair; None if the image [H,W,4] does not show
+    one.
+    """
     middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
     table = find_table(rgba[..., 3] > 0.5, middle, view.distance, radians)
     return table and board_shell(table.boards(), rgba, middle, table.camera, count, rng)

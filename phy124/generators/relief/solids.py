@@ -235,8 +235,8 @@ def is_block(picture: Continued) -> bool:
 def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
     """Return the squared half thicknesses of a solid of revolution with a vertical axis.
 
-    The silhouette extends beyond flat ends. By `picture`, the object's mask, a vessel is as deep at
-    its brim as it is wide, whatever the height of the brim is.
+    The silhouette extends beyond flat ends. If `picture` shows a vessel, its brim is as deep as it
+    is wide, whatever the height of the brim is.
     """
     inside, body = silhouette.inside, picture.body
     left, right = silhouette.sides()

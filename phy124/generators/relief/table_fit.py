@@ -120,7 +120,7 @@ def find_table(
     best = np.argmax(np.subtract(overlaps, simple))
     sizes = fits[best].sizes
     if not fixed and sizes.elevation > HIGHEST:
-        return None  # the limit of the elevations, so that the silhouette does not show it
+        return None  # the silhouette does not determine such an elevation
     return fits[best] if overlaps[best] >= OVERLAP and _is_usual(sizes) else None
 
 
@@ -211,13 +211,17 @@ def _without_lip(table: Table) -> Table:
 
 
 def _complexity(table: Table) -> int:
-    """Return 0 for a round top, 1 for a top with corners, 2 for a chair, 3 for one from behind."""
+    """Return 0 for a round top, 1 for a top with corners, 2 for a chair, 3 for a chair from
+    behind.
+    """
     away = table.kind.backed and np.cos(table.sizes.yaw) < 0
     return (len(table.kind.top) == len(SQUARE_TABLE.top)) + table.kind.backed + int(away)
 
 
 def _is_usual(s: Sizes) -> bool:
-    """Return whether the top is thin, and the legs are slender, long and not closer below."""
+    """Return whether the top is thin, and the legs are slender, long, and spread towards the
+    floor.
+    """
     short, long = sorted([s.half, s.deep])
     return (
         s.thick < THIN * s.high

@@ -201,7 +201,8 @@ def find_wings(object_mask: Mask) -> Wings | None:
 
 
 def _fold(object_mask: Mask) -> tuple[Wings, Mask] | None:
-    """Return a symmetric silhouette [H,W] with a vertical axis in its middle; None if it has none.
+    """Turn a symmetric silhouette until its axis is vertical; None if the silhouette is not
+    symmetric.
 
     A symmetric silhouette has its centroid and a principal axis on the axis of symmetry.
     """
@@ -242,7 +243,7 @@ def find_fish(object_mask: Mask) -> Fish | None:
 
 
 def _swims(solid: Mask) -> bool:
-    """Return whether a silhouette [H,W] without a border is that of a fish with a left nose."""
+    """Return whether a silhouette [H,W] without a border is that of a fish that faces left."""
     height, width = solid.shape
     filled = solid.sum(axis=0)
     heights = scipy.ndimage.uniform_filter1d(filled.astype(float), max(3, width // 60))

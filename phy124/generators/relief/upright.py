@@ -230,7 +230,7 @@ def _without_handles(solid: Mask) -> Mask | None:
 
 
 def _complete(body: Mask, solid: Mask) -> Mask:
-    """Add to a symmetric body [H,W] the parts of its mirror image that `solid` contains.
+    """Complete a symmetric body [H,W] by its mirror image, as far as `solid` contains the image.
 
     Where a handle joins the body close to the rim, a corner of the rim looks like the handle.
     """
@@ -253,7 +253,8 @@ def _inner_distance(solid: Mask) -> Field:
 def _is_pointed(heights: NDArray[np.int_], length: float) -> bool:
     """Return whether a protruding part ends in a sharp edge, like the rim of a bowl.
 
-    `heights` are those of the part's columns from the tip, `length` is the part's; both in pixels.
+    `heights` are the heights of the part's columns, from its tip, and `length` is its length
+    [pixels].
     """
     tip = heights[: max(1, round(TIP * length))]
     return bool(tip.mean() < POINTED * heights.max())
