@@ -112,7 +112,7 @@ def _parse(arguments: list[str]) -> Any:
     else:
         share_heap()
         refuse_narrow()  # this must precede the import of NumPy by a command's module
-        with suppress(ImportError):  # another version of tyro may not need this
+        with suppress(ImportError):  # other versions of tyro may need neither
             import_lightly("typeguard", "pydantic_core.core_schema")
         declare_late()
         commands = COMMANDS

@@ -3,7 +3,7 @@
 The limits, their order and their precision (float64) are the same as in phy124/mpm/timestep.py and
 phy124/mpm/rejection.py. The substeps chosen by this module and by the host are bitwise equal if
 both run on one device and the same kernels move the nodes. A kernel that also handles a wall may
-round otherwise.
+round differently.
 """
 
 from typing import Any

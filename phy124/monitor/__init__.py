@@ -56,7 +56,7 @@ reads only valid frames.
 
 
 def _replace(changes: dict[type[Observer], type[Observer]]) -> tuple[type[Observer], ...]:
-    """Return all observers, some of which are replaced."""
+    """Return all observers, with some classes replaced by others."""
     return tuple(changes.get(observer, observer) for observer in OBSERVERS)
 
 

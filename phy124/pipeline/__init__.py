@@ -186,7 +186,7 @@ def simulate(
             return reached.simulation, reached.clip
         setup = prepare(gaussians, scene, context, crop=crop)
         with ThreadPoolExecutor(1, "proportions") as pool:
-            pool.submit(lambda: setup.proportions)  # the report needs them
+            pool.submit(lambda: setup.proportions)  # computed now, for the report
             run = Simulation(setup)
         warn_of_disk_space(run, folder.out, films=films)
         if forecaster is not None:

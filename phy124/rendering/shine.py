@@ -325,7 +325,7 @@ def _planes(clip: Clip) -> list[Planes]:
 
 
 def _foams(liquid: dict[str, Any]) -> bool:
-    """Return whether a liquid of a report has foam; reports of earlier versions do not tell."""
+    """Return whether a liquid of a report has foam; False for a report without viscosities."""
     return liquid.get("viscosity", np.inf) <= FOAMS
 
 

@@ -17,7 +17,7 @@ BEHIND = wp.constant(2)
 THIN = wp.constant(0.2)
 """A box counts as a plate if its thickness is less than this fraction of its width."""
 GIVE = wp.constant(0.3)
-"""An object is outside a plate if it enters less than this fraction of half the thickness."""
+"""Plates count as thinner by this fraction, so an object that barely enters one is outside."""
 
 
 @wp.func

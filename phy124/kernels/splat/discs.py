@@ -24,7 +24,7 @@ BLUR = wp.constant(0.85)
 LEVEL = wp.constant(0.45)
 """Fraction of space that is filled with liquid at the liquid's surface."""
 AHEAD = wp.constant(1.2)
-"""Distance outwards from a disc at which phi tells whether the disc is inside the liquid."""
+"""Distance outwards from a disc at which phi shows whether the disc is inside the liquid."""
 FILLED = wp.constant(wp.vec2(0.22, 0.42))
 """Two values of phi at the distance `AHEAD`.
 
@@ -68,7 +68,7 @@ WET = wp.constant(0.03)
 LEAST_LENGTH = wp.constant(0.1)
 """Lower bound of the length of liquid along an axis."""
 LONG = wp.constant(3.0)
-"""Along a ray, liquid has at most this multiple of its smallest length along an axis there."""
+"""Largest thickness of the liquid, relative to the smallest length along the three axes there."""
 RIM = wp.constant(0.3)
 """Length of the normals of discs at the rim of a liquid on a wall.
 

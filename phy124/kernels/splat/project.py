@@ -252,7 +252,7 @@ def count_splats(columns, sums: wp.array2d(dtype=int), counts_out):
 def start_lists(room, before: wp.array(dtype=int), starts_out, ends_out):
     """Set the start of each tile's list after the entries of all previous tiles.
 
-    All lists together have space for `room` entries; a start behind the last entry is moved to it.
+    All lists together have space for `room` entries. A start beyond this space is set to its end.
     """
     tile = wp.tid()
     start = wp.min(before[tile], room)

@@ -89,7 +89,7 @@ def thrown_sand(setting: Setting) -> list[Check]:
     stress, _, _ = probe(Sand(), F, setting)
     way = np.abs(wanted - x).max()
     return [
-        at_most("off the parabola / way", np.abs(host(s.state.x) - wanted).max() / way, 1e-4),
+        at_most("off the parabola / path", np.abs(host(s.state.x) - wanted).max() / way, 1e-4),
         at_most("stress / E", np.abs(stress).max() / Sand().E, 1e-5),
         at_most("F^T F - I", np.abs(F.transpose(0, 2, 1) @ F - np.eye(3)).max(), 1e-5),
     ]
