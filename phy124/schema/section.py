@@ -63,9 +63,7 @@ def omit_default(default: Any, **limits: Any) -> Any:
 
 @cache
 def _read_docstrings(file: str | None) -> dict[str, dict[str, str]]:
-    """Return the docstrings below the fields of the classes in a file; empty without a source
-    file.
-    """
+    """Return the docstrings below the fields of the classes in a file; empty if it is missing."""
     texts: dict[str, dict[str, str]] = {}
     if file is None or not file.endswith(".py") or not Path(file).is_file():
         return texts

@@ -76,9 +76,7 @@ def tanks(setting: Setting) -> list[Check]:
 
 
 def bodies(setting: Setting) -> list[Check]:
-    """Check that light, soft and heavy bodies gain no energy and do not sink too deep in a
-    liquid.
-    """
+    """Check that light, soft and heavy bodies gain no energy and do not sink too deep."""
     checks = []
     for name, density, E in BODIES:
         x, body = _block((0, 0, 0), (1, 1, 0.375)), _block((0.25, 0.25, 0.5), (0.75, 0.75, 1))
