@@ -9,7 +9,7 @@ from support.served import serving
 @pytest.fixture(scope="session")
 def server(tmp_path_factory):
     # Software WebGL draws few Gaussians in good time. All visitors of all tests have one address.
-    settings = {"gaussians": 4000, "max_per_address": 500, "max_visitors": 500}
+    settings = {"gaussians": 1500, "max_per_address": 500, "max_visitors": 500}
     with serving(tmp_path_factory.mktemp("web"), **settings) as running:
         yield running
 
