@@ -102,7 +102,7 @@ def test_leaving_the_picture_is_noted_with_a_remedy():
     assert left.outside > 0.9
     (note,) = describe_framing(clip, chosen)["notes"]
     assert note is not None
-    assert f"front from frame {left.frame} (frame 7: {left.outside:.0%} outside)" in note
+    assert f"front from frame {left.frame} on ({left.outside:.0%} outside in frame 7)" in note
     assert f"view.distance = {left.distance:g} or view.follow = true" in note
 
 

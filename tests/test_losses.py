@@ -196,7 +196,7 @@ def test_loss_of_all_frames_is_reported(tmp_path, monkeypatch, temporary):
 @pytest.mark.filterwarnings("ignore:the frames are kept in memory only")
 def test_results_of_a_full_disk_are_kept_elsewhere(tmp_path, temporary, every_frame):
     with small_disk(tmp_path / "disk", "300k") as disk:
-        with pytest.raises(Incomplete, match=r"clip\.safetensors` films it") as caught:
+        with pytest.raises(Incomplete, match=r"clip\.safetensors` makes the videos") as caught:
             pipeline.simulate(ball(900), SCENE, disk / "out", keep=True)
         assert names(disk) == set(), "nothing half-written stays"
     (kept,) = temporary.glob("phy124-kept-*")

@@ -81,7 +81,7 @@ def test_missing_weights_name_the_command(tmp_path, monkeypatch, picture):
 
 def test_other_files_are_refused(tmp_path):
     path = save_red_detector(tmp_path / "net.onnx", output="depth")
-    with pytest.raises(InputError, match="expected are input_image and mask"):
+    with pytest.raises(InputError, match="should map input_image to mask"):
         OnnxNetwork(path, ["input_image"], ["mask"])
     with pytest.raises(InputError, match="does not accept these inputs"):
         OnnxNetwork(path)(np.zeros((1, 4, 8, 8), np.float32))

@@ -119,7 +119,7 @@ def test_decoder_of_points_works_as_well(folder):
 def test_swapped_files_are_refused(tmp_path):
     encoder = save_encoder(tmp_path / "a.onnx", "triplane")
     decoder = save_point_decoder(tmp_path / "b.onnx")
-    with pytest.raises(InputError, match="expected are image and density, color"):
+    with pytest.raises(InputError, match="should map image to density, color"):
         load_onnx(decoder, encoder)
-    with pytest.raises(InputError, match="expected are image and density"):
+    with pytest.raises(InputError, match="should map image to density"):
         load_onnx(decoder, decoder)(np.zeros((1, 3, 512, 512), np.float32))

@@ -37,7 +37,7 @@ STARTING = 6.0
 """Time to read a video and to start the search [s]."""
 ROOM = 1.5
 """Suggested time budget, as a multiple of the usual duration of a search."""
-NO_RESULT = "There is no result yet to which a fit could be made."
+NO_RESULT = "There is no result yet that could be fitted to the video."
 
 
 class Fits:

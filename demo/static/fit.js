@@ -85,7 +85,7 @@
       this.trigger('begin', { upload: path, side: this.side.value, speed: Number(this.speed.value), seconds: Number(this.budget.value) });
     }
 
-    /** Stop the fit, or stop it when it begins. */
+    /** Stop the fit; a fit that has not begun is stopped when it begins. */
     stop() {
       this.stopping = true;
       this.trigger('stop');

@@ -45,7 +45,7 @@
       places.film.replaceChildren(h('label', { class: 'check', title: this.options.compose.description }, this.compose, 'Also film it in the photograph'));
     }
 
-    /** A menu of an option's values, of which the default is not sent. */
+    /** A menu of an option's values; the default value is not sent. */
     choice(option) {
       const { description, enum: values, default: usual } = this.options[option];
       return h('select', { 'aria-label': words(option), title: description, onchange: ({ target }) => this.tell({ [option]: target.value === usual ? null : target.value }) },
@@ -170,7 +170,7 @@
       this.say('Sending …');
       this.input.value = '';
       const { reduced, sent } = globalThis.Phy124;
-      // A depth map's 16 bits would not survive the browser.
+      // A depth map is not reduced, because a browser would keep only 8 of its 16 bits.
       const answer = await sent(this.option === 'depth' ? file : await reduced(file, this.panel.limits), this.panel.limits);
       if (this.file !== file) return; // meanwhile, another file was chosen, or the file was removed
       if (answer.path) this.look(answer.path); else this.say(answer.message, true);

@@ -75,7 +75,7 @@
   const still = (part, on) => { for (const node of document.querySelectorAll(part)) node.inert = on; };
   function mark(changes) {
     Object.assign(state, changes);
-    // On a phone, the report, which follows, is also at the top.
+    // Scroll to the top, where a phone also shows the report that follows.
     if (changes.running || changes.touching) for (const part of document.querySelectorAll('html, #side, #scroll')) part.scrollTo(0, 0);
     for (const none of document.querySelectorAll('#forecast .none')) none.textContent = unforecast();
     if (!state.running) document.body.classList.remove('kept');

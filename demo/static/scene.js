@@ -146,7 +146,7 @@
       [...this.cards.querySelectorAll('input')].forEach((input, i) => { input.checked = this.offer.presets[i].scene.description === this.data.description; });
     }
 
-    /** Mark the scene's material: that of the card, or one of the chips, which are kept so that the focus is kept. */
+    /** Mark the chip of the scene's material. The elements of the chips are not replaced, so that the focus is kept. */
     markChips() {
       const same = (material) => Object.entries(material).every(([name, value]) => JSON.stringify(this.data.material[name]) === JSON.stringify(value));
       const preset = this.preset, inputs = [...this.chips.querySelectorAll('input')];

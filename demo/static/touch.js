@@ -43,7 +43,7 @@
 
     build() {
       const button = (label, act) => h('button', { type: 'button', class: 'quiet', onclick: act }, label);
-      this.canvas = h('canvas', { tabindex: 0, role: 'application', 'aria-label': 'The object. Drag it to hold and throw it. By keyboard, Enter takes hold of its top; arrow keys, Page Up and Page Down move it; Enter lets go. Arrow keys with Shift turn the view.' });
+      this.canvas = h('canvas', { tabindex: 0, role: 'application', 'aria-label': 'The object. Drag it to hold and throw it. By keyboard, Enter grabs the top of the object, and arrow keys, Page Up and Page Down move it; Enter lets go. Arrow keys with Shift turn the view.' });
       const cut = document.querySelector('#cutout img')?.getAttribute('src') || document.querySelector('#photo img')?.getAttribute('src');
       this.status = h('p', { class: 'touch-status', role: 'status' }, 'Starting …');
       this.rate = h('p', { class: 'touch-rate' });

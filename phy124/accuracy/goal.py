@@ -79,7 +79,7 @@ def describe_goal(goal: Mapping[str, Any], seconds: float) -> str:
     """Describe how a run of `seconds` met its goal, from the entry `goal` of the run's report."""
     target, grid = goal["target"], f"D/{goal['cells']}"
     if goal["unit"] == "seconds":
-        return f"asked for at most {target}: {grid}, {seconds:.1f} s"
+        return f"asked for at most {target}: {grid} takes {seconds:.1f} s"
     errors = dict(zip(goal["levels"], goal["errors"], strict=False))
     tried = [f"D/{n} {format_error(goal['unit'], error)}" for n, error in errors.items()]
     tried = f"; estimated errors: {', '.join(tried)}" if tried else ""

@@ -286,7 +286,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
         raise ValueError(
             "reading it needs more memory than is free.; Give a mesh with fewer triangles."
         ) from None
-    except Exception as error:  # of many kinds, with messages about trimesh's own code
+    except Exception as error:  # trimesh raises many types of exceptions
         raise ValueError(
             "it cannot be read as a mesh: the file is damaged or of another kind."
         ) from error

@@ -130,7 +130,7 @@ class Cutout:
 
     def _doubt_size(self) -> Iterator[str]:
         """Yield warnings that the size or position of the object is implausible."""
-        # Persons are often cropped, and networks rarely confuse a table with the object.
+        # Networks are exempt: they rarely include background, and persons are often cropped.
         if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
             yield (
                 f"The cut-out touches {len(self.touches)} edges of the picture "

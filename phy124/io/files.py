@@ -226,7 +226,7 @@ def naming_full_disk(folder: Path) -> Iterator[None]:
             code, name = error.errno or code, error.filename2 or error.filename
         if name and not resolve_links(Path(name)).is_relative_to(resolve_links(folder)):
             raise
-        # `staging` hides its folder, and the user knows only the folder that this one fills.
+        # `staging` writes to a hidden folder; the message names the user's folder that contains it.
         known = folder.parent if folder.name.startswith(MAKING) else folder
         raise OSError(code, os.strerror(code), os.fspath(known)) from error
 

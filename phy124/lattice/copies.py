@@ -78,8 +78,8 @@ def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -
     order = np.lexsort((index[node, 2], run, index[node, 1], index[node, 0]))
     place = np.empty(len(node), np.int64)
     place[order] = np.arange(len(node))
-    # A first copy has its main position among the nodes without copies; any other copy has it in
-    # its first chain.
+    # The main position of a first copy is among the nodes without copies; the main position of any
+    # other copy is in the first chain that contains it.
     home = np.full(len(index), len(node))
     np.minimum.at(home, node[len(first) :], place[len(first) :])
     home[first] = place[: len(first)]

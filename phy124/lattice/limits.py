@@ -139,7 +139,7 @@ class Limits(Kept):
         fastest = max(speed, extremes.speed) + self._rejection.wall
         way = elapsed * (fastest + elapsed * pull)
         self._travel, self._meetings.way = self._travel + way, self._meetings.way + way
-        # While the last substep squeezes a point, the rate grows.
+        # The rate is relative to the current size, so it grows while a point is squeezed.
         gradient /= max(0.1, 1 - gradient * clock.last_dt)
         self._strain += gradient * elapsed
         clock.extremes = extremes._replace(speed=speed, gradient=gradient)

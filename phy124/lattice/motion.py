@@ -52,8 +52,7 @@ def _motion(model: Model, lattice: RestLattice, state: State) -> NDArray[np.floa
     v, C = (np.asarray(a.numpy(), np.float64) for a in (state.v, state.C))
     if not v.any() and not C.any():
         return np.zeros((len(lattice), 3))
-    # Cells may use only repetitions of a node that has copies, so all repetitions contribute to the
-    # node.
+    # Cells may use only later copies of a node, so all copies contribute to the node.
     nodes = np.repeat(lattice.source[lattice.nodes_of()], 8, axis=0)
     total, number = np.zeros((len(lattice), 3)), np.zeros(len(lattice))
     for k in range(27):

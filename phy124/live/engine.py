@@ -439,7 +439,7 @@ class Live:
             Stopped: No input has acted since the start.
         """
         if not self._touched:
-            raise Stopped(f"{why} The frame fails without inputs, so the live run ends.")
+            raise Stopped(f"{why} The frame fails even without inputs, so the live run ends.")
         self._note(f"{why} The inputs are dropped.")
         for time, snapshot in [(self.time, None), *reversed(self._kept)]:
             if snapshot is not None:

@@ -61,7 +61,7 @@ class PoolWork(ExternalWork):
         total = super().total(clock, way, momentum)
         if not self.by_momentum:
             return total
-        # The sums reach the time of the positions; the bodies' velocities are half a substep older.
+        # The sums extend to the time of the positions; bodies' velocities are half a substep older.
         mass = self._model.total_mass - self._pool.liquid.model.total_mass
         late = clock.last_dt / 2 * mass * self._acceleration()
         return total._replace(impulse=total.impulse - late)

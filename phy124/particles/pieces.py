@@ -142,7 +142,7 @@ def find_copies(
     copies = _copies_of_parts(places, piece, of_clump[pieces.links], size)
     if copies is None:
         return None
-    # A piece uses the node copy of its largest part in the node's support.
+    # In the support of a node, a piece uses the copy that belongs to its largest part there.
     result = np.zeros((len(cell), 27), np.int8)
     copied = np.zeros(len(cell), bool)
     copied[piece[copies.any(axis=1)]] = True

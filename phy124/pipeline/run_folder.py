@@ -287,7 +287,7 @@ class RunFolder:
         )
         return Incomplete(
             f"files that could not be written to {self.out} are kept in {folder}: "
-            f"`phy124 render {folder / CLIP}` films it{more}"
+            f"`phy124 render {folder / CLIP}` makes the videos{more}"
         )
 
     def _end(self, made: Iterable[str], *, interrupted: bool) -> None:
@@ -333,7 +333,9 @@ def _without_films(out: Path, made: Iterable[str], *, resumes: bool) -> Incomple
     """Return the exception for a run whose clip was saved but neither rendered nor exported."""
     names = ", ".join(sorted(made))
     more = ", or the same command with --resume makes the missing files" if resumes else ""
-    return Incomplete(f"kept in {out}: {names}. `phy124 render {out / CLIP}` films it{more}")
+    return Incomplete(
+        f"kept in {out}: {names}. `phy124 render {out / CLIP}` makes the videos{more}"
+    )
 
 
 def _after_error(out: Path, frames: int) -> Incomplete:

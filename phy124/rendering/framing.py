@@ -198,7 +198,7 @@ def _note_departures(clip: Clip, view: View, left: list[Departure]) -> str | Non
     if not left:
         return None
     sides = ", ".join(
-        f"{d.view} from frame {d.frame} (frame {d.worst_frame}: {d.outside:.0%} outside)"
+        f"{d.view} from frame {d.frame} on ({d.outside:.0%} outside in frame {d.worst_frame})"
         for d in left
     )
     remedies = []

@@ -61,7 +61,7 @@ def _declare_late() -> None:
             key, input_types, export=False, **options
         )  # Warp makes variants only of exported functions
         if first:
-            declared[key].mangled_name = key  # Warp resolves calls only of functions that have one
+            declared[key].mangled_name = key  # Warp resolves no calls without this name
             setattr(sys.modules["warp"], key, declared[key])
 
     def resolve_from_python(function: Any, *arguments: Any, **options: Any) -> Any:

@@ -89,7 +89,7 @@ def _exit_codes(pool: ProcessPoolExecutor) -> set[int]:
 
     If a thread of the pool waits for the same worker, the exit code is missing for a moment.
     """
-    workers = [*(pool._processes or {}).values()]  # no public attribute has them
+    workers = [*(pool._processes or {}).values()]  # the pool has no public attribute for them
     end = time.monotonic() + LEFT
     for worker in workers:
         worker.join(max(0.0, end - time.monotonic()))

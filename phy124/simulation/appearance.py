@@ -215,7 +215,7 @@ def make_appearance(
     kinds = pick_values(gaussians.select(moves), particles, particles.material)
     flows = np.array([section.rounds for section in materials])[kinds]
     shades, rough = np.zeros((2, len(gaussians)))
-    # Grains inside are larger. Seen through gaps, they would be blotches of different brightness.
+    # Only grains on the surface are shaded: grains inside are larger, and would look like blotches.
     above = np.flatnonzero(moves) < surface
     rough[moves] = above * np.array([section.rough for section in materials])[kinds]
     if scene.grains:

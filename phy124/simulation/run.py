@@ -80,7 +80,7 @@ class Simulation:
             self.observers = [kind.of(setup) for kind in needed]
             self.solver = make_solver(setup, self.observers)
             for observer in self.observers:
-                # The solver refers to the observers whose sums it restores.
+                # A weak reference, because the solver refers to its observers.
                 observer.bind(proxy(self.solver), self.observers)
             self.solver.start()
             self.spent = Spent(self.solver.runner.team, self.device)

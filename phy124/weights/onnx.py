@@ -59,8 +59,8 @@ class OnnxNetwork:
         self.outputs = list(outputs or results[:1])
         if set(self.inputs) != set(known) or not set(self.outputs) <= set(results):
             limit = (
-                f"it maps {', '.join(known)} to {', '.join(results)}; "
-                f"expected are {', '.join(self.inputs)} and {', '.join(self.outputs)}."
+                f"it maps {', '.join(known)} to {', '.join(results)}, "
+                f"but should map {', '.join(self.inputs)} to {', '.join(self.outputs)}."
             )
             remedy = "Choose the file that belongs to this network (`phy124 weights` lists them)."
             raise InputError("weights", self.path, limit, remedy)

@@ -1,5 +1,5 @@
-/* What was filmed beside what was fitted, picture by picture: a slider leads the film and the mark in
- * the curve. The same in the page and in a saved file. */
+/* Shows the filmed and the fitted motion side by side. A slider selects the picture of the video, and moves
+ * the mark in the curves. The page and saved files use the same script. */
 'use strict';
 (() => {
   function compare(root) {
@@ -10,7 +10,7 @@
       said.textContent = `${n + 1} of ${times.length}, ${times[n].toFixed(2)} s`;
       for (const mark of marks) mark.setAttribute('transform', `translate(${mark.dataset.places.split(' ')[n]} 0)`);
     };
-    // In the middle of a picture's time: at its very beginning the one before may be shown.
+    // Seek to the middle of a picture: at its beginning, a browser may show the previous picture.
     slider.addEventListener('input', () => { video.pause(); video.currentTime = (Number(slider.value) + 0.5) / fps; say(); });
     const follow = () => {
       if (video.paused) return;

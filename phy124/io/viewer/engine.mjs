@@ -1,4 +1,4 @@
-// The part of PlayCanvas that draws Gaussians and a shader of ours; bundled into vendor/playcanvas.min.js.
+// The part of PlayCanvas that draws Gaussians and a shader of phy124; bundled into vendor/playcanvas.min.js.
 export {
   ADDRESS_CLAMP_TO_EDGE, AppBase, AppOptions, BoundingBox, CULLFACE_NONE, CameraComponentSystem, Color,
   Entity, FILLMODE_NONE, FILTER_LINEAR, FILTER_NEAREST, GAMMA_SRGB, GSplatComponentSystem,

@@ -3,7 +3,7 @@
 //   const places = await film.frame(5, centres);   // Float32Array [N,3], m
 export class P4D {
   static fetch(url) {
-    let whole; // from a server that does not answer by range
+    let whole; // the whole file, if the server does not answer range requests
     return P4D.open(async (offset, length) => {
       if (whole) return whole.slice(offset, offset + length);
       const range = { headers: { Range: `bytes=${offset}-${offset + length - 1}` } };
@@ -106,8 +106,8 @@ async function inflate(data) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Pixels of a picture; read by WebGL, because a 2D canvas would round colours of low opacity. A browser may take the
- * graphics away meanwhile, and would return zeros: so the picture is read up to ten times. */
+/** Pixels of a picture, read by WebGL, because a 2D canvas would round colours of low opacity. If the browser removes
+ * the graphics context meanwhile, the pixels are zeros; the picture is then read again, up to ten times. */
 async function pixels(data, attempts = 10) {
   const picture = await createImageBitmap(new Blob([data], { type: 'image/webp' }), { premultiplyAlpha: 'none', colorSpaceConversion: 'none' });
   const gl = new OffscreenCanvas(1, 1).getContext('webgl2'), { width, height } = picture, out = new Uint8Array(4 * width * height);
@@ -119,7 +119,7 @@ async function pixels(data, attempts = 10) {
   gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
   if (gl.isContextLost()) {
-    if (attempts === 1) throw new Error('The browser took the graphics away while the .p4d file was read.');
+    if (attempts === 1) throw new Error('The browser removed the graphics context while the .p4d file was read.');
     await new Promise((wait) => { setTimeout(wait, 200); });
     return pixels(data, attempts - 1);
   }
@@ -127,7 +127,7 @@ async function pixels(data, attempts = 10) {
   return out;
 }
 
-/** Members of an archive whose files are stored, as those of SOG are. */
+/** Files of a zip archive without compression, such as SOG. */
 function unzip(data) {
   const view = new DataView(data.buffer, data.byteOffset), files = {};
   for (let at = 0; view.getUint32(at, true) === 0x04034b50;) {

@@ -39,7 +39,7 @@ globalThis.Phy124Pack = (() => {
     return { ...head, n, t, colours, rest, centres, quats, ratios, speeds, shades, hues };
   }
 
-  /** Values at a fractional frame; planar in (component-major), interleaved with 4 floats out. */
+  /** Interpolates between frames. A pack stores component after component; results have four floats per Gaussian. */
   class Blend {
     constructor(pack) { this.pack = pack; }
 
@@ -85,7 +85,7 @@ globalThis.Phy124Pack = (() => {
       }
     }
 
-    /** Colour and opacity of a splat [4], 0 to 1, which change where the pack has hues. */
+    /** Colour and opacity of a splat [4], 0 to 1, which vary over time if the pack has hues. */
     colour(frame, i, out) {
       const { n, t, colours, hues } = this.pack;
       if (!hues) { for (let c = 0; c < 4; c++) out[c] = colours[i * 4 + c] / 255; return; }
@@ -99,7 +99,7 @@ globalThis.Phy124Pack = (() => {
       return speeds[k * n + i] / 255;
     }
 
-    /** Longest axis now over longest axis at rest. */
+    /** Length of a splat's longest axis, divided by the length of its longest axis at rest. */
     stretch(scale, i) {
       const { rest } = this.pack;
       return Math.max(scale[i * 4], scale[i * 4 + 1], scale[i * 4 + 2])
@@ -107,7 +107,7 @@ globalThis.Phy124Pack = (() => {
     }
   }
 
-  /** Frames that come one by one, each a pack of its own, of a clip that is still growing. */
+  /** A clip that is still being computed: each new frame arrives as a separate pack. */
   class Growing extends Blend {
     static begin(first) {
       const { target, radius } = first.view, sides = [-1, 1].map((side) => target.map((v) => v + side * radius));
@@ -127,10 +127,10 @@ globalThis.Phy124Pack = (() => {
     stretch() { return 1; }
   }
 
-  /** Axes of phy124 (x front, z up) of a vector in those of SOG (-z front, -y up). */
+  /** Convert a vector from the axes of phy124 (x front, z up) to the axes of SOG (-z front, -y up). */
   const turned = (x, y, z) => [-z, x, -y];
 
-  /** The pack of a .p4d file; `load(k)` reads a frame, which must be done before it is drawn. */
+  /** Create the pack of a .p4d file; `load(k)` must read frame k before the frame is drawn. */
   async function film(p4d) {
     const { about } = p4d, { count: n, times, player } = about, t = times.length;
     const [still, flat] = await Promise.all([p4d.still(), player.shades ? p4d.section(player.shades) : new Uint8Array()]);
@@ -140,7 +140,7 @@ globalThis.Phy124Pack = (() => {
       ...p4d.cells(still.centres) };
     pack.shades = integrate(flat, t, flat.length / t);
     pack.axes = restAxes(still);
-    const failed = (k) => (error) => { pack.loaded[k] = undefined; throw error; }; // it can be tried again
+    const failed = (k) => (error) => { pack.loaded[k] = undefined; throw error; }; // reading can be repeated
     pack.load = (k) => (pack.loaded[k] ??= p4d.displacements(k).then((moves) => { pose(pack, k, moves); pack.loaded[k] = true; }).catch(failed(k)));
     await pack.load(0);
     return pack;
@@ -158,7 +158,7 @@ globalThis.Phy124Pack = (() => {
     return out;
   }
 
-  /** Fill in frame k: centres, and shapes by the deformation gradient of the lattice, F = I + sum u (grad w)^T. */
+  /** Compute centres and shapes in frame k; shapes follow the deformation gradient F = I + sum u (grad w)^T. */
   function pose(pack, k, { moved, shifts }) {
     const { n, low, high, ratio, near, share, still, rest, axes, p4d } = pack, h = 1 / p4d.about.spacing;
     const ratios = 255 / Math.max(ratio[1] - ratio[0], 1e-12), width = low.map((v, c) => 65535 / Math.max(high[c] - v, 1e-12));
@@ -188,7 +188,7 @@ globalThis.Phy124Pack = (() => {
     }
   }
 
-  /** Rotate three columns [9] among themselves until they are orthogonal: one-sided Jacobi (Hestenes 1958). */
+  /** Make three columns [9] orthogonal by rotations of pairs of columns: one-sided Jacobi (Hestenes 1958). */
   function orthogonalise(m) {
     for (let sweep = 0; sweep < 6; sweep++) {
       let done = true;
@@ -206,7 +206,7 @@ globalThis.Phy124Pack = (() => {
     }
   }
 
-  /** Quaternion wxyz of three orthonormal columns [9]; a left-handed set is turned inside out (Shepperd 1978). */
+  /** Quaternion wxyz of three orthonormal columns [9]; a left-handed set is inverted first (Shepperd 1978). */
   function quaternion(m) {
     const determinant = m[0] * (m[4] * m[8] - m[7] * m[5]) - m[3] * (m[1] * m[8] - m[7] * m[2]) + m[6] * (m[1] * m[5] - m[4] * m[2]);
     if (determinant < 0) for (let j = 0; j < 9; j++) m[j] = -m[j];

@@ -1,5 +1,5 @@
-/* Plays moving Gaussians. PlayCanvas (global `pc`) draws and sorts them; this file adds time:
- * what a pack (pack.js, which may load after this file) holds at each instant, and the controls.
+/* Plays moving Gaussians. PlayCanvas (global `pc`) sorts and draws them. This file passes the Gaussians of the
+ * current time to PlayCanvas, and adds the controls. It uses pack.js, which may be loaded after this file.
  *
  *   const player = await Phy124Player.mount(element, bytes);
  *   player.seek(0.5); player.dispose();
@@ -58,7 +58,7 @@ globalThis.Phy124Player = (() => {
         toneMapping: pc.TONEMAP_NONE, gammaCorrection: pc.GAMMA_SRGB });
       app.root.addChild(this.camera);
       app.start();
-      // Nothing moves by itself: a picture is drawn when asked for, and once more when a sort is done.
+      // Pictures are drawn only on request, and again at the end of a sort.
       app.systems.gsplat.on('frame:request', () => this.wake());
       app.scene.on('gsplat:sorted', () => this.sortAgain());
       app.systems.gsplat.on('frame:ready', (camera, layer, ready) => { if (ready) this.copyAgain(); });
@@ -75,14 +75,14 @@ globalThis.Phy124Player = (() => {
       box.aabb = new pc.BoundingBox(
         new pc.Vec3(...low.map((v, c) => (v + high[c]) / 2)), new pc.Vec3(...half));
       const entity = this.entity = new pc.Entity();
-      entity.setEulerAngles(-90, 0, 0); // our z is up, PlayCanvas's y
+      entity.setEulerAngles(-90, 0, 0); // z is up in phy124, y in PlayCanvas
       entity.addComponent('gsplat', { resource: box });
       this.app.root.addChild(entity);
     }
 
     wake() { this.app.renderNextFrame = true; }
 
-    /** PlayCanvas ignores a turn of the camera during a sort, unless the centres change, too. */
+    /** Sort again if the camera turned during a sort: PlayCanvas ignores such a turn unless the centres change, too. */
     sortAgain() {
       if (!this.turned) return;
       this.turned = false;
@@ -90,13 +90,13 @@ globalThis.Phy124Player = (() => {
       this.wake();
     }
 
-    /** PlayCanvas does not copy a frame to the buffer that it draws if the frame is shown during a sort: the end of the
-     * sort clears the request. So it is asked once more when the sort is done. */
+    /** Copy a frame again at the end of a sort. If a frame is shown during a sort, PlayCanvas does not copy it to the
+     * buffer that it draws, because the end of the sort clears the request. */
     copyAgain() {
       if (!this.changed) return;
       this.changed = false;
       this.entity.gsplat.workBufferUpdate = pc.WORKBUFFER_UPDATE_ONCE;
-      // The picture that is being drawn ends with no further picture asked for.
+      // The end of the current picture clears all requests, so the next picture is requested afterwards.
       queueMicrotask(() => this.wake());
     }
 
@@ -129,7 +129,7 @@ globalThis.Phy124Player = (() => {
       texture.unlock();
     }
 
-    /** One colour behind everything; null: what the clip was filmed before; 'page': nothing, except shadows. */
+    /** Set the background: a colour, null for the background of the clip's videos, or 'page' for only the shadows. */
     background(rgb) {
       const page = rgb === 'page';
       this.camera.camera.clearColor = page ? new pc.Color(0, 0, 0, 0) : new pc.Color(...(rgb || this.pack.background));
@@ -207,7 +207,7 @@ globalThis.Phy124Player = (() => {
       this.stage = new Stage(this.canvas, pack, clear);
       this.time = 0;
       this.length = pack.times[pack.t - 1] - pack.times[0];
-      // Half a second is over before one has seen it.
+      // Clips of less than a second are too short to be seen at full speed.
       const short = this.length > 0 && this.length < 1;
       this.speed = short ? 0.5 : 1;
       this.way = short ? 'swing' : 'loop';
@@ -228,7 +228,7 @@ globalThis.Phy124Player = (() => {
       if (play && !this.still && this.length > 0) this.play();
     }
 
-    /** Hatch the time from which the motion differs from grid to grid. */
+    /** Hatch the part of the time slider in which the motion depends on the grid. */
     hatch() {
       const bar = this.find('when'), until = this.pack.until;
       bar.classList.toggle('phy-hatched', until !== undefined);
@@ -258,7 +258,7 @@ globalThis.Phy124Player = (() => {
         if (this.narrow !== this.narrowThen) this.stand(stance);
       });
       this.watcher.observe(this.canvas);
-      // A browser takes the graphics away from time to time, and gives it back empty.
+      // A browser may remove the graphics context, and later restores it without its content.
       this.stage.app.graphicsDevice.on('devicerestored', () => this.seek(this.time));
     }
 
@@ -301,7 +301,7 @@ globalThis.Phy124Player = (() => {
 
     get pixels() {
       const { clientWidth, clientHeight } = this.canvas;
-      // While a clip is computed, drawing it must not take the processor away from the computation.
+      // While a clip is computed, fewer pixels are drawn, so that the computation is not slowed down.
       const most = this.pack?.frames ? Math.sqrt(4e5 / Math.max(clientWidth * clientHeight, 1)) : 2;
       const ratio = Math.min(window.devicePixelRatio || 1, 2, most);
       return [Math.max(2, Math.round(clientWidth * ratio)), Math.max(2, Math.round(clientHeight * ratio))];
@@ -311,20 +311,20 @@ globalThis.Phy124Player = (() => {
 
     home() { this.take({ ...this.pack.view, radius: this.pack.view.radius * this.narrow }); }
 
-    /** How much further away a picture higher than wide must be seen from: the field of view is vertical. */
+    /** Factor on the camera's distance for pictures that are higher than wide, since the field of view is vertical. */
     get narrow() { const [width, height] = this.pixels; return Math.max(1, height / width); }
 
-    /** From where a visitor looks, in terms of the clip's first view: another clip's object is elsewhere and larger,
-     * and the picture may be wider. */
+    /** The direction and zoom of the view, relative to the clip's first view. They can be used for another clip, whose
+     * object has another position and size. */
     get stance() {
       const { azimuth, elevation, radius } = this.pose;
       return { azimuth, elevation, zoom: radius / this.pack.view.radius / this.narrowThen };
     }
 
-    /** Look as a visitor looked at another clip. */
+    /** Use the direction and zoom of another player (`stance`). */
     stand({ azimuth, elevation, zoom }) { this.take({ azimuth, elevation, radius: this.pack.view.radius * zoom * this.narrow }); }
 
-    /** Look from a pose: that of another player, say. */
+    /** Set the camera's pose, for example to that of another player. */
     take(pose) {
       this.pose = { ...this.pack.view, ...pose };
       this.narrowThen = this.narrow;
@@ -332,7 +332,7 @@ globalThis.Phy124Player = (() => {
       for (const other of this.followers || []) other.take({ azimuth: pose.azimuth, elevation: pose.elevation });
     }
 
-    /** Another player shows the same instant from the same side. */
+    /** Let another player show the same time from the same side. */
     lead(other) {
       this.followers = other ? [other] : [];
       if (!other) return;
@@ -342,7 +342,7 @@ globalThis.Phy124Player = (() => {
       this.seek(this.time);
     }
 
-    /** One more frame of a clip that is still being computed. */
+    /** Add a frame to a clip that is still being computed. */
     async extend(bytes) {
       const frame = await Phy124Pack.unpack(bytes);
       if (this.gone) return;
@@ -365,14 +365,14 @@ globalThis.Phy124Player = (() => {
       this.stage.look(this.pose);
     }
 
-    /** Read all frames of a .p4d file, one after the other, so that they are there when they are played. */
+    /** Read all frames of a .p4d file, one after the other, before they are played. */
     async loadAll() {
       for (let k = 0; k < this.pack.t && !this.gone; k++) {
-        try { await this.pack.load(k); } catch { /* it is read again when it is shown */ }
+        try { await this.pack.load(k); } catch { /* the frame is read again when it is shown */ }
       }
     }
 
-    /** Whether a frame and the next one can be drawn; else they are read, again and again if that fails, and shown then. */
+    /** Return whether a frame and the next one have been read. If not, read them (repeatedly if necessary), then show them. */
     ready(frame) {
       const { load, loaded, t } = this.pack, missing = load ? [Math.floor(frame), Math.min(Math.ceil(frame), t - 1)].filter((k) => loaded[k] !== true) : [];
       if (!missing.length) return true;
@@ -381,7 +381,7 @@ globalThis.Phy124Player = (() => {
       return false;
     }
 
-    /** Show the instant `time`, seconds from the start. */
+    /** Show the frame at `time`, in seconds from the start. */
     seek(time) {
       this.time = Math.min(Math.max(time, 0), this.length);
       const { times, t } = this.pack, now = times[0] + this.time;
@@ -410,7 +410,7 @@ globalThis.Phy124Player = (() => {
       requestAnimationFrame(tick);
     }
 
-    /** Where to go on from a time that may be past either end. */
+    /** Return the time at which playback continues if `time` is before the start or after the end. */
     turned(time) {
       if (time >= 0 && time <= this.length) return time;
       if (this.way === 'swing') { this.forth = -this.forth; return time < 0 ? 0 : this.length; }
@@ -443,7 +443,7 @@ globalThis.Phy124Player = (() => {
     }
   }
 
-  /** Show a pack or a .p4d file, given as bytes, or a .p4d file at an address, whose frames are read by range. */
+  /** Show a pack or a .p4d file given as bytes, or a .p4d file at an address, from which frames are read by range. */
   async function mount(host, source, settings) {
     if (!document.createElement('canvas').getContext('webgl2')) {
       host.textContent = 'This browser has no WebGL 2, which the 3D player needs. The videos show the same motion.';

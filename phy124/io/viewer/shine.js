@@ -1,13 +1,13 @@
-/* Highlights and reflections on what is fluid or metal, lit for each camera by the shader that reads
- * the Gaussians. The same as `reflect` of phy124/rendering/shine.py, line by line; a pack's header
- * says which Gaussians shine and how. Their normal is their shortest axis: a fluid's surface is made
- * of discs whose z axis points outwards, metal's of Gaussians that are seen from both sides.
+/* Highlights and reflections on fluids and metal, computed for each camera by the shader that reads the
+ * Gaussians. The code is a translation of `reflect` in phy124/rendering/shine.py. The header of a pack states
+ * which Gaussians shine, and how. The normal of a Gaussian is its shortest axis. A fluid's surface consists of
+ * discs whose z axis points outwards; the surface of metal consists of Gaussians that are seen from both sides.
  */
 'use strict';
 globalThis.Phy124Shine = (() => {
   const PLAIN = 'vec4 getColor() { return loadPhyColour(); }';
 
-  /** Packs of older versions lack the last number of a gloss, and the refraction. */
+  /** Return the shader. Packs of older versions lack the last number of each gloss, and the refraction. */
   const lit = ({ lamp, refraction = 1.33, laws }) => `
     uniform vec3 uSeenFrom;
     struct Gloss { float least, most, tint, highlight, sharpness, ground, glow; bool outwards; };
@@ -17,7 +17,7 @@ globalThis.Phy124Shine = (() => {
       return Gloss(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, false);
     }
 
-    /** The shortest axis; none of a fluid's balls, which are inside of it. */
+    /** The shortest axis; zero for the balls of a fluid, which are below its surface. */
     vec3 normalOf(vec3 scale, vec4 q, bool outwards) {
       if (outwards && scale.z > 0.6 * min(scale.x, scale.y)) return vec3(0.0);
       vec3 axis = scale.z <= min(scale.x, scale.y) ? vec3(0.0, 0.0, 1.0)
@@ -48,10 +48,10 @@ globalThis.Phy124Shine = (() => {
       return colour;
     }`;
 
-  /** What reads a splat's colour, for the engine's shader. */
+  /** Return the shader code that reads the colour of a splat. */
   const reads = (shine) => (shine ? lit(shine) : PLAIN);
 
-  /** The law of each splat, counted from 1; 0 does not shine. */
+  /** Return the number of each splat's law, from 1; 0 for splats that do not shine. */
   function laws({ n, shine }) {
     const found = new Uint8Array(n);
     if (shine) shine.laws.forEach(({ runs }, k) => runs.forEach(([first, end]) => found.fill(k + 1, first, end)));

@@ -1,6 +1,6 @@
-/* What stands around the moving object: backdrop, floor with its shadow, boundaries as glass.
- * The same as the kernels of phy124/kernels/splat/{stage,glass}.py draw, function by function; a
- * pack (phy124/io/export/html.py) says what and where.
+/* Draws the surroundings of the object: backdrop, floor with its shadow, boundaries as glass. The functions
+ * are translations of the kernels in phy124/kernels/splat/{stage,glass}.py. A pack (phy124/io/html.py) contains
+ * the shapes and positions.
  *
  *   const around = new Phy124Stage(app, device, entity, pack);
  *   around.show(2.5); around.look(eye, rows, focal, size);
@@ -19,7 +19,7 @@ globalThis.Phy124Stage = (() => {
       return FACE + (LINE - FACE) * clamp(1.0 - second / (WIDTH * pixel), 0.0, 1.0);
     }
 
-    // Hits are (enters, leaves, opacity of the first face, of the second).
+    // A hit is (distance at which the ray enters, at which it leaves, opacities of the two faces).
     vec4 boxHit(vec3 centre, vec3 extents, mat3 axes, vec3 origin, vec3 ray, float pixel) {
       vec3 o = (origin - centre) * axes, d = ray * axes;
       d = mix(d, vec3(1.0e-9), vec3(lessThan(abs(d), vec3(1.0e-9))));
@@ -110,9 +110,9 @@ globalThis.Phy124Stage = (() => {
     uniform highp sampler2D uShade;
     uniform sampler2D uPicture;
     uniform vec3 uRight, uDown, uAhead, uTop, uBottom;
-    uniform vec4 uFloor;     // whether there is one, its height, the pixels' width and height
-    uniform vec4 uMap;       // the map's middle, its reach, its cells
-    uniform vec4 uFill;      // part of the picture that fills the frame: scale, offset
+    uniform vec4 uFloor;     // 1 if there is a floor, its height, width and height of the picture [px]
+    uniform vec4 uMap;       // shadow map: middle x and y, half its side, number of cells
+    uniform vec4 uFill;      // part of the backdrop picture that fills the frame: scale, offset
     uniform float uFocal, uCount, uHasPicture, uClear;
     const float POOL = 0.5;
     ${GLASS}
@@ -142,11 +142,11 @@ globalThis.Phy124Stage = (() => {
         colour = light * (colour + pool * colour * (1.0 - colour));
       }
       float veiled = seenThrough(int(uCount), ray, limit, 1.0 / uFocal);
-      // On a page only shadow and glass, premultiplied by their opacity.
+      // In front of a page, draw only shadow and glass, premultiplied by their opacity.
       gl_FragColor = uClear > 0.5 ? vec4(veiled * TINT, 1.0 - (1.0 - veiled) * light) : vec4(min(mix(colour, TINT, veiled), 1.0), 1.0);
     }`;
 
-  // PlayCanvas's y is up, ours is z.
+  // y is up in PlayCanvas, z in phy124.
   const TINTING = `
     uniform vec3 uAhead;
     uniform float uFocal, uCount;
@@ -169,7 +169,7 @@ globalThis.Phy124Stage = (() => {
       mesh.update();
       const drawn = new pc.MeshInstance(mesh, this.material, new pc.GraphNode());
       drawn.cull = false;
-      // Gaussians are drawn only after their first sort; a shadow without its object would be seen before.
+      // Gaussians appear only after their first sort; until then, the shadow would be visible without its object.
       drawn.visible = false;
       app.scene.once('gsplat:sorted', () => { drawn.visible = true; });
       app.scene.layers.getLayerById(pc.LAYERID_WORLD).addMeshInstances([drawn]);
@@ -191,10 +191,10 @@ globalThis.Phy124Stage = (() => {
 
     set(name, value) { this.material.setParameter(name, value); }
 
-    /** What the Gaussians' shader reads too. */
+    /** Set a parameter that the shader of the Gaussians also reads. */
     share(name, value) { this.set(name, value); if (this.given.solids.length) this.entity.gsplat.setParameter(name, value); }
 
-    /** Colours of the backdrop's first and last row; a picture only if it is named; `clear`: no backdrop. */
+    /** Set the colours of the backdrop's first and last row, or its picture; `clear`: draw no backdrop. */
     behind({ top, bottom, picture }, clear = false) {
       this.set('uClear', clear ? 1 : 0);
       this.clear = clear;
@@ -215,7 +215,7 @@ globalThis.Phy124Stage = (() => {
       if (this.size) this.fill();
     }
 
-    /** The middle of the picture fills the frame. */
+    /** Let the middle of the backdrop's picture fill the frame. */
     fill() {
       const [width, height] = this.size, { image } = this;
       if (!image) return;
@@ -224,7 +224,7 @@ globalThis.Phy124Stage = (() => {
       this.set('uFill', [...part, (1 - part[0]) / 2, (1 - part[1]) / 2]);
     }
 
-    /** The stage at a fractional frame. */
+    /** Show the surroundings at a fractional frame. */
     show(frame) {
       const { pack } = this, k = Math.min(Math.floor(frame), pack.t - 1), next = Math.min(k + 1, pack.t - 1), f = frame - k;
       const at = (index) => (pack.frames ? { stage: pack.frames[index].stage, shades: pack.frames[index].shades, i: 0 } : { stage: this.given, shades: pack.shades, i: index });
@@ -259,10 +259,10 @@ globalThis.Phy124Stage = (() => {
       this.tinted();
     }
 
-    /** The Gaussians' colours are to be computed once more. */
+    /** Request a new computation of the Gaussians' colours. */
     tinted() { if (this.given.solids.length) this.entity.gsplat.workBufferUpdate = pc.WORKBUFFER_UPDATE_ONCE; }
 
-    /** From where it is seen: eye, the camera's axes right, down and ahead, focal length and size in pixels. */
+    /** Set the camera: position, axes to the right, down and ahead, focal length and size in pixels. */
     look(eye, [right, down, ahead], focal, size) {
       this.size = size;
       this.share('uEye', eye);
@@ -275,7 +275,7 @@ globalThis.Phy124Stage = (() => {
       this.tinted();
     }
 
-    /** Whether there is a floor, and how high. */
+    /** Pass the height of the floor, if there is one, to the shader. */
     level() { this.set('uFloor', [this.height === null ? 0 : 1, this.height ?? 0, ...this.size]); }
   }
 

@@ -118,7 +118,7 @@ const auto spread_rises = [&](Lanes low, Lanes high) {
     const Lanes even = low + high, odd = 2.0f * GAUSS * (low - high);
     return Three{-even - odd, 2.0f * odd, even - odd};
 };
-// `differentiate` returns slopes in this unit, `interpolate` values in the other.
+// Units of the slopes that `differentiate` returns, and of the values that `interpolate` returns.
 const float SLOPE = per_dx / (full ? 72.0f : 128.0f), VALUE = 1.0f / (full ? 216.0f : 512.0f);
 // Row-major matrices of slopes at the eight points: entry 3 d + axis.
 const auto differentiate = [&](const Lanes* values, Lanes (*slopes)[9]) {

@@ -1,6 +1,6 @@
 // The next sampled point that may touch a sampled point; sixteen points are compared at a time.
 // `places` contains six rows of numbers: the components of the current positions, and those of the
-// positions at rest. It is filled up to a multiple of sixteen points with infinite positions. The
+// positions at rest. `places` is filled up to a multiple of sixteen points with infinite positions. The
 // bounds are slightly widened, since the caller compares the distances again.
 // Python version: `touches` of lattice/partners.py.
 // Test: tests/test_meetings.py, test_simd_and_plain_flags_agree.

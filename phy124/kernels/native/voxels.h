@@ -65,7 +65,7 @@ for (int n = 0; n < count; ++n) {
             g[0] = r * (a - along * u[i]), g[1] = r * (b - along * v[i]);
             g[2] = r * (c - along * w[i]);
         }
-        // A sample at the surface counts at the centre of its filled part, and is as thin as it.
+        // A sample at the surface counts at the centre of its filled part, and is as thick as this part.
         const double moved = (0.5 * (h - 0.5 + top(h, i)) - h) * side;
         const double thinner = part * (part * part - 1.0) * side * side / 12.0;
         const double p[3] = {sample[0] + moved * g[0], sample[1] + moved * g[1],

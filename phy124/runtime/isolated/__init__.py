@@ -73,7 +73,7 @@ def run(
         Unfinished: The time is over, or the process crashed.
     """
     if getattr(sys, "frozen", False) or not sys.executable:
-        # There is no Python interpreter to start: the program would start itself.
+        # Without a separate Python interpreter, the program would start itself.
         return function(*arguments)
     order = pickle.dumps((memory, sys.path)) + pickle.dumps((function, arguments))
     with _log() as log:

@@ -92,7 +92,7 @@ def distances(shown: dict[str, Any]) -> str:
     places = " ".join(f"{x(time):.1f}" for time in times)
     mark = f'<line class="now" y1="{TOP}" y2="{BOTTOM}" data-places="{places}"/>'
     was = ", ".join(f"{value:g}" for value in shown["was"].values())
-    label = f"Distance between the outlines, up to {highest:.3f} of a pixel; dashed: before ({was})"
+    label = f"Distance between outlines, up to {highest:.3f} of a pixel; dashed: before ({was})"
     return _plot(label, [*drawn, mark], f"{times[0]:.2f} s", f"{times[-1]:.2f} s")
 
 
