@@ -84,7 +84,7 @@ def outlook(scene: Scene, rates: Rates) -> Outlook:
 
 
 def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
-    """Create the declaration of a fit of a result's stiffness to a video.
+    """Declare a fit that determines the stiffness of a result from a video.
 
     Args:
         done: The result to fit.

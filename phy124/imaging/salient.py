@@ -60,7 +60,7 @@ def resize_sharply(rgb: Pixels, size: int) -> Pixels:
 
 
 def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
-    """Resize the logistic function of the logits."""
+    """Convert logits to probabilities by the logistic function, and resize the result."""
     return resize((0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32), size)
 
 

@@ -206,7 +206,7 @@ class Shine:
         return None if v is None else np.nan_to_num(_length(v[which])[:, 0])
 
     def _break_up(self, gaussians: Gaussians) -> Gaussians:
-        """Return the Gaussians, of which broken material is divided into fragments."""
+        """Return the Gaussians, with broken material divided into fragments."""
         if self._fragments:
             means = gaussians.means.copy()
             for part in self._fragments:

@@ -82,7 +82,8 @@ def from_front(
         picture: Image of the front.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Function that is called with the number of finished steps, and also during a step.
+        step: Function that is called with the number of finished steps, after each step and during
+            it.
         depth: Depth map of the image; if None, the front is inflated like the back.
         back: Image of the object from behind.
         look: Look of the back if there is no image from behind.

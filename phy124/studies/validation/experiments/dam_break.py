@@ -99,8 +99,8 @@ def publish() -> tuple[Quantity, ...]:
 def release(cells: int, viscosity: float) -> Values:
     """Simulate the collapse of a column in a smooth channel, and measure its front and height.
 
-    The column is 1 m wide (a = 1 m), which is divided into `cells` cells, and 2 m high. The
-    viscosity is dynamic [Pa s].
+    The column is 2 m high and a = 1 m wide, with `cells` cells across its width. The viscosity is
+    dynamic [Pa s].
     """
     width, unit = 2 / cells, math.sqrt(1 / (2 * GRAVITY))
     x = fill((1, width, 2), cells)
