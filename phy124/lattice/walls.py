@@ -64,7 +64,7 @@ frequencies.
 
 
 class Boundary(Protocol):
-    """The members of a boundary (phy124.boundaries) that contact on lattices uses."""
+    """The attributes of a boundary (phy124.boundaries) that are needed for contact on lattices."""
 
     holds: ClassVar[bool]
     """Whether the boundary fixes material instead of only blocking it."""

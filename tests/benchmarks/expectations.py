@@ -340,7 +340,7 @@ def write_page(pairs: list[Pair]) -> None:
     days, where = {row["date"] for row in known}, {row["machine"] for row in known}
     parted = sum(pair.until is not None for pair in pairs)
     text = (
-        f"Measured on {'; '.join(sorted(where))}; {' to '.join(sorted(days))}. "
+        f"Measured on {'; '.join(sorted(where))}; {' to '.join(sorted({min(days), max(days)}))}. "
         f"{len(known)} rows, {len(pairs)} with an error; "
         f"in {parted} of them the motions diverge before the end."
     )

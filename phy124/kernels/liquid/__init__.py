@@ -4,10 +4,10 @@ The x component of the velocity is stored at the centre of each cell's low x fac
 components are stored at the centres of the low y and z faces. Pressure, density and distance from
 the surface are stored at cell centres.
 
-A step computes velocities of faces from the particles (`faces`), the surface (`surface`), the
-pressure (`pressure`, `conjugate`), velocities outside the liquid (`spread`), and velocities of
-particles from the faces. It then moves particles out of walls (`walls`), and moves particles again
-to restore the density (`packing`).
+A step first computes the velocities of faces from the particles (`faces`). Then it computes the
+surface (`surface`), the pressure (`pressure`, `conjugate`), velocities outside the liquid
+(`spread`), and finally the velocities of particles from the faces. It then moves particles out of
+walls (`walls`), and moves particles again to restore the density (`packing`).
 
 In a window of the grid, cell (i, j, k) has the number (i size_y + j) size_z + k. The low corner of
 the window is at origin + low dx. Walls are described by their signed distance at points with half

@@ -128,17 +128,18 @@ EXPERIMENT = Experiment(
     source="Martin and Moyce 1952: columns that are 1.125 and 2.25 inch wide (as digitised by "
     "PySPH), and tables 2 and 6 (as published with Ocellaris); the inviscid front is from a "
     "separate two-dimensional computation with 128 cells across the column",
-    measured="A projected liquid in a smooth channel. The experiment measures the position Z of "
-    "the front divided by the column's width a at dimensionless times T = t √(2g/a), the front's "
-    "mean speed dZ/dT between two positions and between two times, and the height of the water "
-    "at the wall divided by the initial height at times T/√2. The front is at the first gap "
-    "wider than a cell.",
+    measured="A projected liquid flows in a smooth channel. The experiment measures the "
+    "position Z of the front, divided by the column's width a, at dimensionless times T = t "
+    "√(2g/a). The front is at the first gap wider than a cell. The experiment also measures the "
+    "front's mean speed dZ/dT between two positions and between two times, and the height of the "
+    "water at the wall, divided by the initial height, at times T/√2.",
     band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
     "widened by 2 %, since positions were read to within 0.02; heights: ±0.02, since the table's "
     "heights have steps of 0.05 to 0.06. The front's positions are not compared with the "
-    "experiment. There, the gate and the friction of the floor delay the water: at each time, its "
-    "front has travelled 9 to 20 % less. A delay of T = 0.25 explains this to within 2 %. The "
-    "speeds of the front are therefore compared; they agree best between two positions",
+    "experiment. In the experiment, the gate and the friction of the floor delay the water: at "
+    "each time, the front has travelled 9 to 20 % less. A delay of T = 0.25 explains this to "
+    "within 2 %. The speeds of the front are therefore compared; they agree best between two "
+    "positions",
     published=publish,
     run=lambda cells: release(cells, 0.0),
     control=lambda cells: release(cells, PASTE),
