@@ -2,8 +2,8 @@
 
 Topics are reliable and transient local by default, as recommended in REP-2003 for sensor data.
 Every subscriber is therefore compatible, and a late subscriber gets the last messages. To add a
-topic, declare it here (and in `RECORDED`, if recordings contain it). Its messages are sent by the
-module that computes their content: `encoder`, `reports` or `steering/loop`.
+topic, declare it here (and in `RECORDED`, if recordings contain it). The module that computes the
+content of a topic also sends the messages: `encoder`, `reports` or `steering/loop`.
 """
 
 from __future__ import annotations

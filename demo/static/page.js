@@ -1,4 +1,4 @@
-/* The panels of the page: progress, stage, results, report. Each is a function that Gradio's
+/* The panels of the page: progress, stage, results, report. Each panel is a function that Gradio's
  * gr.HTML calls once with its element; `watch` calls back when Python sends a new value. */
 'use strict';
 (() => {

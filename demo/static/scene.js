@@ -1,5 +1,5 @@
 /* The scene editor: preset cards, *Adjust* with the few most important controls, and a dialog with every setting
- * (form.js). Its value is the whole scene as plain data. */
+ * (form.js). The editor's value is the whole scene as plain data. */
 'use strict';
 (() => {
   const { h, moving, announce, sounds, places, asLink, shared, Form, clone, words } = globalThis.Phy124;

@@ -4,8 +4,8 @@
     python docs/guide/push_square.py --plot square.png
 
 The controller reads the position of the object's centre of mass from /tf. For each message it sends
-a force on /phy124/live/push that is proportional to the error and to the rate of the error. It
-needs cyclonedds and NumPy.
+a force on /phy124/live/push that is proportional to the error and to the rate of the error. The
+program needs cyclonedds and NumPy.
 """
 
 import argparse

@@ -227,7 +227,7 @@ def _describe_outside(
 ) -> str:
     """Describe a property of the scene outside the measured range; return "" if there is none.
 
-    A value that makes the error smaller is not reported. It is replaced by the nearest measured
+    A value that makes the error smaller is not reported, but replaced by the nearest measured
     value.
     """
     for name, words in HARDER.items():

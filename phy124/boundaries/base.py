@@ -349,10 +349,10 @@ def contact_mass_fraction(model: Model) -> float:
 def seep_distance(model: Model) -> float:
     """Return the signed distance from a wall [m] below which each node responds on its own.
 
-    The distance applies in columns of nodes that the wall does not push. It is finite for material
-    that separates into drops or grains. With an infinite distance, drops and grains behind a wall
-    would stay there while the other material moves away. For cohesive material the distance is
-    minus infinity, because individual nodes would stop the material before it touches the wall.
+    The distance applies in columns of nodes that the wall does not push. The distance is finite for
+    material that separates into drops or grains. With an infinite distance, drops and grains behind
+    a wall would stay there while the other material moves away. For cohesive material the distance
+    is minus infinity, because individual nodes would stop the material before it touches the wall.
     """
     apart = any(section.rounds for section in model.materials)
     return REACH * model.dx if apart else -math.inf

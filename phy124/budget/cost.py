@@ -223,7 +223,7 @@ def longest_substeps(scene: Scene) -> NDArray[np.float64]:
     """
     materials = scene.materials
     if scene.mixes:
-        # These are the substeps of the other materials; the liquid takes fewer steps.
+        # Only the other materials count, because the liquid takes fewer steps.
         materials = [section for section in materials if section.law != "fluid"]
     elif scene.projects:
         # `viscous_limit` is the time in which viscosity diffuses an eighth of the velocity.

@@ -114,7 +114,8 @@ class Force(Section):
         """Return the force for a part of a model, or None if the force does not act in this part.
 
         The part's share of each sum over particles is the part's mass divided by the model's mass.
-        A uniform acceleration acts in every part. It moves no held body, but observers read it.
+        A uniform acceleration acts in every part. In held bodies it causes no motion, but observers
+        read it.
         """
         if self.uniform and not self.totals:
             return self

@@ -1,7 +1,8 @@
 """Kept: the state of an object, as the attributes that its class names once.
 
 A snapshot consists of arrays and plain data, which can also be stored in a file
-(phy124/pipeline/resume.py). It shares no memory with the object, and can be restored repeatedly.
+(phy124/pipeline/resume.py). A snapshot shares no memory with the object, and can be restored
+repeatedly.
 """
 
 from dataclasses import fields, is_dataclass

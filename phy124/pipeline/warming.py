@@ -59,7 +59,8 @@ def warm(scenes: Sequence[Scene], context: RunContext) -> int:
 def object_of_points() -> Gaussians:
     """Return a ball of Gaussians that are much smaller than their distances.
 
-    Its solid has an eighth of the voxels of other solids, whose voxels take longer than the runs.
+    The solid of such a ball has only an eighth of the usual number of voxels. Computing all voxels
+    would take longer than the runs.
     """
     full = ball(1000)
     return replace(full, scales=0.01 * full.scales)

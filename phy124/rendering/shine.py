@@ -150,7 +150,8 @@ class Shine:
     def pack(self, clip: Clip) -> tuple[Clip, dict[str, Any]]:
         """Return the clip with liquids shaped for rendering, and its gloss, for the player.
 
-        All is plain data, except for `hues` [T,N,4], the colours and opacities in all frames.
+        All parts of the gloss are plain data, except for `hues` [T,N,4], the colours and opacities
+        in all frames.
         """
         laws = [
             {"gloss": list(GLOSSES[law]), "outwards": law != "metal", "runs": runs_of(which)}

@@ -1,7 +1,7 @@
 """Finds the legs and wheels of objects that are seen from their side, and puts them on both sides.
 
 Animals and vehicles are symmetric about the vertical plane through their length, which is the plane
-of the image. Their legs and wheels are not in this plane, but in pairs on both sides of it. An
+of the image. Legs and wheels are not in this plane, but in pairs on both sides of the plane. An
 object whose inflated legs stay in the plane would look like a wheel on a stick from in front.
 
 The legs are the parts of the silhouette below the arch, which is the largest gap between the parts

@@ -1,8 +1,9 @@
 """Recognises objects with parts that are thinner than they are wide: wings, fish, and wheels.
 
-Wings, pairs of lenses and pairs of hands are sheets. Their outline is symmetric, and has a notch in
-the middle of its upper edge and of its lower edge. The body of a fish becomes narrower towards a
-tail, whose fin is higher again. Bicycles stand on two discs, at their left and right ends.
+Wings, pairs of lenses and pairs of hands are sheets. The outline of such sheets is symmetric, and
+has notches in the middle of the upper and of the lower edge. The body of a fish becomes narrower
+towards a tail, whose fin is higher again. Bicycles stand on two discs, at their left and right
+ends.
 """
 
 from __future__ import annotations

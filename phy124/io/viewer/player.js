@@ -1,5 +1,5 @@
 /* Plays moving Gaussians. PlayCanvas (global `pc`) sorts and draws them. This file passes the Gaussians of the
- * current time to PlayCanvas, and adds the controls. It uses pack.js, which may be loaded after this file.
+ * current time to PlayCanvas, and adds the controls. The script pack.js may be loaded after this file.
  *
  *   const player = await Phy124Player.mount(element, bytes);
  *   player.seek(0.5); player.dispose();
@@ -314,8 +314,8 @@ globalThis.Phy124Player = (() => {
     /** Factor on the camera's distance for pictures that are higher than wide, since the field of view is vertical. */
     get narrow() { const [width, height] = this.pixels; return Math.max(1, height / width); }
 
-    /** The direction and zoom of the view, relative to the clip's first view. They can be used for another clip, whose
-     * object has another position and size. */
+    /** The direction and zoom of the view, relative to the clip's first view. Another player can use them for a
+     * clip whose object has another position and size. */
     get stance() {
       const { azimuth, elevation, radius } = this.pose;
       return { azimuth, elevation, zoom: radius / this.pack.view.radius / this.narrowThen };

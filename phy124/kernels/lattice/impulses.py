@@ -1,7 +1,7 @@
 """Kernels that sum the impulses of walls on surface points, and of clamps on nodes.
 
 The contact force on a point acts during the kick of a substep. The clamps change the node's
-momentum. Their impulse on the node is this change, minus the contact impulses on the node.
+momentum. The impulse of the clamps is this change, minus the contact impulses on the node.
 `make_add_momentum` subtracts the node's momentum before the clamps act, and adds the momentum
 afterwards. `make_pass_on` subtracts the contact impulses. The sums are float64, since a frame may
 have thousands of substeps.

@@ -6,8 +6,8 @@ the surface are stored at cell centres.
 
 A step first computes the velocities of faces from the particles (`faces`). Then it computes the
 surface (`surface`), the pressure (`pressure`, `conjugate`), velocities outside the liquid
-(`spread`), and finally the velocities of particles from the faces. It then moves particles out of
-walls (`walls`), and moves particles again to restore the density (`packing`).
+(`spread`), and finally the velocities of particles from the faces. At the end, the step moves
+particles out of walls (`walls`), and moves particles again to restore the density (`packing`).
 
 In a window of the grid, cell (i, j, k) has the number (i size_y + j) size_z + k. The low corner of
 the window is at origin + low dx. Walls are described by their signed distance at points with half

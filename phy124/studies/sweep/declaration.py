@@ -234,8 +234,8 @@ class Sweep(Section):
     scene: str = "press"
     """Preset or .toml file on which all clips are based."""
     set: dict[str, Annotated[Axis, BeforeValidator(parse_axis)]] = Field(default={})
-    """Values of the scene by their dotted path, such as material.E. Each is one value, a list, a
-    range, or a distribution.
+    """Values of the scene by their dotted path, such as material.E. Each entry is one value, a
+    list, a range, or a distribution.
     """
     samples: int | None = Field(default=None, ge=1, le=10_000_000)
     """Number of clips, sampled evenly from all axes; None: all combinations of the values."""

@@ -71,7 +71,8 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
 def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array]:
     """Return the particles of `ball_of_shells` with positive coordinates on the first `cuts` axes.
 
-    The particles are sorted by x. Their volumes add up to the volume of this part of the ball.
+    The particles are sorted by x. The particles' volumes add up to the volume of this part of the
+    ball.
     """
     x, volume = ball_of_shells(radius, spacing)
     part = (x[:, :cuts] > 0).all(axis=1)

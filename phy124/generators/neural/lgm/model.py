@@ -186,8 +186,8 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""The option "all" of `Rotations` is rare. It is chosen only if its error is below this fraction of
-the error of the option "each"."""
+"""The option "all" of `Rotations`, which is rarely right, is chosen only if its error is below this
+fraction of the error of "each"."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:

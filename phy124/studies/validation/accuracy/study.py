@@ -54,7 +54,8 @@ class Study:
     """Device, threads and progress.
 
     Progress is called with ("study", index of the setting, number of settings), also during a
-    setting. It may raise Cancelled, which ends the study, or Stopped, which skips this setting.
+    setting. The callback may raise Cancelled, which ends the study, or Stopped, which skips this
+    setting.
     """
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE

@@ -121,7 +121,7 @@ def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
 
     The heap starts at time t0 from the similarity solution, with the height `(1 - r^2 /
     R^2)^(1/3)`, and spreads until `longer` times t0. The heap's radius is sqrt(7/3) times the root
-    mean square of the particles' distances from the axis. This is exact for the similarity
+    mean square of the particles' distances from the axis. This relation is exact for the similarity
     solution. One quarter of the heap is simulated, with `cells` cells across its initial height.
     The viscosity is kinematic [m^2/s].
     """
