@@ -204,7 +204,7 @@
       this.say(reads ? 'Reading the file and drawing its orientations …' : `Cutting out the object${seconds ? `, about ${seconds} s` : ''} …`);
       follow(job, (told) => {
         if (this.following !== job) return false;
-        if (told.state === 'waiting' && told.place) this.say(`Waiting: ${told.place} before your ${reads ? 'file' : 'picture'}`);
+        if (told.state === 'waiting' && told.place) this.say(`Waiting: ${told.place} before you`);
         else if (told.state === 'lost') this.say('The connection was lost. Reconnecting …');
         return true;
       }, (told) => {

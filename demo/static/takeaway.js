@@ -15,7 +15,7 @@
       h('strong', {}, label), h('span', {}, hint), h('em', {}, size(file.size || 0)));
     const button = ({ kind, label, hint, about }) => h('button', { type: 'button', class: 'file', 'data-kind': kind, 'aria-busy': making.has(kind) && 'true',
       onclick: (event) => { begin(kind); event.currentTarget.setAttribute('aria-busy', 'true'); event.currentTarget.append(h('progress', { 'aria-label': `Making ${label}` })); } },
-    h('strong', {}, label), h('span', {}, hint), h('em', { class: about > LARGE ? 'warn' : '' }, about ? `Make, about ${size(about)}${about > LARGE ? ': large' : ''}` : 'Make'),
+    h('strong', {}, label), h('span', {}, hint), h('em', { class: about > LARGE ? 'warn' : '' }, about ? `Make (${about > LARGE ? 'large, ' : ''}about ${size(about)})` : 'Make'),
     making.has(kind) ? h('progress', { 'aria-label': `Making ${label}` }) : null);
     const film = ({ label, file }) => {
       const video = h('video', { src: file.url, loop: true, playsinline: true, autoplay: !calm(), preload: 'auto', tabindex: 0, 'aria-label': label });

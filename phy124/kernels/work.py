@@ -22,8 +22,8 @@ from phy124.kernels.transfer import Law, member
 IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
 """Index of each sum (of the first component for the impulse), and the number of sums.
 
-`MOVED` and `TURNED` are the sums of the norms of all impulses and of the absolute values of work.
-For forces on particles, each term is the sum over a thread's particles.
+`MOVED` is the sum of the norms of all impulses, and `TURNED` the sum of the absolute values of
+work. For forces on particles, each term is the sum over a thread's particles.
 """
 
 

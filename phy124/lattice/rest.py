@@ -77,7 +77,7 @@ class RestLattice:
         spans: Sequence[slice] = (slice(None),),
         copies: NDArray | None = None,
     ) -> RestLattice:
-        """Return the lattices for the integration points of all bodies; no node has two bodies.
+        """Return the lattices for the integration points of all bodies; bodies share no nodes.
 
         Args:
             x: Positions of the points at rest [P,3], m; eight consecutive points form a cell.

@@ -37,7 +37,7 @@ class BodyWork(Kept):
         """Work on each body since the start [B], J."""
 
     def start(self) -> None:
-        """Sum work from the next step on."""
+        """Start to sum the work, from the next step on."""
         self.on = True
 
     def begin(self) -> None:
