@@ -93,7 +93,9 @@ class Recording:
 
     def _complain(self, what: str, error: Exception) -> None:
         lost = f"all frames after {self.saved}" if self.saved else "all frames"
-        warnings.warn(f"{what}, so {lost} would be lost if the run is killed ({error})", stacklevel=3)
+        warnings.warn(
+            f"{what}, so {lost} would be lost if the run is killed ({error})", stacklevel=3
+        )
 
     def pause(self, run: Simulation) -> None:
         """Write the state of the solver after the last frame.
