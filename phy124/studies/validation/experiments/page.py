@@ -241,7 +241,8 @@ def _section(outcome: Outcome, link: str) -> str:
         f"- Source: {e.source}.",
         f"- Band: {e.band}.",
         f"- Control: {e.mistake}.",
-        f"- Cells across {e.across}: {', '.join(map(str, e.grids))}; {outcome.seconds:.0f} s.",
+        f"- Cells across {e.across}: {', '.join(map(str, e.grids))}; CPU time of all runs: "
+        f"{outcome.seconds:.0f} s.",
     ]
     if outcome.missed:
         lines.append(f"- **Outside:** {e.reason or 'the reason is not known.'}")
