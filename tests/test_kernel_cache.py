@@ -157,6 +157,19 @@ def test_equal_code_of_two_modules_is_compiled_once(cache, monkeypatch):
     assert len(copied) == 1
 
 
+def test_templates_of_headers_are_instantiated_once(monkeypatch, tmp_path):
+    module, compiler, built = wp._src.context.Module, wp._src.build, []
+    monkeypatch.setattr(module, "load", lambda *_, **__: None)
+    monkeypatch.setattr(module, "_compile", module._compile)
+    monkeypatch.setattr(compiler, "build_cpu", lambda *_, **options: built.append(options))
+    kernel_cache.keep_sound()
+    source = tmp_path / "wp_test_0123456/wp_test_0123456.cpp"
+    source.parent.mkdir()
+    source.write_text("")
+    compiler.build_cpu(str(source.with_suffix(".o")), str(source), extra_flags="-march=native")
+    assert built == [{"extra_flags": f"-march=native {kernel_cache.INSTANTIATE}"}]
+
+
 def test_what_another_process_compiles_is_awaited(cache, monkeypatch):
     assert works(adding())
     folder = stored(cache, ".o").parent

@@ -39,6 +39,12 @@ LOCKS = "locks"
 compilation."""
 LONGEST_WAIT = 120
 """Longest wait for another process that compiles the same module [s]; it may have been paused."""
+INSTANTIATE = "-fpch-instantiate-templates"
+"""Flag with which templates of the headers are instantiated once, in the precompiled headers.
+
+Otherwise the compiler instantiates them again for each module, which takes 0.1 s. The object files
+are the same.
+"""
 OLD = 600
 """Age at which temporary headers count as abandoned [s]; compiling headers takes only seconds."""
 
@@ -70,10 +76,13 @@ def keep_sound() -> None:
         with _alone(place), _building(place):
             return build(module, device, folder, *rest, **options)
 
-    def compile_new(made: Any, source: Any, *rest: Any, **options: Any) -> None:
+    def compile_new(
+        made: Any, source: Any, *rest: Any, extra_flags: str = "", **options: Any
+    ) -> None:
         twin = _find_twin(Path(made), Path(source))
         if twin is None:
-            compile_cpu(made, source, *rest, **options)
+            flags = f"{extra_flags} {INSTANTIATE}"
+            compile_cpu(made, source, *rest, extra_flags=flags, **options)
         else:
             shutil.copyfile(twin, made)
 
@@ -327,7 +336,7 @@ def headers_folder() -> Path:
     headers.
     """
     header = Path(wp.__file__).parent / "native" / "builtin.h"
-    identity = f"{header} {header.stat().st_mtime_ns}"
+    identity = f"{header} {header.stat().st_mtime_ns} {INSTANTIATE}"
     name = f"headers_{hashlib.sha256(identity.encode()).hexdigest()[:8]}"
     return Path(str(wp.config.kernel_cache_dir)) / name
 
