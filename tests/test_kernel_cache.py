@@ -15,7 +15,7 @@ from phy124.kernels.build import kernel
 from phy124.runtime import kernel_cache, startup
 from phy124.runtime.compiling import compile_missing, is_compiled
 from phy124.runtime.failures import Kind, failure
-from phy124.runtime.kernel_cache import headers_folder
+from phy124.runtime.kernel_cache import has_headers, headers_folder
 from phy124.runtime.startup import start
 from phy124.weights.store import hub_cache
 
@@ -25,12 +25,13 @@ COMPILED: dict[str, bytes] = {}
 
 @pytest.fixture
 def cache(monkeypatch, tmp_path):
-    """An empty cache, but with the compiler's headers if there are any."""
+    """An empty cache, but with the compiler's headers."""
     start()
+    if not has_headers():
+        compile_missing([adding("phy124_test_headers")])
     headers = headers_folder()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    if headers.exists():
-        headers_folder().symlink_to(headers)
+    headers_folder().symlink_to(headers)
     build = wp._src.build.build_cpu
 
     def build_once(made: str, source: str, **options) -> None:
