@@ -72,8 +72,8 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "each": int,  # number of items, or of nodes in a row, that a thread handles
         "stride": int,
         "count": int,  # number of items
-        "mass": t.reals,  # of the particles [kg]
-        "volume": t.reals,  # of the particles at rest [m^3]
+        "mass": t.reals,  # masses of the particles [kg]
+        "volume": t.reals,  # volumes of the particles at rest [m^3]
         "theta": wp.array(dtype=wp.types.vector(width, real)),  # parameters of the law
         "dx": real,  # spacing of the grid [m]
         "lattice": t.vec4,  # origin x, y, z and spacing of the grid [m]

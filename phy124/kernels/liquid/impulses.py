@@ -175,7 +175,7 @@ def make_wall_impulses(real: Any):
                     owner = wall_across(cell, axis, jump, size, distances, owners, dx)
                     if owner >= 0:
                         way = way_to_wall(cell, axis, jump, size, distances, dx)
-                        # This is p dt / (density dx) at the wall.
+                        # `here` is p dt / (density dx) at the wall.
                         here = real(pressure[n])
                         here += head_along(way, axis, clock[0], a, gains, n, densities, dx)
                         if phi[n] > real(0.0):

@@ -46,7 +46,7 @@ _WRITTEN: dict[str, Any] = {
     "depths": wp.array(dtype=float),  # [m]
     "corners": wp.array2d(dtype=int),  # marks at the corners of each splat's tiles
     "counts": Ints,
-    "outlines": wp.array(dtype=Outline),  # of the solids
+    "outlines": wp.array(dtype=Outline),  # outlines of the solids
     "image": wp.array(dtype=wp.vec3),  # colour of each pixel
     "alpha": wp.array(dtype=float),  # of each pixel
     "sums": wp.array(dtype=wp.vec3),
