@@ -70,7 +70,7 @@ class Maxima(NamedTuple):
 
     @classmethod
     def of(cls, row: NDArray[np.float64]) -> Maxima:
-        """Convert an array of numbers, as defined in `phy124.kernels.measure`, to maxima."""
+        """Convert an array with the layout of `phy124.kernels.measure` to maxima."""
         speed, gradient, stiffness = row[[SPEED, GRADIENT, STIFFNESS]].tolist()
         return cls(Extremes(speed, gradient, stiffness), -row[LOW : LOW + 3], row[HIGH : HIGH + 3])
 

@@ -176,7 +176,7 @@ class Track:
 
         Args:
             value: The value at factor 1.
-            profile: Factors since the start.
+            profile: Factors over time, measured from `start`.
             start: Time from which the track is active [s].
             end: Time until which the track is active [s].
             mean: Whether the value is averaged over each kick.
