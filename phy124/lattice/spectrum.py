@@ -105,8 +105,8 @@ class Spectrum:
         """Set the factor on the initial stiffness of all materials, and return `stiffness`.
 
         A larger factor shortens substeps immediately, because the frequency is measured only after
-        a substep. A factor below 1 is ignored, so that substeps are shorter than necessary while
-        the body is at rest.
+        a substep. A factor below 1 is ignored, although substeps are then shorter than necessary
+        for a body at rest.
         """
         stiffened = max(1.0, factor)
         ratio, self._stiffened = stiffened / self._stiffened, stiffened

@@ -242,7 +242,8 @@ class Recorder:
     def _clear(self, index: int, *, velocities: bool = False) -> Iterator[Named]:
         """Yield the launches that clear a worker's nodes before the scatter.
 
-        `velocities`: clear `Grid.nodes` instead of the momenta, if these are separate arrays.
+        If `velocities` is set, `Grid.nodes` is cleared instead of the momenta, if these are
+        separate arrays.
         """
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_

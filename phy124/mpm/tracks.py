@@ -223,7 +223,7 @@ class Track:
         return fastest
 
     def largest_jump(self, end: float) -> float:
-        """Return the largest norm of a sudden change of the rate of change before `end` [s]."""
+        """Return the largest norm by which the value's rate jumps before `end` [s]."""
         times = np.array([time for time, _ in self.keys])
         rates = np.zeros((len(times) + 1, 3))
         rates[1:-1] = np.diff([value for _, value in self.keys], axis=0) / np.diff(times)[:, None]
