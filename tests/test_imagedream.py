@@ -272,10 +272,12 @@ def test_picture_latents_are_a_sample_of_the_posterior(vae, expected):
 
 
 def test_same_seed_same_views_and_progress_per_step(unet, vae, monkeypatch):
+    assert pipeline.SIZE == 256
+    monkeypatch.setattr(pipeline, "SIZE", 64)
     generator = ImageDream(steps=1, parts=TinyParts(unet, vae))
     image, steps = torch.rand(3, 40, 40, generator=torch.Generator().manual_seed(0)), []
     first = generator(image, seed=3, progress=lambda *arguments: steps.append(arguments))
-    assert first.shape == (5, 3, 256, 256)
+    assert first.shape == (5, 3, 64, 64)
     assert float(first.min()) >= 0 and float(first.max()) <= 1
     assert steps == [("imagedream", 0, 1), ("imagedream", 1, 1)]
     monkeypatch.setattr(pipeline, "decode", lambda vae, latents: latents)

@@ -22,6 +22,10 @@ PARTICIPLES = re.compile(
     r"|cut|(?!(embed|exceed|feed|need|proceed|seed|shed|speed)$)[a-z]+ed)"
 )
 """Names of functions that read like values. Properties are values, so they may have them."""
+SUSPECT = re.compile(
+    rf"\b_*({'|'.join(sorted(NAMES))})_*(\s*[^\w\s'\"`.;]|\s+in\b)|\bdef\s+{PARTICIPLES.pattern}\b"
+)
+"""Code without any such text has no bad name."""
 PUBLIC = {"named", "replaced"}
 """Methods of `phy124.Scene` that users call by these names."""
 FILLERS = re.compile(
@@ -50,6 +54,8 @@ def list_rooms() -> dict[str, list[Path]]:
 
 def find_names(code: str) -> Iterator[tuple[int, str]]:
     """Line and name of each badly named function, parameter and variable."""
+    if not SUSPECT.search(code):  # parsing takes much longer
+        return
     for node in ast.walk(ast.parse(code)):
         match node:
             case ast.FunctionDef(name=name, decorator_list=decorators):
