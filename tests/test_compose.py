@@ -21,6 +21,8 @@ from phy124.scene import View
 from support.clips import flight
 from support.videos import read_video
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 ROOT = Path(__file__).parents[1]
 SIZE = (160, 120)
 

@@ -16,6 +16,8 @@ from phy124.scene import Scene, preset_names
 from phy124.simulation import Simulation, prepare
 from phy124.studies.validation.bodies import surface_of_ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 
 @pytest.mark.parametrize("name", preset_names())
 def test_every_remedy_can_be_followed(name):

@@ -19,6 +19,8 @@ from phy124.simulation import Simulation, prepare
 from support.scenes import each_preset
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 QUICK = {"accuracy": {"cells": 12}, "time.frames": 6}
 
 

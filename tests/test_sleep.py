@@ -17,6 +17,8 @@ from phy124.studies.validation.bodies import lattice
 from support.runs import resumed
 from support.shapes import ball
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 UP = (0.0, 0.0, 1.0)
 BLOW = {"kind": "impulse", "p": [0, 200.0, 0], "start": 0.25, "duration": 0.02}
 DAMPING = {"kind": "wind", "v": [0, 0, 0], "rate": 200.0}

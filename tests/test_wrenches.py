@@ -19,6 +19,8 @@ from support.pages import ROOT
 from support.runs import resumed
 from support.shapes import ball, thrown_block
 
+pytestmark = pytest.mark.usefixtures("coarse_solids")
+
 SCENE = {"accuracy": {"cells": 8}, "time.frames": 4, "time.fps": 60.0, "wrenches": True}
 
 
