@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Up and front directions that each file format prescribes."""
 STL_HEAD = 84
-"""Size of a binary STL file's header [bytes], which ends in the number of triangles."""
+"""Size of a binary STL file's header [bytes]. The header ends with the number of triangles."""
 STL_ROW = 50
 """Size of each triangle in a binary STL file [bytes]."""
 LARGEST = 200_000_000
@@ -44,10 +44,11 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh file."""
 COUNT = 24_000
-"""Number of Gaussians of a mesh as a further object of a scene. With fewer, edges would look
-ragged."""
+"""Number of Gaussians for a mesh that is not the first object of a scene. With fewer Gaussians,
+edges would look ragged.
+"""
 OBJECT_COUNT = 50_000
-"""Number of Gaussians of a mesh as the first object of a scene."""
+"""Number of Gaussians for a mesh that is the first object of a scene."""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh whose file contains no colours."""
 FAR = 100.0
@@ -245,7 +246,9 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points on a mesh and check the mesh's resolution, in a separate process.
+    """Sample points on a mesh and check the mesh's resolution.
+
+    This function is called in a separate process.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -401,7 +404,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return the colours [N,3 or 4] in 0..255 of points on a piece, or None without colours."""
+    """Return the colours [N,3 or 4], 0..255, of points on a piece; None if it has no colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MIN_OPACITY = 0.005
 """Smallest opacity of Gaussians that are kept; LGM uses the same value when it saves a file."""
 TAIL = 0.005
-"""Fraction of the total opacity outside the object's core, at each end of each axis."""
+"""The object's core excludes this fraction of the total opacity at each end of each axis."""
 MARGIN = 0.5
 """Largest distance of the object's Gaussians from the core, relative to the core's size."""
 
@@ -102,7 +102,8 @@ class Opened(NamedTuple):
 class PlyFile:
     """A generator that reads Gaussians from a file and ignores the image.
 
-    `phy124.pipeline.capture` separates an object from the floor, since this needs the scene.
+    The generator does not separate an object from the floor. `phy124.pipeline.capture` does this,
+    because it needs the scene.
     """
 
     path: str

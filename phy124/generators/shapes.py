@@ -11,12 +11,13 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 COUNT = 8000
 """Usual number of Gaussians of a shape, approximately."""
 TRIES = 6
-"""Number of random candidates per point on triangles, from which an evenly spaced subset is
-kept."""
+"""For each point on triangles, this number of random candidates is drawn. An evenly spaced subset
+of the candidates is kept.
+"""
 FLATNESS = 0.15
 """Thickness of the surface's Gaussians relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
-"""Direction towards the light with which the shape is shaded."""
+"""Direction towards the light that shades the shape."""
 AMBIENT = 0.72
 """Brightness of surfaces whose normal is perpendicular to the direction of the light."""
 CHECKS = 8
@@ -120,7 +121,7 @@ def _spread(points: NDArray) -> NDArray[np.float64]:
 
 
 def _area(half: NDArray) -> float:
-    """Return the area [m^2] of a box with half sides [3]; other shapes have less area."""
+    """Return the surface area [m^2] of a box with half sides [3]; other shapes have less area."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 

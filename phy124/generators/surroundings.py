@@ -16,9 +16,13 @@ from phy124.particles import clean, visible_area
 SAMPLE = 100_000
 """Number of Gaussians that are examined; they are chosen at even intervals."""
 MOST = 0.8
-"""Fraction of the visible area, or of the inner Gaussians, that belongs to the object."""
+"""The object is assumed to have this fraction of the visible area or, if there is a sky, of the
+Gaussians below the sky.
+"""
 SMALL = 0.3
-"""Largest side of an object with a background, relative to the side of the bounding box."""
+"""A background is reported if the object's longest side is below this fraction of the side of the
+bounding box.
+"""
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
@@ -28,7 +32,7 @@ ROUNDS = 4
 FAR = 3.0
 """Smallest distance of a sky from the centre, relative to the radius of the object.
 
-The radius of the object contains the fraction `MOST` of the inner Gaussians.
+A sphere with the object's radius contains the fraction `MOST` of the Gaussians below the sky.
 """
 THIN = 0.2
 """The distances of a sky's Gaussians from the centre have at most this standard deviation, relative

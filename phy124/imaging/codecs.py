@@ -33,7 +33,7 @@ def strip_png(data: bytes) -> bytes:
     while place < len(data):
         end = place + CHUNK_FRAME + int.from_bytes(data[place : place + 4], "big")
         kind, chunk = data[place + 4 : place + 8], data[place:end]
-        # a capital letter marks a mandatory chunk
+        # names of mandatory chunks begin with a capital letter
         if kind == TRANSPARENCY or not kind[:1].islower():
             kept.append(chunk)
         elif kind in USEFUL:

@@ -53,9 +53,8 @@ ALIKE = 0.1
 In correct cut-outs, this fraction is 0.09.
 """
 UNDECIDED = 0.02
-"""Largest half-transparent area, relative to the object's area, away from the outline.
-
-A network's cut-out with a larger area is suspicious.
+"""A network's cut-out is suspicious if its half-transparent area away from the outline, divided by
+the object's area, exceeds this value.
 """
 FAINT = "No part of the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
@@ -71,7 +70,7 @@ class Method(NamedTuple):
     applies: Callable[[Image.Image], bool]
     """Function that returns whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Function that computes the alpha [H,W], in native code in `phy124.runtime.isolated`."""
+    """Function that computes the alpha [H,W]; `phy124.runtime.isolated` runs its native code."""
     title: str = ""
     """Name of the method in messages."""
 
@@ -83,7 +82,9 @@ class Cutout:
     picture: Image.Image
     """The image in mode RGBA, with straight (not premultiplied) alpha."""
     method: str
-    """Name of the method in `METHODS`; "mask" for a mask; "brush" if a person corrected it."""
+    """Name of the method in `METHODS`; "mask" if the user gave a mask; "brush" if a person
+    corrected the cut-out.
+    """
     coverage: float
     """Fraction of the image that the object covers."""
     pieces: int
@@ -93,7 +94,8 @@ class Cutout:
     unseen: float
     """Fraction of the outline along which the image has no edge."""
     alike: float
-    """Fraction of the surrounding pixels whose colours are more common in the object."""
+    """Fraction of the surrounding pixels whose colour is more common in the object than around it.
+    """
     undecided: float = 0.0
     """Ratio of the half-transparent area away from the outline to the object's area."""
     frames: int = 1
@@ -130,7 +132,8 @@ class Cutout:
 
     def _doubt_size(self) -> Iterator[str]:
         """Yield warnings that the size or position of the object is implausible."""
-        # Networks are exempt: they rarely include background, and persons are often cropped.
+        # Networks are exempt: their cut-outs rarely include background, but touch edges if a person
+        # is cropped by the picture.
         if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
             yield (
                 f"The cut-out touches {len(self.touches)} edges of the picture "
@@ -372,7 +375,7 @@ def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
 
 
 def _check_visible(image: Image.Image) -> None:
-    """Check that enough of an image with alpha is opaque to contain an object."""
+    """Check that an image with alpha has enough opaque pixels to show an object."""
     opaque = float(np.mean(np.asarray(image.getchannel("A")) > 127))
     if opaque >= MINIMUM:
         return

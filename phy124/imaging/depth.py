@@ -177,7 +177,7 @@ class DepthNetwork:
 
 
 def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return (top, left, bottom, right) [pixels] of a box around the object and surroundings."""
+    """Return top, left, bottom and right [px] of a box around the object and its surroundings."""
     rows, columns = np.nonzero(solid.any(axis=1))[0], np.nonzero(solid.any(axis=0))[0]
     height, width = solid.shape
     if not len(rows):

@@ -90,7 +90,7 @@ def has_rim(rgb: NDArray[np.uint8], solid: Solid) -> bool:
 
 
 def _find_edges(rgb: NDArray[np.uint8], solid: Solid) -> tuple[Solid, Solid]:
-    """Return masks, reduced to `SIDE` pixels, of edges well inside the object and of the object."""
+    """Return two masks, reduced to `SIDE` pixels: edges well inside the object, and the object."""
     ys, xs = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
     box = np.s_[ys[0] : ys[-1] + 1, xs[0] : xs[-1] + 1]
     rgb, solid = np.ascontiguousarray(rgb[box]), solid[box]

@@ -27,7 +27,9 @@ FAINT = 2.0
 WIDE = 2.0
 """Half the width of a soft edge in an image whose longest side is `FITTED` [pixels]."""
 FITTED = 640
-"""Longest side from which the width of soft edges increases in proportion [pixels]."""
+"""If the longest side of an image exceeds this value [pixels], its soft edges are assumed to be
+wider in proportion.
+"""
 HALF = 25
 """The alpha of a half-transparent pixel differs from 0 and from 255 by at least this value."""
 AROUND = 0.125

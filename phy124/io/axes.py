@@ -1,8 +1,8 @@
 """Converts the axes of a file to those of phy124, and rotates Gaussians.
 
 In the world of phy124, z is up and the object faces +x (docs/reference/conventions.md). If `rotate`
-is set, the file is rotated first. The arguments `up` and `front`, or the file's dialect, state
-directions in the rotated file.
+is set, the file is rotated first. `up`, `front` and the axes of the file's dialect then refer to
+the rotated file.
 """
 
 import math
@@ -27,7 +27,7 @@ DIALECTS = {
 }
 """Up and front directions in a file, by the program that wrote the file.
 
-TRELLIS rotates its z-up world to y down when it saves a file; SAM 3D Objects saves files with z up.
+TRELLIS works with z up, but its files have y down. SAM 3D Objects saves files with z up.
 """
 FRONTS = {"y": "z", "-y": "-z", "z": "x", "-z": "-x", "x": "y", "-x": "-y"}
 """Assumed front direction for each up direction, if only the up direction is known."""
@@ -165,13 +165,14 @@ def _rotate_colours(sh: NDArray, rotation: NDArray[np.float64]) -> NDArray:
     count = sh.shape[1]
     if count == 1:
         return sh
-    # Each unit harmonic is rotated once. The results are the rows of a matrix for all Gaussians.
+    # The rotated unit harmonics are the rows of a matrix. This matrix rotates the harmonics of all
+    # Gaussians.
     unit = np.repeat(np.eye(count, dtype=np.float32)[:, :, None], 3, axis=2)
     matrix = rotate_sh(unit, np.repeat(quaternions(rotation[None]), count, axis=0))[:, :, 0]
     return np.einsum("kj,nkc->njc", matrix, sh, optimize=True)
 
 
 def _usual_front(z: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the front direction that is assumed if this coordinate axis is nearest to up."""
+    """Return the usual front direction for an up direction `z`, from the axis nearest to `z`."""
     nearest = max(FRONTS, key=lambda axis: float(parse_direction("up", axis) @ z))
     return parse_direction("front", FRONTS[nearest])

@@ -30,11 +30,12 @@ FORMAT = "phy124-clip"
 VERSION = "1"
 """Format version that stores the Gaussians of every frame."""
 MOTION = "2"
-"""Format version that stores a motion, which yields the Gaussians."""
+"""Format version that stores a motion, from which the Gaussians are computed."""
 SPARE = " " * 8192
-"""Spare space in the header, so that a longer report can replace the first report."""
+"""Spaces that are added to the header, so that a longer report can later replace the first report.
+"""
 SMALL = 64e6
-"""Largest size of files that are read into memory when they are opened [bytes]."""
+"""Files up to this size [bytes] are read into memory; larger files are memory-mapped."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
 OPTIONAL = ("rotations", "velocities", "contacts")
 DESCRIBED = ("means", "quats", "scales", "rotations", "opacities", "sh", "object_id")
@@ -182,7 +183,9 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """The clip without its grains, whose number depends on the accuracy."""
+        """A copy of the clip without the grains of sand, because their number depends on the
+        accuracy.
+        """
         grains = self.report.get("grains", 0)
         if not grains:
             return self
@@ -249,7 +252,7 @@ class Clip:
         for index in range(len(self)):
             arrays = (self.means[index], self.quats[index], self.scales[index])
             if all(np.isfinite(array).all() for array in arrays):
-                continue  # The usual case; the search along rows takes twenty times as long.
+                continue  # usual case; the search for affected rows takes 20 times as long
             bad = ~np.all([np.isfinite(array).all(axis=1) for array in arrays], axis=0)
             count = np.count_nonzero(bad)
             sentences.append(
@@ -259,11 +262,13 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy whose file stores a motion instead of the arrays in `DESCRIBED`."""
+        """Return a copy of the clip; its file will store a motion instead of the arrays in
+        `DESCRIBED`.
+        """
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:
-        """Return the arrays that a motion describes."""
+        """Return the arrays that are computed from a motion, if the clip has one."""
         return tuple(getattr(self, name) for name in DESCRIBED)
 
     def with_report(self, report: dict[str, Any]) -> Clip:
@@ -450,7 +455,7 @@ def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
         header = json.loads(file.read(length))
         header["__metadata__"] = dict(sorted(metadata.items()))
         text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
-        # spaces keep the old length, because the tensors must not move
+        # spaces keep the header's length, because the tensors must not move
         if len(text) <= length:
             file.seek(8)
             file.write(text.ljust(length))
@@ -460,7 +465,7 @@ def _write_metadata(path: Path, metadata: Mapping[str, str]) -> bool:
 def _open_tensors(path: Path) -> dict[str, NDArray]:
     """Read the tensors of a small file, and memory-map those of a large file.
 
-    If another program cuts a memory-mapped file, the system ends the process that reads it.
+    If another program shortens a memory-mapped file, the system ends the process that reads it.
     """
     small = path.stat().st_size <= SMALL
     data = np.fromfile(path, np.uint8) if small else np.memmap(path, np.uint8, "r")

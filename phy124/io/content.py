@@ -39,7 +39,7 @@ Small objects of one colour compress well, so they may exceed the ratio.
 OBJECT = "object_id"
 """Name of the column with the object index of each Gaussian."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
-"""Largest number of harmonics per colour that is kept; harmonics of degree 4 are removed."""
+"""Largest number of harmonics per colour channel (degree 3). Harmonics of degree 4 are removed."""
 DEGREE_4 = "Harmonics of degree 4 are ignored."
 MOST_ID = 1e6
 """Largest object number; larger numbers are clipped, because float32 cannot resolve them."""
@@ -49,7 +49,7 @@ Y_UP = ("y", "z")
 """Up and front directions in glTF and SPZ files, where y is up."""
 AGAIN = "Copy or download the file again."
 _kept: ContextVar[float] = ContextVar("kept", default=0)
-"""Largest number of Gaussians of a file that a run keeps; 0 if there is no run."""
+"""The current run's limit on the number of Gaussians from a file; 0 if there is no run."""
 
 
 class Content(NamedTuple):
@@ -62,7 +62,7 @@ class Content(NamedTuple):
     axes: tuple[str, str | None] = Y_DOWN
     """Up and front directions of the file; if the front is None, `axes.FRONTS` states the front."""
     antialiased: bool = False
-    """Whether the Gaussians need Mip-Splatting's filter, with which they were trained."""
+    """Whether the Gaussians were trained with Mip-Splatting's filter, and must be drawn with it."""
     notes: tuple[str, ...] = ()
     """Sentences about columns that are ignored or read in an unusual way."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -75,7 +75,9 @@ class Content(NamedTuple):
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions; unchanged if float32 is too coarse for them."""
+        """The content with absolute positions, or unchanged if float32 cannot resolve these
+        positions.
+        """
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self
@@ -85,7 +87,7 @@ class Content(NamedTuple):
     def remarks(self, chosen: Gaussians | None = None) -> list[str]:
         """Return the notes, and a warning if the precision of the positions is too low.
 
-        By default, all Gaussians are used.
+        The positions of `chosen` are examined; by default, the positions of all Gaussians.
         """
         means = (self.gaussians if chosen is None else chosen).means
         coarse = describe_coarseness(means, self.step)
@@ -219,7 +221,7 @@ def check_size(kind: str, path: Path, count: int, *, more: float = 0.0) -> None:
 
 
 def drop_non_finite(raw: dict[str, NDArray]) -> tuple[Gaussians, int]:
-    """Return the Gaussians of all rows whose values are finite, and the number of other rows.
+    """Return the Gaussians whose values are all finite, and the number of the other Gaussians.
 
     Quaternions are normalised; a quaternion of length 0 becomes the identity.
     """
@@ -265,7 +267,7 @@ def content_of(
         axes: Up and front directions of the file.
         antialiased: Whether the file requests Mip-Splatting's filter.
         notes: Sentences about the file.
-        step: Smallest distance that the file can represent; None: from the centres, by `step_of`.
+        step: Smallest distance that the file can represent; if None, `step_of` computes it.
 
     Raises:
         InputError: If no Gaussian has finite values.
@@ -289,8 +291,8 @@ def assign_objects(
 ) -> tuple[dict[str, NDArray[np.int32]], list[str]]:
     """Return the object index of each Gaussian (None if there are no objects), and notes.
 
-    If `ids` [N] is NaN or negative, the Gaussian gets the object of the nearest Gaussian that has
-    one, measured between the centres [N,3].
+    If a Gaussian's entry in `ids` [N] is NaN or negative, the Gaussian gets the object index of the
+    nearest Gaussian with a valid index. Distances are measured between the centres [N,3].
     """
     if ids is None:
         return {}, []
@@ -315,19 +317,21 @@ FAR = 4
 """float32 is precise enough if an object's distance from the origin, divided by the object's size,
 is at most this value.
 
-If the ratio is larger, centres are stored relative to an origin, which has double precision.
+If the ratio is larger, an origin near the object is stored in double precision, and the centres are
+stored relative to it.
 """
 FINE = 20_000
 """Centres are also stored relative to an origin if the object spans fewer float32 increments than
 this number.
 """
 COARSE = 4000
-"""There is a warning if the object spans fewer increments of the file's positions than this number.
+"""The user is warned if the object's size, divided by the file's smallest distance, is below this
+value.
 """
 ENOUGH = 100_000
 """Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38
-"""Largest coordinate that is used, which is about the largest value of float32."""
+"""Centres with larger coordinates are ignored; the largest value of float32 is 3.4e38."""
 ENDS = (1, 99)
 """Percentiles of the coordinates that are used as the ends of an object; outliers are ignored."""
 
@@ -336,8 +340,8 @@ def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float6
     """Return centres [N,3] relative to an origin [3], and this origin.
 
     The origin is 0 unless float32 could not resolve the object. For example, in Earth-centred
-    captures, objects are 4,600 km or more from 0. At this distance, float32 values are half a metre
-    apart. The origin is subtracted in double precision.
+    captures, objects are 4,600 km or more from the Earth's centre along an axis. At this distance,
+    float32 values are half a metre apart. The origin is subtracted in double precision.
     """
     middle, extent = _middle(means)
     blurred = extent < FINE * spacing(middle)

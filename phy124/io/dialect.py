@@ -26,7 +26,7 @@ NORMALS = ("nx", "ny", "nz")
 SIGNED = ("phy124", "SuperSplat")
 """Programs that state their name in a comment of the file and use the usual axes."""
 UNIT = 1e-3
-"""Largest difference from 1 of the length of a unit quaternion."""
+"""A quaternion counts as a unit quaternion if its length differs from 1 by less than this value."""
 
 
 class Axes(NamedTuple):
@@ -37,7 +37,9 @@ class Axes(NamedTuple):
     said: bool
     """True if the file or its format states the directions; False if they are guessed."""
     program: str | None = None
-    """The program that probably wrote the file, and the reason; None for the usual file layout."""
+    """The program that probably wrote the file, and the reason for this guess; None for the usual
+    layout.
+    """
 
 
 def likely_axes(path: Path, axes: tuple[str, str | None]) -> Axes:

@@ -1,8 +1,9 @@
 """Writes output files atomically: a file appears, or replaces an older file, only when complete.
 
 An output path may also be a link, a device or a pipe. Links are followed, and output is written
-into devices and pipes. When a process ends for any reason, the operating system releases the locks
-of the process. A temporary file without a lock was therefore left by a killed process.
+into devices and pipes. A process locks its temporary files. When it ends for any reason, the
+operating system releases these locks. If a temporary file has no lock, its process must therefore
+have been killed.
 """
 
 import errno
@@ -149,7 +150,7 @@ PathLike = str | os.PathLike[str]
 MAKING = ".making-"
 """Prefix of the names of folders that are not yet complete."""
 RUNNING = f"{MAKING}run-"
-"""Prefix of the names of such folders if no other run may write to the output folder meanwhile."""
+"""Prefix of the name of an incomplete folder whose run does not share its output folder."""
 
 
 @contextmanager
@@ -162,8 +163,8 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
     Args:
         out: The folder to fill.
         keeps: Whether complete files are moved into `out` even if the block fails.
-        alone: Whether to raise an error if another `alone` block, in this or in another process, is
-            filling `out`.
+        alone: Whether this run does not share `out`. If another block with `alone`, in any process,
+            is filling `out`, an error is raised.
 
     Raises:
         InputError: If `out` is a file, cannot be written, or is being filled by another run.
@@ -190,7 +191,7 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
         why = "it is a file" if os.path.isfile(out) else f"it cannot be written ({reason})"
         raise InputError("out", out, f"{why}.", "Choose another folder.") from None
     try:
-        if others and held is not None:  # without locks, they may be leftovers of killed runs
+        if others and held is not None:  # without locks, these folders may be from killed runs
             limit = "another run is writing its results to this folder."
             raise InputError("out", out, limit, "Wait until it ends, or choose another folder.")
         with naming_full_disk(out):
@@ -208,7 +209,7 @@ def staging(out: PathLike, *, keeps: bool = False, alone: bool = False) -> Itera
 
 @contextmanager
 def naming_full_disk(folder: Path) -> Iterator[None]:
-    """Let an error about a full disk name the folder to which the block writes.
+    """Within this block, make errors about a full disk name the folder to which the block writes.
 
     Many such errors name no file, and others name a temporary file. An error that names a file
     outside the folder is not changed.
@@ -232,8 +233,9 @@ def naming_full_disk(folder: Path) -> Iterator[None]:
 
 
 def deliver(folder: Path) -> list[str]:
-    """Move the complete files of a `staging` folder, and the folders that contain files, to its
-    output folder; return their names.
+    """Move all complete files and non-empty folders from a `staging` folder to its output folder.
+
+    Return the names of these files and folders.
     """
     out, made = folder.parent, folder.glob("[!.]*")
     names = sorted(path.name for path in made if path.is_file() or any(path.iterdir()))

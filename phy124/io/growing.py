@@ -1,10 +1,10 @@
 """Writes the file of a clip during the run: each frame is written as soon as it is computed.
 
 If a run is killed, the file contains the finished frames. At the end of a run, `finish` writes the
-header, which makes the file a valid clip without a copy. The frames that `put` returns are
-memory-mapped views of the file, so they take no further memory. The finished clip is a hard link to
-the file. The link is created before the original name is removed, so the frames of a paused run are
-always on disk.
+header. The file is then a valid clip, and no frame needs to be copied. The frames that `put`
+returns are memory-mapped views of the file, so they take no further memory. The finished clip is a
+hard link to the file. The link is created before the original name is removed, so the frames of a
+paused run are always on disk.
 """
 
 from __future__ import annotations
@@ -155,7 +155,8 @@ class Growing:
         return kept, self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; return False if the clip's arrays are different.
+        """Complete the file and link it as `path`; return False if the clip does not match the
+        file.
 
         Raises:
             OSError: If the disk is full or the file system has no hard links.
@@ -252,7 +253,7 @@ class Growing:
         return json.dumps(text, ensure_ascii=False, separators=(",", ":")).encode()
 
     def _write(self, array: NDArray, offset: int) -> None:
-        """Write a whole array at an offset [bytes]; partial writes are continued."""
+        """Write a whole array at an offset [bytes], with as many system calls as are necessary."""
         left = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
         while len(left):
             done = os.pwrite(self._file, left.data, offset)

@@ -10,7 +10,7 @@ RECORDED = (
     "`python -m bridge info {}` describes it, and `ros2 bag play {}` plays it.",
 )
 NOT_ALONE = "meta.json"
-"""Message about a file that can be used only together with the other files of its folder."""
+"""Name of a file that can be used only together with the other files of its folder."""
 IN_FOLDERS = {
     NOT_ALONE: (
         "it is a folder with the files of an unpacked SOG.",
@@ -19,7 +19,8 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run, not a file.", "Give {}/clip.safetensors."),
 }
-"""Descriptions of folders, and remedies, by the name of a file that such a folder contains."""
+"""Description of a folder, and remedy, by the name of a file from which the folder is recognised.
+"""
 RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file, which is a recording of messages that the bridge writes."""
 PAGE = (

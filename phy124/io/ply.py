@@ -48,8 +48,9 @@ from phy124.io.plyheader import Header, read_header, refusal
 BLOCK = 1 << 16
 """Number of Gaussians that are written at once."""
 PLAIN, WIDER, TEXT = 68, 3, 70
-"""Three sizes that determine the memory for reading [bytes]: a row of degree 0, the memory per
-additional byte of a row, and the memory per value of an ascii row.
+"""Three constants from which the memory for reading is estimated [bytes]: the size of a binary row
+of degree 0, the memory for each further byte of a binary row, and the memory for each value of an
+ascii row.
 """
 FILTER = "filter_3D"
 """Column with the width of Mip-Splatting's filter, in the file's unit (Yu et al. 2023, eq. 7)."""
@@ -60,7 +61,7 @@ SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
-"""Columns that are known, so that there is no note about them.
+"""Columns that are not reported to the user as ignored.
 
 These columns are read, are not needed (normals), or repeat other columns (red, green, blue).
 """
@@ -68,7 +69,7 @@ ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
 """Thickness of a Gaussian without scale_2, relative to its shorter side."""
 MOST_NAMED = 12
-"""Largest number of unknown columns in a note; numbered columns count as one."""
+"""Largest number of unknown columns in a note; columns that differ only in a number count once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
 """Numbers of spherical-harmonic coefficients of degree 0 to 4."""
 STANDARD = "Export the file in the standard 3DGS layout."
@@ -108,7 +109,8 @@ def check_names(path: Path, header: Header) -> None:
 def read_columns(path: Path, table: NDArray[Any]) -> tuple[Columns, list[str]]:
     """Return the decoded columns, keyed by the fields of `Gaussians`, and notes about the columns.
 
-    `check_names` must have accepted the names of the columns of the table, the rows of `vertex`.
+    The table contains the rows of element `vertex`. Its column names must be accepted by
+    `check_names` before.
 
     Raises:
         InputError: If the number of harmonics belongs to no degree from 0 to 4.

@@ -20,7 +20,7 @@ TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""NumPy types by PLY's old and new names of number types."""
+"""NumPy type of each number type of PLY, by its old name (`float`) and its new name (`float32`)."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
 """Largest number of digits that the number of rows may have."""

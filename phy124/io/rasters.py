@@ -16,7 +16,8 @@ Raster = NDArray[np.float32]
 LARGEST = 65535
 """Largest 16-bit value."""
 MIDDLE = 32768
-"""Raw value of zero for signed quantities; the raw value 0 marks a pixel without a value."""
+"""Stored integer for the value zero of a signed quantity; 0 is stored for pixels without a value.
+"""
 PNG_EFFORT = 3
 """PNG compression level, 0 to 9."""
 

@@ -50,12 +50,11 @@ FILMS = {
     ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
     ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
 }
-"""For each extension of transparent videos: the pixel formats by number of channels, and the
-encoder.
+"""Pixel formats, by number of channels, and encoder options, by the extension of the video's file.
 """
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
-"""A pixel of a GIF is drawn from this alpha on; GIF has no half-transparent pixels."""
+"""A GIF shows the pixels whose alpha is at least this value; it has no half-transparent pixels."""
 SMALLEST = 16
 """Smallest width or height to which an animation is reduced to limit the file size."""
 CLEAR = 255

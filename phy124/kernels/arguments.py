@@ -79,8 +79,8 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "lattice": t.vec4,  # origin x, y, z and spacing of the grid [m]
         "window": Box,  # nodes of the body's grid on the lattice
         "box": Box,  # nodes that walls may reach, within the window
-        "clock": t.reals,  # kick, drift, time [s]
-        "values": t.vec4s,  # values of the tracks, and 1 if active; 0: uniform acceleration
+        "clock": t.reals,  # time steps of velocities (kick) and positions (drift); time [s]
+        "values": t.vec4s,  # value of each track, and 1 if active; slot 0: acceleration
         "rates": t.vec4s,  # current rates of change of the tracks [1/s]
         "slot": int,  # index of a track
         "geometry": t.mat33,  # three vectors that define a shape (distance.py)
@@ -98,17 +98,17 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
     }
     bodies_on_lattices = {
         "start": int,  # first item that this launch handles
-        "stop": int,  # the item after the last
-        "low": int,  # first node of the launch's forces
+        "stop": int,  # the item after the last that this launch handles
+        "low": int,  # first node on which the launch's forces act
         "full_blocks": int,  # number of blocks of full cells (lattice/simd.py)
-        "restore": real,  # gain of the speed at which points that penetrate move out [1/s]
-        "deep": real,  # depth from which more sweeps over points follow [m]
-        "exact": real,  # displacement by a correction at which sweeps over points end [m]
+        "restore": real,  # points move out of a surface at this rate times their depth [1/s]
+        "deep": real,  # more sweeps over the points follow if a point is deeper than this [m]
+        "exact": real,  # sweeps end if corrections displace no point by more than this [m]
         "between": bool,  # whether contact is between two bodies, not within one
         "far": real,  # distance below which parts may touch [m]
         "cells": wp.uint64,  # a hash grid of points
         "near": Ints,  # indices of the surface points that may be in contact
-        "places": wp.array2d(dtype=wp.float32),  # positions of samples, then at rest [m]
+        "places": wp.array2d(dtype=wp.float32),  # positions of samples: present, at rest [m]
         "sample": Ints,  # indices of the sampled surface points
         "side": Ints,  # piece of the body to which each surface point belongs; 0: no piece
         "slopes": wp.array2d(dtype=t.vec3),  # weights of the nodes in gradients at the points [1/m]
@@ -123,8 +123,8 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "whole": t.reals,  # inverse masses of the nodes without clamps [1/kg]
         "pool": t.vec3s,  # forces on the nodes, from all workers [N] (lattice/nodes.py)
         "spans": wp.array(dtype=wp.vec3i),  # nodes of each worker (lattice/nodes.py)
-        "donors": sparse(real),  # tied nodes that depend on each node
-        "tied": sparse(real),  # donors of each tied node
+        "donors": sparse(real),  # for each node: the tied nodes that follow it
+        "tied": sparse(real),  # for each tied node: the nodes that it follows (donors)
     }
     state = {
         "x": t.vec3s,  # positions of the particles [m]
@@ -161,7 +161,7 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "yields": t.reals,  # velocity change of each surface point per unit impulse [1/kg]
         "place": t.vec3s,  # positions of the surface points [m]
         "position": t.vec3s,  # positions of the particles that carry Gaussians [m]
-        "deformation": t.mat33s,  # their deformation gradients
+        "deformation": t.mat33s,  # deformation gradients of these particles
         "inner": wp.array(dtype=wp.vec4f),  # rotations V of the Gaussians (deform.py)
         "quats": wp.array(dtype=wp.vec4f),  # orientations of the Gaussians
         "scales": wp.array(dtype=wp.vec3f),  # lengths of the axes of the Gaussians [m]

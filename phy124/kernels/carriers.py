@@ -14,7 +14,7 @@ CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
 """Squared distance that stands for a missing particle."""
 SPARE = wp.constant(wp.float64(1e-9))
-"""Lower bound of the weights; otherwise, particles at equal distance would all have weight 0."""
+"""Lower bound of the weights. Without it, particles at equal distance would all have weight 0."""
 
 
 @wp.func

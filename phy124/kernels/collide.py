@@ -103,18 +103,19 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
     Each thread handles `each` consecutive nodes of a row. The thread of a column's first node
     handles all three nodes of the column. A node with a signed distance below `reach` [m] responds
     alone if it lies too far behind the wall for a column, or if its column has no material in front
-    of the wall. Nodes also respond alone in columns that extend beyond `span`, the layers first <=
-    i < last that this launch may change. While the track `slot` is active, the shape is displaced
-    by the track's value, and the wall moves at the track's rate. `lightest` is the mass of a fully
-    covered node in the lightest of several materials [kg], or infinite. `full` is the fraction of
-    the expected mass above which material counts as touching the wall. In columns that the wall
-    does not push, nodes below the signed distance `loose` [m] respond alone. A flat wall
-    changes `grid_out`; other walls change `changes_out` (see `make_settle`).
+    of the wall. This launch may change only the layers first <= i < last of nodes, where `span` is
+    (first, last). In columns that extend beyond these layers, nodes respond alone as well. While
+    the track `slot` is active, the shape is displaced by the track's value, and the wall moves at
+    the track's rate. If there are several materials, `lightest` is the mass of a node that is full
+    of the lightest material [kg]; if not, it is infinite. `full` is the fraction of the expected
+    mass above which material counts as touching the wall. In columns that the wall does not push,
+    nodes below the signed distance `loose` [m] respond alone. A flat wall changes `grid_out`; other
+    walls change `changes_out` (see `make_settle`).
 
-    If `updating` is set, one kernel performs both a flat wall and the grid update. The kernel reads
-    momenta from `grid` and writes velocities to `grid_out`. The first threads of this kernel handle
-    the nodes of the sub-box, whose size is `extent`; the other threads handle all nodes of the
-    window.
+    If `updating` is set, one kernel handles both the contact with a flat wall and the grid update.
+    The kernel reads momenta from `grid` and writes velocities to `grid_out`. The first threads of
+    this kernel handle the nodes of the sub-box, whose size is `extent`; the other threads handle
+    all nodes of the window.
 
     Args:
         shape: Name of a distance function.

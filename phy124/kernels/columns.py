@@ -240,13 +240,19 @@ class Response(NamedTuple):
     answer: Any
     """Maps `(v, wall, n, friction)` to the new velocity of a single node."""
     acts: Any
-    """`(m, above, beyond, u, lightest, full)`: whether material has reached the wall."""
+    """`(m, above, beyond, u, lightest, full)`: returns whether material has reached the wall."""
     ratios: Any
-    """`(distances, across) -> g`: a column's velocities relative to its first node's."""
+    """`(distances, across) -> g`: velocities in a column, relative to the velocity of its first
+    node.
+    """
     pushes: Any
-    """`(pressed)`: whether the wall acts, from the impulse per mass along its normal."""
+    """`(pressed)`: returns whether the wall acts; `pressed` is the impulse per mass along its
+    normal.
+    """
     hold: Any
-    """`(along, pressed, friction)`: the fraction of the tangential motion that the wall stops."""
+    """`(along, pressed, friction)`: returns the fraction of the tangential motion that the wall
+    stops.
+    """
 
 
 RESPONSES = {

@@ -239,7 +239,7 @@ def make_reset(real: Any):
 
 @build_once
 def make_limit_total(real: Any):
-    """Kernel: scales down deformation gradients of fluid or plastic material before overflow."""
+    """Kernel: scales down the F of fluid or plastic material, so that F does not overflow."""
 
     @kernel(f"phy124_limit_total_{real.__name__}", real, seconds=0.15)
     def limit_total(max_norm: real, F, total_out):
@@ -277,7 +277,7 @@ def make_apart(real: Any):
 
 @build_once
 def make_neighbours_lost(real: Any):
-    """Kernel: marks each particle that is too far from a particle that was its neighbour at rest.
+    """Kernel: marks each particle that is too far from one of the particles next to it at rest.
 
     `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
     neighbours at rest are `neighbours[i]`. The thread sets `lost_out[i]` to 1 if the particle has

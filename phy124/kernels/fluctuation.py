@@ -49,7 +49,10 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes the part of (v, C) that a round trip over the grid loses; 0 outside."""
+    """Kernel: computes the part of (v, C) that a round trip over the grid loses.
+
+    For particles outside the grid, this part is 0.
+    """
     t = types(real)
     collect = GATHERS[form]
 

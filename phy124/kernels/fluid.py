@@ -13,9 +13,9 @@ import warp as wp
 MIN_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Volume ratio below which J p rises only as log J. Impacts faster than a quarter of the speed of
-sound compress a few particles further. Without this limit, these particles would limit the substep
-of all particles.
+"""Below this volume ratio, the product of J and pressure p rises only as log J. Impacts faster than
+a quarter of the speed of sound compress a few particles further. Without this limit, these
+particles would limit the substep of all particles.
 """
 
 

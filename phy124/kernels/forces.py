@@ -88,7 +88,9 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick * g d / r to v; g is linear up to `radius`, and falls as 1 / d^2 beyond."""
+    """Kernel: adds kick * g d / r to v; g is linear up to `radius`, and falls as 1 / d^2 farther
+    out.
+    """
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)
@@ -103,7 +105,10 @@ def make_attract(real: Any):
 
 @build_once
 def make_set_velocity(real: Any):
-    """Kernel: sets v = s (u + omega x (x - centre)), C = s [omega]x while active; s: profile."""
+    """Kernel: sets v = s (u + omega x (x - centre)) and C = s [omega]x while a track is active.
+
+    The factor s is the current value of the track.
+    """
     t = types(real)
 
     @kernel(f"phy124_set_velocity_{real.__name__}", real)

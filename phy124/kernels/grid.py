@@ -133,7 +133,7 @@ def make_merge(real: Any):
 
 @build_once
 def make_grid_speed(real: Any):
-    """Kernel: computes the largest squared speed of nodes with mass, to judge a substep."""
+    """Kernel: computes the largest squared speed of nodes with mass, to check a substep."""
     t = types(real)
 
     @kernel(f"phy124_grid_speed_{real.__name__}", real)

@@ -1,4 +1,4 @@
-"""Repeats recorded launches without copying their arguments again, and changes their arrays.
+"""Repeats launches that Warp recorded, without copying the arguments again; replaces their arrays.
 
 In every launch Warp copies all arguments into a new structure, which takes 5 to 10 us. A substep of
 a small body consists of some 15 launches. Most launches take little longer than 10 us.
@@ -20,7 +20,7 @@ class Repeated(wp.Launch):
     """A recorded launch on a CPU, with arguments that are copied only when they change."""
 
     def __init__(self, recorded: wp.Launch) -> None:
-        """Take over everything from a recorded launch, and copy its arguments."""
+        """Copy a recorded launch, including its arguments."""
         self.__dict__.update(recorded.__dict__)
         self._names = tuple(argument.label for argument in self.kernel.adj.args)
         values = self.params[1 : 1 + len(self._names)]
@@ -63,7 +63,9 @@ def record(
 
 
 def put(array: wp.array, values: NDArray, at: NDArray[np.int64] | None = None) -> None:
-    """Copy values [K,...] to an array on the device: to its first elements, or those `at` [K]."""
+    """Copy values [K,...] to an array's first elements, or to its elements with the indices `at`
+    [K].
+    """
     if str(array.device) == "cpu":
         array.numpy()[slice(len(values)) if at is None else at] = values
     elif at is not None:

@@ -19,7 +19,7 @@ SPEED = 0
 GRADIENT = 1
 """Index of the largest |C| [1/s]."""
 STIFFNESS = 2
-"""Index of the largest A / rho0 [m^2/s^2]."""
+"""Index of the largest A / rho0 [m^2/s^2], where A is the modulus of the law."""
 LOW = 3
 """Index of the first of three numbers: minus the lowest corner of the particles [m]."""
 HIGH = 6

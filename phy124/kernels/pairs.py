@@ -10,7 +10,7 @@ around a node therefore determines how far the body's surface is from the node, 
 direction. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance
 by a regression over the particles.) The fraction is the ratio of the body's mass at the node to its
 mass in the interior; this accounts for the body's edges, density and compression. Three nodes in a
-row, along the axis closest to the normal, are either all in contact or all not in contact. The node
+row, along the axis closest to the normal, are either all in contact, or none of them is. The node
 with the largest overlap of both bodies decides for all three. At the rim of a contact, where the
 gap is curved, the mean of the gap around a node is larger than the gap at the node.
 """
@@ -40,7 +40,9 @@ between two splines would give 1/4; the larger value is fitted to measurements w
 (docs/lab/contact-force.md).
 """
 STEEPER = wp.constant(10.0)
-"""With a larger value, the normal changes faster from the mean of two slopes to the steeper one."""
+"""The normal is between the mean of two slopes and the steeper slope. The larger this value, the
+closer it is to the steeper slope.
+"""
 TRUSTED = wp.constant(4.0)
 """Factor on the squared slope of a body that never moves."""
 

@@ -19,7 +19,7 @@ MEAN = 1
 JOINS = 2
 """Flag of a track that is added to the uniform acceleration in slot 0."""
 LIMITED = 4
-"""Flag of a track with a limited effect on particles. The stage that uses the track limits it."""
+"""Flag of a track whose effect on particles is limited by the stage that uses the track."""
 KICK = 8
 """Flag of a track that is averaged over the kick even while it is inactive."""
 DRIFT = 16

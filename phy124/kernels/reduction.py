@@ -23,7 +23,8 @@ EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the threads for a reduction over particles, and `first`, `each` and `stride`.
+    """Return the number of threads for a reduction over particles, and `first`, `each` and
+    `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU, a thread's
     particles are neighbours. On a GPU, neighbouring threads have neighbouring particles, so that

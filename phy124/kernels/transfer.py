@@ -43,7 +43,7 @@ class Law(NamedTuple):
     stress: Any
     """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
     modulus: Any
-    """`(F, history, theta) -> A`, bound of the largest eigenvalue of d tau / d ln sigma [Pa]."""
+    """`(F, history, theta) -> A`, upper bound of the eigenvalues of d tau / d ln sigma [Pa]."""
     width: int
     """Number of parameters in `theta`."""
     project: Any = None

@@ -1,8 +1,8 @@
 """Fills partly filled voxels up to a surface, and finds the moments of the filled parts.
 
-A voxel is filled below a plane or within a cylinder. The voxel is
-divided into equal samples; a sample at the surface counts as a fraction. A bisection finds the
-position of the surface from the filled fraction of the voxel. The unit of length is a voxel.
+A voxel is filled below a plane or within a cylinder. It is divided into equal samples; a sample at
+the surface counts as a fraction. A bisection finds the position of the surface from the filled
+fraction of the voxel. The unit of length is a voxel.
 """
 
 import warp as wp

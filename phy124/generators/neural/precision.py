@@ -11,7 +11,7 @@ from phy124.runtime.memory import free_memory
 SPARE = 0.8
 """Largest fraction of the free memory that a network may use."""
 FLAGS = ("avx512_bf16", "amx_bf16")
-"""CPU features that multiply bfloat16 numbers, by their names in Linux and torch."""
+"""Names of CPU features that multiply bfloat16 numbers, as Linux and torch write them."""
 
 
 def torch_device(name: str | None) -> str:

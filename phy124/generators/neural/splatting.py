@@ -181,7 +181,9 @@ def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Return half the side [N] of each Gaussian's square; outside, alpha is below ALPHA_MIN."""
+    """Return half the side [N] of a square around each Gaussian; outside it, alpha is below
+    ALPHA_MIN.
+    """
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 

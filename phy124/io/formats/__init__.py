@@ -195,7 +195,7 @@ FORMATS = {
 }  # fmt: skip
 """All formats of phy124 by name.
 
-If several formats have the same suffix, files are written in the first of these formats.
+If several formats have the same suffix, a file name with this suffix selects the first of them.
 """
 MESH_ENDINGS = (".gltf", ".obj", ".stl")
 """Extensions of files that can only be meshes; .glb and .ply may contain either."""

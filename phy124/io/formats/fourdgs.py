@@ -40,7 +40,8 @@ CODEC, LEVEL = 0, 6
 Bins = dict[int, NDArray[np.int64]]
 """Quantised values [N,C] of each attribute; the keys are the library's attribute numbers."""
 FOREVER = 1e6
-"""Standard deviation in time of a lasting Gaussian [s]; the format needs a finite number."""
+"""Standard deviation in time of a Gaussian that never fades [s]; the format needs a finite number.
+"""
 
 
 def write_fourdgs(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
@@ -104,8 +105,8 @@ class _Sequence:
     def __init__(self, library: Any, file: IO[bytes], clip: Clip, times: list[float]) -> None:
         """Write the header of the file, which is open and empty.
 
-        `library` are the modules of fourdgs, and `times` [s] the start of each frame and the end of
-        the last frame. The range of the clip's centres is measured.
+        `library` contains the modules of fourdgs. `times` [s] contains the start of each frame, and
+        the end of the last frame. The function also measures the range of the clip's centres.
         """
         self._library, self._file, self._times = library, file, times
         self._cadence = library.writer.KeyframeDeltaOptions(keyframe_every=KEYFRAME)
@@ -133,7 +134,7 @@ class _Sequence:
         self._index.append(self._write_keyframe(bins) if whole else self._write_changes(bins))
 
     def finish(self) -> None:
-        """Write the end of the file, with the index in which readers look up a frame."""
+        """Write the end of the file, which contains the index of all frames."""
         records, start = self._library.records, self._file.tell()
         statistics = records.Statistics(
             gaussian_count=self._count,

@@ -72,7 +72,7 @@ The front direction of such files is -z, as in the PLY.
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes for which there is no note.
+"""Attributes that are not reported to the user as ignored.
 
 COLOR_0 is not read, because it is meant for programs that do not support the extension.
 """
@@ -352,7 +352,10 @@ def _columns(scene: Scene, primitive: Primitive, logs: bool) -> dict[str, NDArra
 
 
 def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Convert linear colours [N,K,3] to sRGB; scale higher degrees by the slope at degree 0."""
+    """Convert linear colours [N,K,3] to sRGB.
+
+    Higher degrees are multiplied by the derivative of the conversion at the colour of degree 0.
+    """
     linear = np.clip(0.5 + SH_C0 * sh[:, :1].astype(np.float64), 0, 1)
     bright = 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
     slope = np.where(linear <= 0.0031308, 12.92, (bright + 0.055) / 2.4 / np.maximum(linear, 1e-9))
@@ -383,7 +386,7 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
-    """Pad all parts with zeros so that they have the same number of harmonics."""
+    """Pad the harmonics of all primitives with zeros to the same number."""
     most = max(part["sh"].shape[1] for part in parts)
     rows = [(0, most - part["sh"].shape[1]) for part in parts]
     padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]

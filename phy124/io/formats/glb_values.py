@@ -141,7 +141,7 @@ SOME = 2000
 BARE = 0.55
 """Below this ratio of a Gaussian's width to the spacing, the object is full of holes."""
 SHORT = 1.0
-"""Smallest median of positive scales that may be logarithms."""
+"""If all scales are positive, they can be logarithms only if their median is above this value."""
 COVERING = (0.6, 6.0)
 """If Gaussians cover an object, the ratio of their width to their spacing is between these two
 values.

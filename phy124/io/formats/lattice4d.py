@@ -65,10 +65,10 @@ LARGEST = 2**15 - 1
 TALLEST = 4.0
 """The logarithms of ratios of scales are clipped to at most this magnitude.
 
-The ratio itself is at most exp(4) = 55.
+The ratios are then between 1/55 and 55, because exp(4) = 55.
 """
 STRETCHES = 1 << 22
-"""Largest number of samples from which the range of stretches is determined."""
+"""Largest number of samples from which the range of the stretch is determined."""
 PERCENTILES = (1, 99)
 """Percentiles of the stretch at the ends of its colour ramp; outliers are ignored."""
 

@@ -118,8 +118,8 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
     """Return exp(-d^2 / 2) of each Gaussian at the nodes around its nearest node [N,K].
 
     The quadratic form d^2 of the inverse covariances [N,3,3] is computed as a product of two
-    matrices with ten columns. In cells, `shift` [N,3] are the centres and `offsets` [K,3] the
-    nodes, both relative to the nearest node.
+    matrices with ten columns. `shift` [N,3] are the centres and `offsets` [K,3] are the nodes. Both
+    are relative to the nearest node, in units of cells.
     """
     pulled = np.einsum("nij,nj->ni", inverse, shift)
     i, j = np.triu_indices(3)

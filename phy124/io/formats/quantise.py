@@ -44,10 +44,10 @@ def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
 def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return a palette that approximates `vectors [N,D]`, and the palette index of each vector.
 
-    The palette has at most `most` entries, a power of 2. If at most `most` vectors are given, these
-    vectors are the palette. More vectors are divided into cells. Each cell is split at the median
-    of its principal component with the largest variance, until there are `most` cells. The palette
-    then consists of the means of the cells.
+    The palette has at most `most` entries; `most` is a power of 2. If there are no more vectors
+    than this, the palette consists of the vectors themselves. If there are more, they are divided
+    into cells. Each cell is split at the median of its principal component with the largest
+    variance, until there are `most` cells. The palette then consists of the means of the cells.
     """
     count = len(vectors)
     if count <= most:
@@ -94,7 +94,7 @@ def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]
 
 
 def restore_largest(others: NDArray, which: NDArray) -> NDArray[np.float32]:
-    """Return unit quaternions [N,4] from three components and the index of the fourth [N]."""
+    """Return unit quaternions [N,4] from three components [N,3] and the index [N] of the fourth."""
     which = np.asarray(which, np.int64)
     out = np.empty((len(others), 4), np.float32)
     np.put_along_axis(out, OTHERS[which], others.astype(np.float32), 1)

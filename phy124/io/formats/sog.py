@@ -60,7 +60,7 @@ ENTRIES_PER_ROW = 64
 MOST_ENTRIES = 1 << 16
 """Largest number of entries in the palette of spherical harmonics."""
 COEFFICIENTS = (0, 3, 8, 15, 24)
-"""Number of harmonics above degree 0, for degrees 0 to 4."""
+"""Number of coefficients above degree 0, if the highest degree is 0, 1, 2, 3 or 4."""
 TAG = 252
 OBJECT = "object_id"
 PACKED = (OSError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error)

@@ -109,7 +109,9 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis that points in the first of two opposite directions (U of `UD`)."""
+    """Return the signed axis in the direction of the first letter: for `UD`, the axis that points
+    up.
+    """
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
 
@@ -124,10 +126,10 @@ MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENDED = 1, 2
 MOST_RECORDS = 1 << 20
-"""Largest number of bytes of the extensions that are read."""
+"""Number of bytes of the extensions that are read at most."""
 COLOUR = 0.15
 MOST_BITS = 16
-"""Number of fractional bits of written centres; smaller if a coordinate exceeds 128 units."""
+"""Number of fractional bits with which centres are written; fewer if a coordinate exceeds 128."""
 REACH = (1 << 23) - 1
 GZIP_LEVEL = 4
 """gzip level for writing; level 6 would take twice as long and save 1 %."""
@@ -225,7 +227,7 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
     """Return the header, sections and extensions of a file of version 1, 2 or 3."""
     if data[:4] == MAGIC:
-        # A browser unpacks files that a server declares as compressed by gzip.
+        # Browsers unpack a file if the server declares it as compressed by gzip.
         data = _gzip(data, level=0)
     packer = zlib.decompressobj(31)
     try:

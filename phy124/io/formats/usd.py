@@ -23,7 +23,7 @@ SCHEMA = "ParticleField3DGaussianSplat"
 SAVED = 32
 """Number of frames after which a binary file is saved to disk."""
 REACH = 3.0
-"""Number of standard deviations by which a Gaussian extends the prim's bounding box."""
+"""The prim's bounding box contains each Gaussian up to this number of standard deviations."""
 
 
 def write_usd(path: str | os.PathLike[str], clip: Clip, *, progress: Progress = silent) -> None:
@@ -95,7 +95,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 def save_at_times(stage: Any, index: int) -> None:
     """Save a stage after every `SAVED` frames; this frees the memory of these frames.
 
-    A text file is saved only once, after all frames are set: every save writes the whole file.
+    A text file is saved only once, after the last frame, because each save writes the whole file.
     """
     layer = stage.GetRootLayer()
     if index % SAVED == SAVED - 1 and not layer.realPath.endswith(".usda"):

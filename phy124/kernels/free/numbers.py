@@ -13,9 +13,13 @@ GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
 `TRIAL` is the length of the array.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Offsets in six equations: [3,3] blocks, then right-hand side; `SYSTEM` is the length."""
+"""Offsets in the array of the six equations: three [3,3] blocks, then the right-hand side. `SYSTEM`
+is the length of the array.
+"""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
-"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; and their number."""
+"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; `EXCHANGE` is the number
+of sums.
+"""
 
 
 @wp.func

@@ -26,7 +26,9 @@ from phy124.kernels.window import strides
 SURFACE = wp.constant(0.5)
 """Volume fraction at the surface of the material."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""A point is in contact only if volume fraction and slope [1/cell] reach these values."""
+"""A point is in contact only if the volume fraction of the material and its slope [1/cell] are at
+least these values.
+"""
 
 
 @build_once

@@ -34,7 +34,7 @@ NODES = 256
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
 """Positions of the Gauss points relative to a cell's first node, in this order [8,3], cells."""
 ALIGNED = 1e-4
-"""Largest distance between a point and its Gauss point in a full cell [cells]."""
+"""A cell is full only if each of its points is at most this far from a Gauss point [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
 """Names of the C++ snippets that compute the strains and the strain rates of a block's points."""
 
@@ -55,7 +55,9 @@ class Blocks(NamedTuple):
     order: NDArray[np.int32]
     """Cells of each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the points [blocks,8,4,16]; cells that complete a block have no volume."""
+    """Constants of the points [blocks,8,4,16]. If cells are missing in the last block, their points
+    have no volume.
+    """
     full: int
     """Number of blocks of full cells; these blocks come first."""
 

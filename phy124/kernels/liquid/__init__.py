@@ -1,7 +1,7 @@
 """Device code for projected liquids: incompressible flow on a staggered grid with particles.
 
-The x component of the velocity is stored at the centre of each cell's low x face. The y and z
-components are stored at the centres of the low y and z faces. Pressure, density and distance from
+Each cell has three low faces: the faces at its lower end along x, y and z. The x component of the
+velocity is stored at the centre of the low x face, and so on. Pressure, density and distance from
 the surface are stored at cell centres.
 
 A step first computes the velocities of faces from the particles (`faces`). Then it computes the

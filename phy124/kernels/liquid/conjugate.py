@@ -16,7 +16,9 @@ from phy124.kernels.liquid.rigid import add_rigid, clear_rigid, respond, rigid_f
 from phy124.kernels.native import code, constants, native_func
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
-"""Weight of the modification in MIC(0); smallest value used, relative to the diagonal."""
+"""Two constants of MIC(0): the weight of the modification, and the smallest pivot that is used,
+relative to the diagonal entry.
+"""
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
 """Rows in the table of sums: largest residual, largest right-hand side, and s A s.
 
@@ -314,7 +316,9 @@ def make_advance(form: str):
 
 @build_once
 def make_improve(form: str):
-    """Kernel over parts: steps in the direction to the least error; preconditions the residual."""
+    """Kernel over parts: moves x along the direction s to the least error; preconditions the
+    residual.
+    """
     _, precondition, _, descend = FORMS[form]
 
     @kernel(f"phy124_liquid_improve_{form}", seconds=0.4)

@@ -23,9 +23,9 @@ VISCOUS, PRESSED, SHIFTED = 0, 1, 2
 uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
-"""Indices of three sums: the work of walls from the start of a step up to each of three phases,
-computed with the velocities of the walls. The next index after each of the three has the same work,
-computed with the velocities of the liquid, as in `WallImpulses`.
+"""Indices of three sums: the work of walls from the start of a step up to the drag, the pressure,
+or the end. These sums are computed with the velocities of the walls. At the next index after each,
+the same work is computed with the velocities of the liquid, as in `WallImpulses`.
 """
 COUNT = 9
 """Number of sums of work."""
@@ -183,7 +183,7 @@ def make_wall_work(real: Any):
 
 @build_once
 def make_shift_work(real: Any):
-    """Kernel: adds `sign` times the uniform acceleration times mass and position to `sums_out`.
+    """Kernel: adds `sign` times the product of acceleration, mass and position to `sums_out`.
 
     Two launches add the work of displacements: one with the sign -1 before particles are displaced,
     and one with the sign 1 afterwards.

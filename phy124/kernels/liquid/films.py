@@ -1,4 +1,4 @@
-"""Computes contact areas of particle bodies with fixed walls, and the pressure of films there.
+"""Computes areas of contact between particle bodies and fixed walls, and pressures of films there.
 
 The grid does not resolve the thin layer of liquid between a body and the wall on which the body
 lies. The pressure in this layer is therefore taken from the liquid around the contact.
@@ -24,8 +24,8 @@ from phy124.kernels.liquid.walls import centre_of, solid_face
 def make_contact(real: Any):
     """Kernel over a region's cells: computes the area of a body's contact with fixed walls.
 
-    `still` contains the open fraction of each face, without bodies. The areas have the signs of the
-    rows of `make_jumps`.
+    `still` contains the open fraction that each face would have without bodies. The areas have the
+    signs of the rows of `make_jumps`.
     """
     t = types(real)
 
@@ -181,10 +181,11 @@ def make_film(real: Any):
     """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
 
     Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact. `rims` contains the sums over the given liquid for each direction
-    (`make_head`). If a cell between body and wall contains liquid, the film has the pressure of the
-    cell. All pressures are converted to the position of the wall, with the distances `fixed` from
-    the fixed walls. The film acts on the fraction of the contact that `share_of` returns.
+    around the contact. `rims` contains, for each direction, the sums over the liquid around the
+    contact (`make_head`). If a cell between body and wall contains liquid, the film has the
+    pressure of the cell. All pressures are converted to the position of the wall, with the
+    distances `fixed` from the fixed walls. The film acts on the fraction of the contact that
+    `share_of` returns.
     """
     t = types(real)
 

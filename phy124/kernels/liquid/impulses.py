@@ -132,7 +132,8 @@ def make_gains(real: Any):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the cells: adds the impulses of the pressure on walls to `sums_out`.
 
-    Walls from index `bodies` on are bodies; `pressed_out` receives the opposite impulses on these.
+    Walls from the index `bodies` on are bodies. `pressed_out` receives the impulses on these
+    bodies.
     """
     t = types(real)
 

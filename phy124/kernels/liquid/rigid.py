@@ -7,7 +7,9 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
 
 RIGID = wp.constant(5)
-"""Index of the first solid's first row. A solid has six rows: force and moment J^T s (`solids`)."""
+"""Index of the first solid's first row in the table of sums (`conjugate`). Each solid has six rows:
+the force and the moment J^T s (`solids`).
+"""
 
 
 @wp.func

@@ -17,7 +17,9 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""A body's position is computed from a cell's fill if walls cover at most this fraction."""
+"""The fill of a cell determines a body's surface only if walls cover at most this fraction of the
+cell.
+"""
 
 
 @wp.func

@@ -237,7 +237,8 @@ def make_push(real: Any):
 def make_predict(real: Any):
     """Kernel over solids: writes the predicted motion of each solid, without the pressure.
 
-    The predicted motion is that without the liquid, plus the response to the sums of `make_lift`.
+    The predicted motion is the motion without the liquid, plus the solid's response to the sums of
+    `make_lift`.
     """
     t = types(real)
 

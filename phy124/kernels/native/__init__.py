@@ -27,7 +27,7 @@ FOLDER = Path(__file__).parent
 def code(*pieces: str) -> str:
     """Return the C++ text of pieces, joined in order.
 
-    "tile:store" is the piece `store` of tile.h, "tile" the text before the pieces.
+    "tile:store" is the piece `store` of tile.h, and "tile" is the text before the first piece.
     """
     texts = []
     for piece in pieces:

@@ -17,7 +17,9 @@ BEHIND = wp.constant(2)
 THIN = wp.constant(0.2)
 """A box counts as a plate if its thickness is less than this fraction of its width."""
 GIVE = wp.constant(0.3)
-"""Plates count as thinner by this fraction, so an object that barely enters one is outside."""
+"""Plates are treated as thinner by this fraction. An object that barely enters a plate is then
+outside the plate.
+"""
 
 
 @wp.func

@@ -58,7 +58,9 @@ CLOSED = wp.constant(0.5)
 TOUCH = wp.constant(0.75)
 """Largest distance from a wall at which Gaussians are drawn on the wall."""
 FILM = wp.constant(wp.vec2(1.5, 2.5))
-"""Two thicknesses of a film on a wall, between which the film's face on the wall fades in."""
+"""Two thicknesses of a film on a wall: the film's face on the wall begins to appear at the first,
+and is complete at the second.
+"""
 EDGE = wp.constant(0.5)
 """Smallest depth below the free surface at which Gaussians are drawn on a wall."""
 WETTED = wp.constant(0.6)
@@ -68,7 +70,9 @@ WET = wp.constant(0.03)
 LEAST_LENGTH = wp.constant(0.1)
 """Lower bound of the length of liquid along an axis."""
 LONG = wp.constant(3.0)
-"""Largest thickness of the liquid, relative to the smallest length along the three axes there."""
+"""Upper bound of the liquid's thickness at a disc, relative to the smallest length of liquid there
+along the three axes.
+"""
 RIM = wp.constant(0.3)
 """Length of the normals of discs at the rim of a liquid on a wall.
 
@@ -79,9 +83,9 @@ ALONE = wp.constant(0.4)
 SIZE = wp.constant(0.42)
 """Standard deviation of a drop, relative to the edge of a cube of the same volume."""
 TORN = wp.constant(0.62)
-"""Largest spread of a jet (see `phy124.rendering.liquid`)."""
+"""A liquid is a jet only if its spread is below this value (see `phy124.rendering.liquid`)."""
 THINNER = wp.constant(0.85)
-"""Largest ratio of the spread of a jet to the spread at rest."""
+"""A liquid is a jet only if the ratio of its spread to its spread at rest is below this value."""
 KEPT = wp.constant(0.6)
 """Fraction of a jet's Gaussians that are not drawn."""
 GOLDEN = wp.constant(wp.float64(0.618034))
@@ -99,14 +103,16 @@ THIN = wp.constant(0.2)
 SPRAY = wp.constant(0.6)
 """Fraction of the pale colour in a drop."""
 FAST = wp.constant(wp.vec2(0.6, 1.5))
-"""Two speeds [m/s], between which foam appears.
+"""Two speeds [m/s]: foam begins to appear at the first, and is complete at the second.
 
 The order of magnitude is that of the speed above which water entrains air (Chanson 1996).
 """
 THINNED = wp.constant(wp.vec2(0.72, 0.92))
-"""Two ratios of the spread to the spread at rest, between which foam disappears."""
+"""Two ratios of the spread to the spread at rest: at the first, foam begins to disappear; at the
+second, none is left.
+"""
 ALOFT = wp.constant(wp.vec2(0.75, 1.5))
-"""Two distances from a wall, between which foam appears."""
+"""Two distances from a wall: foam begins to appear at the first, and is complete at the second."""
 FOAM = wp.constant(wp.vec3(0.96, 0.98, 1.0))
 """Colour of foam."""
 WHITE = wp.constant(0.9)
@@ -116,7 +122,9 @@ MILKY = wp.constant(0.5)
 THICK = wp.constant(0.65)
 """Thickness / radius of a disc that is all foam; the player draws it without gloss."""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
-"""Two fractions of foam, between which flecks appear."""
+"""Two fractions of foam: flecks begin to appear at the first, and have their full number at the
+second.
+"""
 FLECKS = wp.constant(0.7)
 """Largest fraction of a foam's Gaussians that are flecks."""
 LITTLE = wp.constant(wp.vec2(0.07, 0.21))

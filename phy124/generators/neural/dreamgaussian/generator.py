@@ -1,4 +1,4 @@
-"""The first stage of DreamGaussian: fits Gaussians to an image and to the guidance's loss.
+"""The first stage of DreamGaussian: fits Gaussians to an image, guided by a diffusion model.
 
 Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
 In practice, this generator needs a GPU. PLY files of the original program can be read as well
@@ -41,7 +41,11 @@ from phy124.weights.store import require
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the optimisation; the defaults are those of DreamGaussian's image.yaml."""
+    """Settings of the optimisation; the defaults are those of DreamGaussian's image.yaml.
+
+    The known view shows the input image. The guided views are views from other directions, for
+    which the guidance computes a loss.
+    """
 
     steps: int = 500
     points: int = 5000
@@ -56,7 +60,9 @@ class Settings:
     elevations: tuple[int, int] = (-30, 30)
     """Range of elevations of the guided views [degrees]; positive is below the object."""
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the guided views [pixels]: first 30 % of the steps, next 30 %, and the rest."""
+    """Sides of the guided views [pixels] in the first 30 % of the steps, the next 30 %, and the
+    rest.
+    """
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
@@ -111,7 +117,7 @@ class DreamGaussian:
     ) -> Gaussians:
         """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
 
-        `progress` is called before every step. An exception Cancelled is passed on.
+        `progress` is called before every step. If it raises Cancelled, the exception is passed on.
 
         Raises:
             InputError: If weights are missing, `image_rgba` has no alpha or no opaque pixel, or no

@@ -1,7 +1,8 @@
 """Guidance for DreamGaussian: score distillation, a loss for sides that the image does not show.
 
-Poole et al. 2023, "DreamFusion": noise is added to images, a diffusion model predicts the noise,
-and the difference is the gradient. A guidance is any callable with the signature of `Guidance`.
+Poole et al. 2023, "DreamFusion": noise is added to images, and a diffusion model predicts this
+noise. The gradient is the predicted noise minus the added noise. A guidance is any callable with
+the signature of `Guidance`.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ class Pose(NamedTuple):
 
 
 class Guidance(Protocol):
-    """Computes a loss for `views` images at a time; four images are 90 degrees apart."""
+    """Computes a loss for `views` images at a time. If `views` is 4, they are 90 degrees apart."""
 
     views: int
 

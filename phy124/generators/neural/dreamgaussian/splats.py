@@ -128,7 +128,10 @@ class Splats:
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Replace parameters in Adam; `changes[name]` is a value and a function of the moments."""
+        """Replace parameters in Adam.
+
+        `changes[name]` contains the new value, and a function that converts the Adam moments.
+        """
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue

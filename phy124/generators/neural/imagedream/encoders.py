@@ -110,7 +110,7 @@ EMPTY_PROMPT = (49406, 49407, *([0] * 75))
 No other prompt is used, so no tokenizer is needed.
 """
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
-"""Tensors of some CLIP files that ImageDream does not need."""
+"""Tensors that some CLIP files contain, but that ImageDream does not need."""
 CLIP_SIZE = 224
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
@@ -160,7 +160,7 @@ def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name:
     fill(network, {k: v for k, v in tensors.items() if not k.endswith(SPARE)}, name)
     for module in network.modules():
         for key, buffer in module.named_buffers(recurse=False):
-            if buffer.is_meta:  # a buffer of older versions, which current files do not contain
+            if buffer.is_meta:  # only older files contain this buffer
                 positions = torch.arange(buffer.shape[-1])[None]
                 module.register_buffer(key, positions, persistent=False)
     return network.eval().requires_grad_(False)

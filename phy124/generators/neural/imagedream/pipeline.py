@@ -46,7 +46,7 @@ def scheduler_of(sampler: Sampler, steps: int) -> Any:
     if sampler == "ddim":
         scheduler: Any = DDIMScheduler(**SCHEDULE)
     else:
-        # This setting ends at the same low noise level as DDIM.
+        # With these settings, the last noise level is as low as with DDIM.
         scheduler = DPMSolverMultistepScheduler(
             **{**NOISE, "timestep_spacing": "linspace"},
             use_lu_lambdas=True,
@@ -78,7 +78,7 @@ def pose_row(elevation: float, azimuth: float) -> list[float]:
 
 
 SPARE_UNETS = 2.0
-"""The image encoder stays in memory if free memory exceeds this multiple of the U-Net."""
+"""The image encoder stays in memory if free memory exceeds this multiple of the U-Net's size."""
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256
@@ -92,9 +92,9 @@ class Condition:
     text: Tensor
     """Text tokens [2,77,D] of the negative prompt and of the prompt."""
     tokens: Tensor
-    """Image tokens [1,257,1280]; the pass without the image uses zeros."""
+    """Image tokens [1,257,1280]; the prediction without the image uses zeros."""
     latents: Tensor
-    """Image latents [1,4,h,w]; the pass without the image uses zeros."""
+    """Image latents [1,4,h,w]; the prediction without the image uses zeros."""
     cameras: Tensor
     """Camera-to-world transforms [5,16]."""
 

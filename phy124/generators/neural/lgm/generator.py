@@ -49,11 +49,13 @@ OLD_GENERATION = (
     "weights."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)
-"""Work of the option `big`, with the same units as in `phy124.generators.neural.imagedream`."""
+"""Floating-point operations of LGM's network with the option `big`, by kind of operation."""
 MEMORY = 650_000_000
 """Number of values that the option `big` keeps in memory: weights and activations."""
 Views = Callable[..., Tensor]
-"""`(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]` in ImageDream's order."""
+"""Function `(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]`; the views are in
+ImageDream's order.
+"""
 
 
 class Lgm:
@@ -156,7 +158,7 @@ class Lgm:
         """Return the file of LGM's weights.
 
         Raises:
-            InputError: If there is none.
+            InputError: If the file is missing.
         """
         single = is_complete("lgm-fp32", self.weights) and not is_complete("lgm", self.weights)
         (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()

@@ -49,8 +49,9 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 Rotations = Literal["each", "all"]
 """Whether quaternions are normalised for each Gaussian or over all Gaussians of an object.
 
-The weights published before April 2024 were trained with "all" by mistake. The Gaussians of these
-weights were rendered with unnormalised quaternions; these were so small that they had no effect.
+The weights published before April 2024 were trained with "all" by mistake. During that training,
+quaternions were not normalised when Gaussians were rendered. The quaternions were so small that
+they had no effect.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16

@@ -25,7 +25,7 @@ The density is the exponential of the sum.
 UNUSED = "image_tokenizer.model.pooler."
 """Prefix of the checkpoint's tensors that TripoSR never uses."""
 OFFSET = 0.1
-"""Number added to the patches per side when position embeddings are resized.
+"""Number that is added to the number of patches per side when position embeddings are resized.
 
 The network was trained with transformers 4.35, which adds this number. Without the number, the
 positions would be shifted slightly.

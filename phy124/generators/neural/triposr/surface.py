@@ -24,13 +24,13 @@ REFINE = 3
 NEAR = 3.0
 """Coarse vertices are refined if |log(density / threshold)| is at most this value."""
 FRAGMENT = 0.01
-"""Pieces are removed if their volume is below this fraction of the largest volume."""
+"""Pieces are removed if their volume is below this fraction of the largest piece's volume."""
 BATCH = 1 << 18
 """Number of points between two reports of progress."""
 COUNT = 40_000
 """Approximate number of Gaussians."""
 Step = Callable[[int, int], None]
-"""Called with the numbers of finished and of all steps."""
+"""Function that is called with the number of finished steps and the total number of steps."""
 
 
 def cover_field(
@@ -42,7 +42,7 @@ def cover_field(
         field: Density and colour.
         seed: Seed of the Gaussians' positions.
         count: Approximate number of Gaussians.
-        step: Called with the numbers of finished and of all steps.
+        step: Function that is called with the number of finished steps and the total number.
 
     Raises:
         InputError: If the field has no surface.
