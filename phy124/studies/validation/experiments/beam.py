@@ -42,14 +42,14 @@ PER_AXIS = 4
 With 2 particles, the default of scenes, a beam that moves by several cells is 10 % softer.
 """
 TOO_SOFT = (
-    "Beams are a few per cent too soft on every grid if their tip moves by several cells. If "
-    "the tip moves by only two cells (PL²/EI = 0.2), the deflection is correct. The "
-    "stress balances the load, but the bending in F is too small, because F follows an "
-    "affine fit of the motion instead of the motion's gradient. For PL²/EI = 1, 2 cells "
-    "across the thickness, and 8, 4 and 2 particles per cell and axis, the bending computed from "
-    "positions exceeds the bending computed from F by 7, 13 and 29 %. The deflection is then 1.9, "
-    "5.8 and 14 % too large. With accuracy.gradient = spline, the two values differ by 0, 1 "
-    "and 9 %, and the error of the deflection is -0.4, 0.8 and 7.3 %."
+    "Beams are a few per cent too soft on every grid if their tip moves by several cells. If the "
+    "tip moves by only two cells (PL²/EI = 0.2), the deflection is correct. The stress balances "
+    "the load, but the bending in F is too small, because F follows an affine fit of the motion "
+    "instead of the motion's gradient. For example, let PL²/EI be 1, with 2 cells across the "
+    "thickness. With 8, 4 and 2 particles per cell and axis, the bending computed from positions "
+    "exceeds the bending computed from F by 7, 13 and 29 %. The deflection is then 1.9, 5.8 and "
+    "14 % too large. With accuracy.gradient = spline, the excess of the bending is 0, 1 and 9 %, "
+    "and the error of the deflection is -0.4, 0.8 and 7.3 %."
 )
 REST = 1.6
 """Duration of each load, in units of the period of the beam's first bending mode."""
@@ -281,10 +281,11 @@ ELASTICA = Experiment(
     name="elastica",
     title="Elastica: a dead weight on the end of a cantilever",
     source="Euler's elastica by elliptic integrals, as tabulated by Bisshopp and Drucker 1945",
-    measured="Tip deflection at rest, divided by the length, for seven weights. The linear theory "
-    "of small bending overestimates the deflection by 11 % at PL²/EI = 1 and by 311 % at 10.",
-    band="from the deflection without shear to the deflection with twice the shear of this beam, "
-    "whose length is 12 times its thickness",
+    measured="The experiment measures the tip deflection at rest, divided by the length, for "
+    "seven weights P. The linear theory of small bending overestimates the deflection by 11 % at "
+    "PL²/EI = 1, and by 311 % at PL²/EI = 10.",
+    band="from the deflection without shear to the deflection with twice this beam's shear; the "
+    "beam is 12 times as long as thick",
     published=_tip_exact,
     run=_tip,
     control=partial(_tip, stiffer=1.2),
@@ -300,20 +301,21 @@ SPLINE_ELASTICA = replace(
     ELASTICA,
     name="elastica-spline",
     title="Elastica with strain from the gradients of the weights",
-    measured='The loads of `elastica`, with accuracy.gradient = "spline" instead of "affine".',
+    measured='The experiment repeats `elastica` with accuracy.gradient = "spline" instead of '
+    '"affine".',
     run=partial(_tip, gradient="spline"),
     control=partial(_tip, stiffer=1.2, gradient="spline"),
     seconds=150,
     reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
-    "soft. With 8 particles per cell and axis, the deflection at the smallest load is "
-    "1.0, 0.7 and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles, "
-    "the two errors cancel, which the extrapolation cannot detect.",
+    "soft. With 8 particles per cell and axis, the deflection at the smallest load is 1.0, 0.7 "
+    "and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles, the two "
+    "errors cancel. The extrapolation cannot detect this.",
 )
 LATTICE_ELASTICA = replace(
     ELASTICA,
     name="elastica-lattice",
     title="Elastica on the lattice solver",
-    measured='The loads of `elastica`, with accuracy.solver = "lattice".',
+    measured='The experiment repeats `elastica` with accuracy.solver = "lattice".',
     published=partial(_tip_exact, 1.0),
     band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
     run=_lattice_tip,
@@ -325,8 +327,10 @@ HEAVY_ELASTICA = replace(
     ELASTICA,
     name="heavy-elastica",
     title="Heavy elastica: a cantilever under its own weight",
-    source="θ'' = −β (1 − s) cos θ, integrated numerically",
-    measured="Tip deflection at rest, divided by the length, for three strengths of gravity.",
+    source="the angle θ of the beam at the arc length s L, from θ'' = −β (1 − s) cos θ with β = "
+    "ρgAL³/EI, integrated numerically",
+    measured="The experiment measures the tip deflection at rest, divided by the length, for "
+    "three strengths of gravity.",
     published=_weight_exact,
     run=_weight,
     control=partial(_weight, stiffer=1.4),
@@ -338,7 +342,7 @@ LATTICE_HEAVY_ELASTICA = replace(
     HEAVY_ELASTICA,
     name="heavy-elastica-lattice",
     title="Heavy elastica on the lattice solver",
-    measured='The loads of `heavy-elastica`, with accuracy.solver = "lattice".',
+    measured='The experiment repeats `heavy-elastica` with accuracy.solver = "lattice".',
     published=partial(_weight_exact, 0.5),
     band="as for `elastica`, but the upper end also includes the stretch of a hanging beam",
     run=_lattice_weight,

@@ -136,10 +136,10 @@ EXPERIMENT = Experiment(
     band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
     "widened by 2 %, since positions were read to within 0.02; heights: ±0.02, since the table's "
     "heights have steps of 0.05 to 0.06. The front's positions are not compared with the "
-    "experiment. In the experiment, the gate and the friction of the floor delay the water: at "
-    "each time, the front has travelled 9 to 20 % less. A delay of T = 0.25 explains this to "
-    "within 2 %. The speeds of the front are therefore compared; they agree best between two "
-    "positions",
+    "experiment. In the experiment, the gate and the friction of the floor delay the water. At "
+    "each time, the front of the experiment has travelled 9 to 20 % less than the simulated "
+    "front. A delay of T = 0.25 explains this difference to within 2 %. The speeds of the front "
+    "are therefore compared. The agreement is best for speeds between two positions",
     published=publish,
     run=lambda cells: release(cells, 0.0),
     control=lambda cells: release(cells, PASTE),

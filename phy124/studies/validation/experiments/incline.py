@@ -70,9 +70,10 @@ def measure(cells: int, more: float) -> Values:
 EXPERIMENT = Experiment(
     name="incline",
     title="Incline: Coulomb's friction",
-    source="Coulomb: a = g (sin θ − μ cos θ), or rest",
-    measured="Acceleration of a block in units of gravity. The incline is aligned with the grid "
-    "(gravity is tilted) or oblique to it (the wall is tilted).",
+    source="Coulomb's law: the acceleration is g (sin θ − μ cos θ), or zero if the block rests",
+    measured="The experiment measures the acceleration of a block in units of gravity. In half of "
+    "the cases, the incline is aligned with the grid, and gravity is tilted. In the other half, "
+    "the incline is oblique to the grid.",
     band="±0.002 g, since the block still rocks slightly",
     published=publish,
     run=lambda cells: measure(cells, 0.0),

@@ -144,9 +144,9 @@ SLOSHING = Experiment(
     title="Sloshing in a tank",
     source="Linear theory of waves (Lamb 1932, § 228): ω² = g k tanh(k h), k = π / L",
     measured="The water in a smooth tank is half as deep as the tank is long. The water "
-    "oscillates in its first mode with an initial amplitude of 5 % of the length. The "
-    "experiment measures the frequency over 5 periods [Hz], and the final height of "
-    "the centre of mass divided by the depth.",
+    "oscillates in its first mode with an initial amplitude of 5 % of the length. The experiment "
+    "measures the frequency over 5 periods [Hz], and the final height of the centre of mass "
+    "divided by the depth.",
     band="±1 %; a wave of this height is about 0.3 % slower than a small wave",
     published=lambda: (
         Quantity.within("frequency", frequency(), 0.01),
@@ -164,13 +164,13 @@ CHANNEL = Experiment(
     name="channel",
     title="Viscous liquid that falls between two plates",
     source=(
-        "Flow between plates that starts from rest (Batchelor 1967, § 4.3): g y (H - y) / "
-        "(2 ν), minus a series"
+        "the speed g y (H - y) / (2 ν), minus a series, in a flow between plates that starts from "
+        "rest (Batchelor 1967, § 4.3)"
     ),
     measured="A liquid slab with a viscosity of 0.1 m²/s falls between no-slip plates that are "
-    "0.5 m apart; gravity is 2 m/s². The slab's speed after 0.5 s is measured in the middle fifth "
-    "of the gap and across the gap [m/s].",
-    band="±5 %, since the slab is finite, but the theory assumes an infinitely long slab",
+    "0.5 m apart. Gravity is 2 m/s². The experiment measures two mean speeds of the slab after "
+    "0.5 s [m/s]: in the middle fifth of the gap, and across the whole gap.",
+    band="±5 %, since the theory assumes an infinitely long slab",
     published=lambda: tuple(
         Quantity.within(name, speed, 0.05)
         for name, speed in zip(("speed in the middle", "mean speed"), started_flow(), strict=True)
@@ -187,11 +187,10 @@ SPREADING = Experiment(
     name="spreading",
     title="Spreading of a viscous heap",
     source="Huppert 1982: r = 0.894 (g V³ / 3ν)^(1/8) t^(1/8), which his experiments confirm",
-    measured="A heap six times as wide as it is high spreads on a no-slip floor. The heap "
-    "starts with the shape of the similarity solution at the time t₀ when this "
-    "solution has the heap's height, and spreads until 4 t₀. The prefactor and the "
-    "exponent of the heap's radius are measured in the second half of this time (on a "
-    "logarithmic scale).",
+    measured="A heap six times as wide as it is high spreads on a no-slip floor. At the time t₀, "
+    "the similarity solution has the height of this heap. The heap starts with the shape of the "
+    "solution at t₀, and spreads until 4 t₀. The experiment measures the prefactor and the "
+    "exponent of the heap's radius from 2 t₀ to 4 t₀.",
     band="prefactor: ±2 %, exponent: ±5 %; the theory neglects inertia and the slope of the "
     "surface, which change the rate of spreading by about 3 %",
     published=lambda: (

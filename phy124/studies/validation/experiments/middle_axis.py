@@ -110,7 +110,8 @@ EXPERIMENT = Experiment(
     "and flips repeatedly. The experiment measures the first two times at which the spin about "
     "that axis is zero, and the fractions of kinetic energy and angular momentum that remain "
     "after 4 s. The angular momentum includes the part that APIC stores in C.",
-    band="±1 % in time; energy to 1 %, angular momentum to 0.01 %",
+    band="±1 % for the times; within 1 % of the initial energy, and within 0.01 % of the initial "
+    "angular momentum",
     published=publish,
     run=lambda cells: tumble(cells, EDGES),
     control=lambda cells: tumble(cells, (EDGES[0], 1.25 * EDGES[1], EDGES[2])),

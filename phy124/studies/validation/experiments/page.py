@@ -121,15 +121,17 @@ HEAD = """# Comparison with published experiments
 `phy124 accuracy --verify` tests whether the equations are solved correctly
 ([accuracy](accuracy.md)); this page tests whether they describe real materials.
 
-- **Grids**: Each experiment runs on three grids, whose values are extrapolated to zero grid
-  spacing (Richardson). The error of the extrapolated value is estimated as its distance from the
-  finest grid's value, plus the scatter. If the grids do not converge, the finest grid's value is
-  used, and its error is the spread of the three values.
-- **Band**: the range of values that is permitted by the sources or the theory. A value also counts
-  as inside if the band is within the value's error; the table marks such values.
+- **Grids**: Each experiment runs on three grids. The values on these grids are extrapolated to zero
+  grid spacing (Richardson), which gives the *limit*. The estimated error of the limit is its
+  distance from the value on the finest grid, plus the scatter. If the values on the grids do not
+  converge, the limit is the value on the finest grid, and its error is the spread of the three
+  values. *Off* is the deviation of the limit from the published value.
+- **Band**: the range of values that the sources or the theory permit. A value outside the band
+  also counts as inside if its distance from the band is smaller than its error. The tables mark
+  such values with *in by its error*.
 - **Control**: a run with a deliberate mistake, on the coarsest grid. At least one of its quantities
-  must be outside the band by more than this grid's error. If all quantities stayed inside, the
-  experiment could not detect the mistake, and agreement would prove nothing.
+  must be outside the band by more than this grid's error (*leaves*). If all quantities stayed
+  inside, the experiment could not detect the mistake, and agreement would prove nothing.
 - **Values outside their band** are marked, with the reason if it is known.
 """
 

@@ -124,11 +124,11 @@ def _plate(axis: int, *, moves: bool) -> HalfSpace:
 EXPERIMENT = Experiment(
     name="pressed-block",
     title="Pressed block: Poisson's ratio and bulk response",
-    source="the neo-Hookean law in closed form; for small strain, it gives ν, E, "
-    "E(1−ν)/(1+ν)(1−2ν) and E/(1−2ν)",
+    source="the neo-Hookean law in closed form; for small strain, it gives Poisson's ratio ν and "
+    "the three moduli E, E(1−ν)/(1+ν)(1−2ν) and E/(1−2ν)",
     measured="A block between smooth plates is compressed by 1 % in three ways: with free sides, "
-    "with fixed sides, and hydrostatically. Strains are measured from the particles, and "
-    "forces from the impulses of a plate.",
+    "with held sides, and hydrostatically. Strains are measured from the particles, and forces "
+    "from the impulses of a plate.",
     band="±0.5 %",
     published=publish,
     run=lambda cells: measure(cells, NU),

@@ -86,9 +86,10 @@ EXPERIMENT = Experiment(
     title="Sand columns: run-out in a channel, in both regimes",
     source="Lube et al. 2005 (sand, rice, sugar) and Lajeunesse et al. 2005 (glass beads), as "
     "compared by Lagrée, Staron and Popinet 2011",
-    measured="Run-out of the heap divided by the column's width, measured up to the first gap "
-    "wider than a cell. For an aspect ratio a, experiments give 1.2 a to 1.8 a for low columns, "
-    "and 1.9 a^(2/3) to 2.3 a^(2/3) for high columns.",
+    measured="The experiment measures the run-out of the heap divided by the column's width, up "
+    "to the first gap wider than a cell. Let H/L be the ratio of the column's height to its "
+    "width. Published run-outs are 1.2 H/L to 1.8 H/L for low columns, and 1.9 (H/L)^(2/3) to 2.3 "
+    "(H/L)^(2/3) for high columns.",
     band="from 0.9 times the run-out by Lube's law to the run-out by Lajeunesse's law",
     published=publish,
     run=lambda cells: measure(cells, ASPECTS, plane_strain(SLOPE)),

@@ -56,8 +56,9 @@ EXPERIMENT = Experiment(
     source="radii of Foulk et al. 2021 (7.22 mm), Simo 1992 (7.12 mm) and Zienkiewicz et al. "
     "1998 (7.11 mm); lengths from the codes Sierra/SM and Carina (21.42 to 21.48 mm), as "
     "published with Carina's benchmark",
-    measured="Length of the bar and radius of its impact face, 80 µs after the impact. A quarter "
-    "of the bar is simulated between two symmetry planes, without friction.",
+    measured="The experiment measures the length of the bar and the radius of its impact face, 80 "
+    "µs after the impact. A quarter of the bar is simulated between two symmetry planes, without "
+    "friction.",
     band="between the lowest and the highest published value",
     published=publish,
     run=lambda cells: strike(cells, COPPER),

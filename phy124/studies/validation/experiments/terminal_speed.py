@@ -53,9 +53,10 @@ def blow(cells: int, rate: float) -> Values:
 EXPERIMENT = Experiment(
     name="terminal-speed",
     title="Terminal speed in `wind`",
-    source="dv/dt = rate (u − v) − g",
-    measured="Upward displacement and final velocity of a soft block that falls through an upward "
-    "stream.",
+    source="dv/dt = rate (u − v) − g, for the velocity v of the block and the velocity u of the "
+    "stream",
+    measured="A soft block falls through a stream that flows upwards. The experiment measures the "
+    "upward displacement of the block at several times, and its final upward velocity.",
     band="±0.2 %",
     published=publish,
     run=lambda cells: blow(cells, RATE),
