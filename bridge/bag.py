@@ -52,7 +52,7 @@ class Counts:
     """Times of the earliest and the latest message [ns since 1970]."""
 
     def announce(self, topics: list[Topic]) -> None:
-        """Add topics, which have no messages yet."""
+        """Add topics, each with a count of 0 messages."""
         for topic in topics:
             self.topics[topic.name] = topic
             self.messages[topic.name] = 0
@@ -162,7 +162,9 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a YAML list of one QoS profile, as numbers (channels) or words (metadata.yaml)."""
+    """Return a YAML list of one QoS profile, with numbers (for channels) or with words (for
+    metadata.yaml).
+    """
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")
     durability = (1, "transient_local") if topic.transient_local else (2, "volatile")

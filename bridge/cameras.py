@@ -1,4 +1,5 @@
-"""Renders the pictures of the cameras of a clip or a running simulation, for `camera_messages`.
+"""Renders what cameras see in a clip or a running simulation; `camera_messages` encodes the
+pictures.
 
 The pictures equal those of `phy124 render`. In a running simulation, however, later frames are
 unknown. The cameras are therefore at `view.distance` from the object at rest, and the background is

@@ -2,7 +2,8 @@
 
 All sinks use this encoder, which is based on the definitions in `messages`. A message is a mapping
 from member names to values. Missing members are zero, empty or false, as in ROS. A message whose
-members all have the same primitive type (points, quaternions, colours) may also be a sequence.
+members all have the same primitive type (points, quaternions, colours) may also be passed as a
+sequence of values.
 """
 
 from __future__ import annotations

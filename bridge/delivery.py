@@ -29,8 +29,8 @@ def wait_for_topics(acknowledged: Callable[[str, float], bool], topics: Iterable
     """Wait for up to `FAREWELL` in total until the last messages of all topics have arrived.
 
     Args:
-        acknowledged: Function that waits until the messages of a topic are acknowledged, at most
-            for a number of seconds.
+        acknowledged: Function that waits until the messages of a topic are acknowledged or a number
+            of seconds has passed.
         topics: Names of the topics.
     """
     until = time.monotonic() + FAREWELL
@@ -52,17 +52,18 @@ class Delivery:
         """Prepare the count; no frame has been sent yet.
 
         Args:
-            acknowledged: Function that waits until all frames are acknowledged, at most for a
-                number of seconds, and returns whether they are; true if there are no reliable
-                subscribers.
+            acknowledged: Function that waits until all frames are acknowledged or a number of
+                seconds has passed. It returns whether all frames are acknowledged, which is true if
+                there are no reliable subscribers.
             depth: Number of frames that the writer keeps.
             meanwhile: Function that is called repeatedly while waiting.
-            patient: Whether a frame waits before it replaces another frame.
+            patient: Whether a frame waits before it replaces an unacknowledged frame.
         """
         self.lost = 0
         """Number of frames that at least one subscriber may not have received."""
         self._acknowledged, self._depth, self._meanwhile = acknowledged, depth, meanwhile
-        # Frames, bytes and losses since all frames were last acknowledged.
+        # Numbers of frames, bytes and lost frames since the last time when all frames were
+        # acknowledged.
         self._open = self._bytes = self._missed = 0
         self._patient, self._stuck = patient, not patient
 

@@ -118,7 +118,7 @@ class Discovery:
             "SYSTEM_DEFAULT": "participants that Cyclone DDS finds by its own settings",
         }[self.range]
         also = f" and {', '.join(self.peers)}" if self.peers else ""
-        need = "" if self.range == "OFF" else f"; there: `{self.export()}`"
+        need = "" if self.range == "OFF" else f"; run there `{self.export()}`"
         return f"Discovery range {self.range}, domain {self.domain}: visible to {who}{also}{need}."
 
     def export(self) -> str:

@@ -28,18 +28,19 @@ NUMPY_1 = ("humble", "jazzy", "kilted")
 """Distributions of ROS 2 whose packages are built for NumPy 1."""
 OPTIONAL = {
     "simulation_interfaces": "`live` offers ~/step and ~/reset (std_srvs) instead of its services",
-    "splat_interfaces": "there is no profile `splats` through rclpy",
-    "point_cloud_interfaces": "there are no points by Draco through rclpy",
-    "foxglove_msgs": "cameras send no h264 through rclpy",
+    "splat_interfaces": "rclpy cannot publish the profile `splats`",
+    "point_cloud_interfaces": "rclpy cannot publish points compressed by Draco",
+    "foxglove_msgs": "rclpy cannot publish the h264 pictures of cameras",
 }
 """Features that are missing if a ROS 2 package is not installed, by package."""
 BUFFERS = Path("/proc/sys/net/core")
 SHORT = {
     "rmem_max": "too small for 65,536 points per frame",
-    "rmem_default": "the most that Fast DDS uses: too small for 32,768 points per frame on a "
+    "rmem_default": "the limit for Fast DDS: too small for 32,768 points per frame on a "
     "busy machine",
 }
-"""Consequences of a value below `WANTED_BUFFER`, by system setting of the receive buffer."""
+"""For each system setting of the receive buffer, the consequence of a value below
+`WANTED_BUFFER`."""
 
 
 def describe(path: Path) -> list[str]:
@@ -60,7 +61,9 @@ def describe_clip(clip: Clip) -> list[str]:
     count = clip.means.shape[1]
     seconds = float(clip.times[-1] - clip.times[0])
     rate = (len(clip) - 1) / seconds if seconds else 0.0
-    velocities = "stored" if clip.velocities is not None else "from the positions in other frames"
+    velocities = (
+        "stored" if clip.velocities is not None else "computed from the positions in other frames"
+    )
     lines = [
         f"clip: {len(clip)} frames of {count:,} Gaussians, {seconds:.3f} s at {rate:.4g} frames/s",
         f"velocities: {velocities if len(clip) > 1 else 'no (vx, vy, vz will be NaN)'}",
@@ -120,7 +123,7 @@ def describe_recording(path: Path) -> list[str]:
 
 
 def diagnose() -> list[str]:
-    """List the outlets that work on this machine, and the requirements of the others."""
+    """List the outlets that work on this machine, and the requirements of all other outlets."""
     lines = [f"python: {sys.version.split()[0]} on {sys.platform}"]
     for outlet in dict.fromkeys([*REQUIREMENTS, *sink_names()]):
         error = missing(outlet)

@@ -11,7 +11,7 @@ so nothing is rotated.
 - `small`, 10 bytes: x y z as int16, r g b a as uint8. After its last point the row has 16 more
   bytes: four float32 with the centre x y z [m] and the quantisation step [m]. A position is
   centre + step * (x, y, z); -32768 encodes NaN.
-- `splats` is not a PointCloud2 but a message of its own, which the function `splats` describes.
+- `splats` is not a PointCloud2 but a SplatArray, which the function `splat_array` encodes.
 - `ply`, 68 bytes or more: names and raw values of a 3DGS PLY (Kerbl et al. 2023), which splat
   viewers read. Colours are harmonics, opacities are logits, scales are logarithms, and rot_0 is w.
 """
@@ -69,9 +69,9 @@ def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, A
 def draco_cloud(frame: Frame, bits: int, header: dict[str, Any]) -> dict[str, Any]:
     """Return a frame in the profile `viz`, compressed in the format of draco_point_cloud_transport.
 
-    The decoder of that package writes attribute i of the Draco data at the offset of field i.
-    Attribute 0 contains the three coordinates, and attribute 1 the four bytes of `rgb`, so `rgb` is
-    the second field. Points that are not finite are removed.
+    The decoder of that package writes attribute number i of the Draco data at the offset of field
+    number i. Attribute 0 contains the three coordinates, and attribute 1 the four bytes of `rgb`,
+    so `rgb` is the second field. Points that are not finite are removed.
 
     Args:
         frame: The frame.
@@ -171,7 +171,8 @@ def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Choose at most `limit` of `count` Gaussians, and return their indices; None means no limit.
+    """Choose `limit` of `count` Gaussians, and return their indices; return None if all are within
+    the limit.
 
     The indices are evenly spaced, so they are the same in every frame and every run.
     """

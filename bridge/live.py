@@ -62,7 +62,10 @@ def play(
         sink.show(player)
         return refusal
 
-    logged, logged_at = 0, -math.inf  # number of dropped frames in the log, and time of this line
+    logged, logged_at = (
+        0,
+        -math.inf,
+    )  # number of dropped frames in the last warning, and time of the warning
     sink.show(player)
     while not player.finished if going is None else going():
         sink.listen(min(player.wait(clock()), LONGEST_WAIT), obey)
@@ -151,14 +154,14 @@ class Pacer:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """In a running simulation, each frame is shown once."""
+    """State of playback that is constant, because a running simulation shows each frame once."""
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
         self.paused = self.finished = False
         self.shown, self.position = 0, 0.0
         self._clock = clock
-        self._anchor: tuple[float, float] | None = None  # reading of the clock, time in the clip
+        self._anchor: tuple[float, float] | None = None  # clock reading and time in the clip
         self._lock = threading.Lock()
 
     def wait(self, time: float) -> float:

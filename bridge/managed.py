@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 
 
 def main(args: list[str] | None = None) -> None:
-    """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
+    """Run the node `managed` with the arguments that follow its name in `ros2 run`."""
     live_through(args, lambda node: node.work.run(), managed_player)
 
 

@@ -1,8 +1,8 @@
 """Definitions of the ROS 2 messages that the bridge uses, and the RIHS01 hashes of their types.
 
 Constants are omitted from the definitions, because they are not part of the wire format. The tests
-compare the definitions and hashes of ROS 2's own messages with the package rosbags. The messages of
-four other packages are defined by names and types only: simulation_interfaces 2.1.0,
+compare the definitions and hashes of ROS 2's own messages with the package rosbags. For the
+messages of four other packages, only names and types are defined: simulation_interfaces 2.1.0,
 splat_interfaces (of RVizSplat), foxglove_msgs and point_cloud_interfaces.
 """
 
@@ -18,7 +18,7 @@ from typing import Any
 SEPARATOR = "=" * 80
 
 NOTHING = "uint8 structure_needs_at_least_one_member"
-"""The content of a ROS 2 message without members."""
+"""Dummy member that ROS 2 adds to a message without members."""
 RESULT = "simulation_interfaces/Result result"
 
 DEFINITIONS: dict[str, str] = {
@@ -180,8 +180,8 @@ TYPE_IDS = {base: number for number, base in enumerate((*INTEGERS, "float32", "f
 TYPE_IDS |= {"bool": 15, "byte": 16, "string": 17}
 """Numbers of the primitives in descriptions of types (REP-2011)."""
 NESTED, BOUNDED_STRING, ARRAY, SEQUENCE = 1, 21, 48, 144
-"""Numbers of other types. The number of an array or a sequence is added to the number of its
-values' type.
+"""Numbers of the other types. For an array or a sequence, this number is added to the number of the
+type of its values.
 """
 
 

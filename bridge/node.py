@@ -44,12 +44,12 @@ log = logging.getLogger(__name__)
 
 
 def main(args: list[str] | None = None) -> None:
-    """`ros2 run phy124_bridge player --ros-args -p clip:=/path/to/clip.safetensors`."""
+    """Run the node `player` with the arguments that follow its name in `ros2 run`."""
     live_through(args, play_clip)
 
 
 def simulation(args: list[str] | None = None) -> None:
-    """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
+    """Run the node `simulate` with the arguments that follow its name in `ros2 run`."""
     live_through(args, simulate)
 
 

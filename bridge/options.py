@@ -20,7 +20,7 @@ LIVE_POINTS = 32_768
 See docs/guide/ros2-messages.md.
 """
 LIVE_SPLATS = 8_192
-"""Largest number of Gaussians per frame in the profile `splats`, in which each takes 384 bytes."""
+"""Largest number of Gaussians per frame in the profile `splats`; each Gaussian takes 384 bytes."""
 Image = Literal["rgb", "depth", "mask", "flow", "jpeg", "h264"]
 LAST_SECOND = 2**31 - 1
 """Largest time [s]; `builtin_interfaces/msg/Time` stores seconds as int32."""

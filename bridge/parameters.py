@@ -205,7 +205,9 @@ class Running:
     def __init__(
         self, node: Any, parameters: Mapping[str, Parameter], apply: Callable[[str, Any], None]
     ) -> None:
-        """Watch declared `parameters`; `apply(name, value)` carries out a change."""
+        """Watch `parameters`, which are already declared; `apply(name, value)` carries out a
+        change.
+        """
         self._node, self._parameters, self._apply = node, parameters, apply
         node.add_pre_set_parameters_callback(self._keep_types)
         node.add_on_set_parameters_callback(self._check)

@@ -66,7 +66,7 @@ class Player:
         # Copied, since the times of a clip are read from its file, which may be cut while it plays.
         self.times = np.array(times, dtype=np.float64)
         if not len(self.times) or not (np.diff(self.times) > 0).all():
-            limit = "The times of the frames must ascend, and there must be at least one."
+            limit = "The times of the frames must ascend, and there must be at least one frame."
             raise InputError("clip", f"{len(self.times)} frames", limit, "Simulate it again.")
         self.loop, self.paused, self.rate = loop, paused, _checked_rate(rate)
         self.speed, self.lateness = checked_speed(speed), lateness
@@ -187,7 +187,9 @@ class Player:
         self.rate = _checked_rate(rate)
 
     def stamp_at(self, now: float) -> float:
-        """Return the number of seconds of the clip played until `now`; constant while paused."""
+        """Return the number of seconds of the clip played until `now`; it stays constant during a
+        pause.
+        """
         self._clock = max(self._clock, self._stamp or 0.0)
         if not self.paused and not self.finished and self._start is not None:
             next_one = float(self.times[self._next])

@@ -1,4 +1,4 @@
-"""Reports about the state of a publisher: ~/status, /diagnostics and /clock."""
+"""Publishes the state of a publisher on the topics ~/status, /diagnostics and /clock."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ OK, WARN = 0, 1
 
 @dataclass(frozen=True)
 class Audience:
-    """Numbers of subscribers, of frames that may be lost, and of nodes with the same name."""
+    """The number of subscribers, the number of frames that may be lost, and the number of nodes
+    with the same name.
+    """
 
     subscribers: int
     lost: int

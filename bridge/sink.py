@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Obey = Callable[[str], "str | None"]
 """Function that executes a command and returns the reason of a refusal, or None."""
 LONGEST_WAIT = 0.2
-"""Longest wait in `listen` [s], after which Ctrl-C and the end of playback are noticed."""
+"""Longest wait in `listen` [s]. Ctrl-C and the end of playback are noticed only after a wait."""
 
 
 class Sink(Protocol):
@@ -61,8 +61,8 @@ class LiveSink(Sink, Protocol):
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait up to `seconds` for a command, and pass the command to `obey`.
 
-        `listen` is the only method that may run in another thread than `write`. Return True if a
-        command was read and more may be waiting.
+        Unlike all other methods, `listen` may run in a different thread than `write`. Return True
+        if a command was read and more commands may be waiting.
         """
         del obey
         time.sleep(seconds)

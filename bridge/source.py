@@ -68,8 +68,8 @@ class LiveOptions:
 
 
 class LiveRun:
-    """A simulation that does not store its frames, because all frames may not fit into the
-    memory.
+    """A simulation that does not store its frames, because they might not fit into the memory
+    together.
     """
 
     def __init__(self, source: Path, options: LiveOptions, *, progress: Progress = silent) -> None:
@@ -95,7 +95,7 @@ class LiveRun:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames when they are computed; `stopped` is the reason of an early end."""
+        """Yield the frames when they are computed; after an early end, `stopped` is its reason."""
         from phy124.simulation import Stopped
 
         try:
@@ -158,7 +158,7 @@ class FileWatch:
         self._before = self._state()
 
     def check(self) -> None:
-        """Check that the same file has not changed.
+        """Check that the file has not changed, unless it was replaced by another file.
 
         Raises:
             InputError: Another program wrote into the file.

@@ -8,22 +8,22 @@ from .__main__ import importing, main
 
 
 def player() -> None:
-    """`ros2 run phy124_bridge player --ros-args -p clip:=/path/to/clip.safetensors`."""
+    """Execute `ros2 run phy124_bridge player --ros-args -p clip:=/path/to/clip.safetensors`."""
     _run("node", "main")
 
 
 def manage() -> None:
-    """`ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
+    """Execute `ros2 run phy124_bridge managed --ros-args -p clip:=/path/to/clip.safetensors`."""
     _run("managed", "main")
 
 
 def simulate() -> None:
-    """`ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
+    """Execute `ros2 run phy124_bridge simulate --ros-args -p source:=photo.png -p scene:=drop`."""
     _run("node", "simulation")
 
 
 def live() -> int:
-    """`ros2 run phy124_bridge live photo.png`: like `bridge live` on the command line."""
+    """Execute `ros2 run phy124_bridge live photo.png`, which equals `bridge live photo.png`."""
     return main(["live", *sys.argv[1:]])
 
 

@@ -85,7 +85,7 @@ The clock is not recorded, because it would conflict with the clock of `ros2 bag
 
 
 def contact(at: str) -> Topic:
-    """Return the topic that publishes the force on a wall, or the force between two objects."""
+    """Return the topic for the force on a wall or for the force between two objects."""
     name = at.replace("-", "_")  # ROS allows no hyphens
     return Topic(
         f"~/contact/{name}", "geometry_msgs/msg/WrenchStamped", depth=10, transient_local=False
@@ -129,7 +129,9 @@ class Service:
 
 @dataclass(frozen=True)
 class Controls:
-    """Topics and services that a sink offers besides frames; by default, those of a player."""
+    """Topics and services that a sink offers in addition to frames; by default, those of a
+    player.
+    """
 
     node: str = PLAYER
     published: tuple[Topic, ...] = ()

@@ -15,8 +15,8 @@ DRAIN = 1 << 28
 VALUES, DEEPEST = 50_000, 40
 """Largest number of values in the JSON of a request, and the largest nesting depth of this JSON."""
 HELD, SMALL = 128_000_000, 64_000
-"""Limit on the memory for all incomplete request bodies together, and the size up to which a body
-does not count towards this limit [bytes]."""
+"""Limit on the total memory for incomplete request bodies, and largest size of a body that does not
+count towards this limit [bytes]."""
 ODD = "This request cannot be read: its JSON has too many values, or they are nested too deeply."
 
 

@@ -40,9 +40,10 @@ READY = {
 }
 """Title and example picture of each preset whose finished result `make_previews` creates."""
 PUSHES = {"gravity": "g", "acceleration": "a"}
-"""Forces that the page's direction pad changes, and the field that the pad sets."""
+"""Forces whose direction the page's direction pad changes, each with the field that the pad
+sets."""
 LONGEST, LONGER = 20_000, 200
-"""Largest length of a scene as text [characters], and increase of this limit per frame.
+"""Largest length of a scene as text [characters], and the increase of this limit for each frame.
 
 A saved live run contains a position of the hand for each frame.
 """

@@ -30,8 +30,8 @@ AT_ONCE = 2048
 
 
 def allow_connections() -> int:
-    """Raise the limit of open files as far as possible; return half of the limit, for
-    connections.
+    """Raise the limit on open files as far as possible; return half of this limit, which is the
+    largest number of connections.
     """
     if resource is None:
         return UNLIMITED // 2
@@ -48,8 +48,8 @@ def limit_connections(most: int) -> Iterator[None]:
 
     The protocol class is replaced before Gradio starts uvicorn, so that all connections have a
     deadline. Up to three batches of new connections are accepted before the excess connections of
-    the first batch are closed. A batch must therefore be smaller than the limit; otherwise, many
-    connections at the start could use up all open files.
+    the first batch are closed. A batch must therefore be smaller than the limit. If it were larger,
+    many connections at the start could use up all open files.
 
     Args:
         most: Largest number of connections.
@@ -64,7 +64,7 @@ def limit_connections(most: int) -> Iterator[None]:
 
 
 class Patient(H11Protocol):
-    """A connection that is closed if a request or the reading of an answer takes too long.
+    """A connection that is closed if its client sends a request or reads an answer too slowly.
 
     If there are too many connections, the connection with the earliest deadline is closed.
     """

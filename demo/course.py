@@ -11,13 +11,14 @@ SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
 """Fractions of the time limit.
 
 After the first fraction, no further frame is simulated. After the second, no further video is
-started. At the third, the run fails.
+started. A run that exceeds the third fails.
 """
 SOFT, FEW = 1e4, 8
-"""Stiffness [Pa] and number of frames below which no reduction is suggested."""
+"""A softer material is suggested only above this stiffness [Pa], and a shorter clip only above this
+number of frames."""
 SURE = 0.1
-"""After this fraction of the time limit, the frames simulated so far predict the time of the other
-frames.
+"""After this fraction of the time limit, the time of the remaining frames is predicted from the
+time of the frames simulated so far.
 """
 
 
@@ -76,7 +77,7 @@ class Course:
         )
 
     def observe(self, done: int, elapsed: float, first: float) -> Course:
-        """Return the course that follows from the frames simulated so far.
+        """Predict the course again from the time of the frames simulated so far.
 
         Args:
             done: Number of simulated frames.

@@ -38,7 +38,7 @@ VIEWS = list(get_args(ViewName))
 OTHERS = ("second", "third", "fourth")
 """Arguments for the pictures of further objects."""
 GUESSES = ("back_look", "shape", "photo_elevation")
-"""Arguments that replace what `relief` guesses from the picture."""
+"""Arguments that set values which the generator `relief` otherwise guesses from the picture."""
 EXTRAS = (
     *("depth", "near", "side", "facing", "back", "thickness", "highlights", *AXES, "compose"),
     *GUESSES,
@@ -93,7 +93,7 @@ class GenerateRequest(MeasureRequest):
 
 
 def endpoints(studio: Studio) -> None:
-    """Add the named endpoints, with typed arguments."""
+    """Add the named endpoints with typed arguments to the page."""
     with gr.Column(visible=False):
         picture = photo(studio, label="image")
         preset = _unread(gr.Dropdown(preset_names(), value="press", label="preset"))
@@ -166,7 +166,7 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """Disable the checks of a component; later checks name the argument in errors."""
+    """Disable the checks of a component, because later checks name the argument in their errors."""
     component.preprocess = lambda payload: payload
     return component
 

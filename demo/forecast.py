@@ -29,7 +29,7 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to prepare and to compare a grid of a study, as a fraction of the rate `rest`."""
+"""Time to prepare a grid of a study and to compare its result, as a fraction of the rate `rest`."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Estimate:
     unloaded: float = 0.0
     """Predicted time without load from other programs [s]; 0 if unknown."""
     after: float = 0.0
-    """Predicted time of the stages after the simulation, as part of `seconds` [s]."""
+    """Predicted time of the stages after the simulation [s]. It is included in `seconds`."""
     course: Course | None = None
     """Predicted course of the run under the page's time limit; None if no limit is known."""
     accuracy: object = None
@@ -184,8 +184,8 @@ class Estimator:
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
-        """Make a run; return the scene, and the times corrected for the load from other
-        programs.
+        """Make a run; return its report, whose times are corrected for the load from other
+        programs, and its scene.
         """
         before = self.meter.measure()
         report, scene = run()

@@ -54,7 +54,7 @@ class Doorkeeper:
         Args:
             app: The application to wrap.
             hosts: Host names of the page.
-            origins: Public host names of the page that a proxy may replace in the Host header.
+            origins: Public host names of the page. A proxy may replace them in the Host header.
         """
         self.app, self.hosts, self.origins = app, hosts, origins
 

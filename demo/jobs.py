@@ -59,7 +59,7 @@ CUTTERS = 2
 
 @dataclass
 class Studio:
-    """State that all visitors share: limits, folders, forecasts, queues."""
+    """The state shared by all visitors: limits, folders, forecasts and queues."""
 
     settings: Settings
     visitors: Visitors
@@ -100,7 +100,7 @@ class Studio:
         return median(self.searches) if self.searches else None
 
     def take(self, name: str, sent: Any, pick: Point | None = None) -> Job:
-        """Start to cut the object out of an uploaded picture, or to read a file of Gaussians.
+        """Start a job that cuts the object out of an uploaded picture or reads a file of Gaussians.
 
         Args:
             name: The visitor's name.
@@ -141,7 +141,7 @@ class Studio:
         pick: Point | None = None,
         kind: str = "cut",
     ) -> Job:
-        """Start to cut the object out of an uploaded picture.
+        """Start a job that cuts the object out of an uploaded picture.
 
         Args:
             name: The visitor's name.
@@ -225,8 +225,8 @@ class Studio:
     def _complete(
         self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
-        """Return a forecast with the error bound or the measured error of this object, and with the
-        time and error of each named accuracy.
+        """Add the error bound or the measured error of this object to a forecast, and the time and
+        error of each named accuracy.
         """
         visitor, study, proportions = self.visitors.find(choice.name), None, None
         if order is not None and visitor is not None:
@@ -370,9 +370,7 @@ class Studio:
                 close_now(events)
                 visitor.trim(self.visitors.room)
         if done is not None:
-            job.tell(
-                done
-            )  # after `writing`, because the visitor may request several files at the same time
+            job.tell(done)  # Until `writing` ends, the visitor cannot request files.
             visitor.proportions[str(made_gaussians(order))] = Proportions.of_report(done.report)
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)

@@ -36,7 +36,7 @@ SERVER = {
 
 
 SUBJECTS = {"image": "The file", "mesh": "The file", "video": "The video", "depth": "The depth map"}
-"""Names that messages use for the field of an error."""
+"""Names by which messages to visitors refer to the field of an error."""
 
 
 class Job:
@@ -59,7 +59,7 @@ class Job:
         self.progress = Progress(expected=expected, names=stages)
         self.line: Line | None = None
         self.choice: Choice | None = None
-        """What the visitor has chosen for a run; needed for a finer run."""
+        """The visitor's choices for a run; a finer run uses them again."""
         self._changed = threading.Condition()
 
     @property

@@ -188,7 +188,9 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Let a loop start with the frame that differs most from the first frame."""
+    """Reorder the pictures of a loop so that it starts with the one that differs most from the
+    first.
+    """
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

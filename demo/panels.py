@@ -11,7 +11,7 @@ import gradio as gr
 from .handlers import Handler
 
 MARK = "mark"
-"""Key of an entry in a panel's value that is different in every answer (see `mark_answers`)."""
+"""Key of an entry that makes every value of a panel different (see `mark_answers`)."""
 
 
 def _load(*files: str) -> str:
@@ -33,9 +33,9 @@ PANELS = {
     # example, "correct" carries brush strokes, "cut" reports the end of a cut-out.
     "picture": (HEAD + _load("static/brush.js", "static/picture.js"), "choose correct cut"),
     # Optional inputs; the value contains them by option name. "choose" names a picture uploaded for
-    # an option, "view" reports the end of its cut-out, "change" a new value. Handlers set the value
-    # to an answer, or to the orientations of a file of Gaussians; the panel then replaces this
-    # value.
+    # an option, "view" reports the end of its cut-out, and "change" reports a new value. Handlers
+    # set the value to an answer, or to the orientations of a file of Gaussians; the panel then
+    # replaces this value.
     "known": (KNOWN, "choose view change"),
     # Pictures of further objects; empty if no object needs a picture. "choose" names a picture
     # uploaded for an object, "view" reports the end of its cut-out. Handlers set the value to an
@@ -51,7 +51,7 @@ PANELS = {
         "",
     ),
     # The live run; the value is the ID of a live run or an error message. "begin" requests a live
-    # run, "save" a clip of the live run.
+    # run, and "save" requests a clip of the live run.
     "touch": (
         HEAD + _load("static/lattice.js", "static/glass.js", "static/splats.js", "static/touch.js"),
         "begin save",

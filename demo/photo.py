@@ -26,10 +26,12 @@ FETCHES_NOTHING = "This page downloads nothing from an address. Send the file it
 
 
 def _refusing(model: Any, name: str) -> Any:
-    """Return a model of files that refuses other values by a message with an argument's name."""
+    """Return a pydantic model of files; it refuses other values with a message that names the
+    argument.
+    """
 
     class Sent(model):
-        # Not a pydantic validator, because the program would not see the exceptions of a validator.
+        # This is no pydantic validator, because the calling program would not see its exceptions.
         @classmethod
         def model_validate(cls, obj: Any, **options: Any) -> Any:
             try:

@@ -81,7 +81,8 @@ def viewable(picture: Path, deadline: Deadline = PATIENT) -> Path:
 def cut_out(
     picture: Path, path: Path, pick: Point | None = None, deadline: Deadline = PATIENT
 ) -> tuple[str, ...]:
-    """Write the cut-out of a picture; return a warning with its reasons, or the notes.
+    """Write the cut-out of a picture; return its notes, or a warning that is followed by its
+    reasons.
 
     Args:
         picture: The picture.
@@ -117,7 +118,8 @@ def cut_once(
 ) -> tuple[Path, tuple[str, ...], bool]:
     """Cut out an upload if its cut-out does not exist yet; correct the cut-out by strokes.
 
-    Return the cut-out, the reasons of a warning, and whether the object had to be segmented.
+    Return the path of the cut-out, the reasons for a warning, and whether the object had to be
+    segmented.
 
     Args:
         visitor: The visitor who uploaded the picture.
@@ -181,7 +183,7 @@ def how_cut(picture: Image.Image) -> dict[str, Any] | None:
 
 
 def cut_by(path: Path) -> str:
-    """Return the title of the method of a cut-out; empty if the method is unknown."""
+    """Return the title of the method that made a cut-out; empty if the method is unknown."""
     with Image.open(path) as picture:
         how = how_cut(picture)
     return title_of(how["method"]) if how else ""

@@ -93,7 +93,7 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """The smallest value of each rate: built-in, measured or current."""
+        """For each rate, the smallest of the built-in, the measured and the current value."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 

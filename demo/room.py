@@ -111,7 +111,7 @@ class _Upload:
 
 
 class Arrivals:
-    """Uploads of programs without cookies, kept until a request names the upload.
+    """Uploads of programs without cookies. Each upload is kept until a request names it.
 
     The disk space for such uploads is small, and limited per address. Callers must hold the lock of
     `demo.visitors`.
@@ -151,8 +151,8 @@ class Arrivals:
         return upload.size if upload else 0
 
     def drop(self) -> bool:
-        """Remove the oldest upload of the address that stores most bytes; return whether there was
-        one.
+        """Remove the oldest upload of the address that stores most bytes; return False if there are
+        no uploads.
         """
         if not self._uploads:
             return False

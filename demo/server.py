@@ -83,7 +83,7 @@ def check_address(settings: Settings) -> None:
         socket.create_server((host, port), family=family).close()
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            limit, remedy = "Another program listens there.", f"Try --port {port % 65535 + 1}."
+            limit, remedy = "Another program uses this port.", f"Try --port {port % 65535 + 1}."
             raise InputError("port", port, limit, remedy) from None
         if error.errno == errno.EACCES:
             limit = "This user is not allowed to listen at this port."
@@ -169,7 +169,7 @@ def doors(studio: Studio, connections: int) -> list[Middleware]:
     """Return the middleware, in the order in which a request passes it.
 
     Args:
-        studio: State that all visitors share.
+        studio: The state shared by all visitors.
         connections: Largest number of connections.
     """
     # Imported here, because it imports Gradio, whose environment must be prepared first.
@@ -264,8 +264,8 @@ def without_cors() -> Iterator[None]:
 
     Gradio's middleware would let other sites read the answers of the page.
 
-    If this middleware were removed after the start, all middleware would be built again and lose
-    its counts of streams and requests.
+    The middleware is not removed after the start, because all middleware would then be built again
+    and would lose its counts of streams and requests.
     """
     from gradio import routes
 

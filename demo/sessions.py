@@ -98,7 +98,8 @@ class Sessions(StateHolder):
                     self._remove(name)
 
     def _make_room(self, address: str) -> None:
-        """If an address has too many sessions, remove one, preferably that of an absent visitor.
+        """If an address has too many sessions, remove one of them, preferably that of an absent
+        visitor.
 
         If no visitor is absent, the removed session belongs to the visitor with most sessions.
         """

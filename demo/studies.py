@@ -51,7 +51,9 @@ class Measurement(BaseModel):
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
-        """Create a measurement from the parts of a study's report that are stored."""
+        """Create a measurement from the report of a study; other parts of the report are not
+        stored.
+        """
         levels = tuple(
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows
@@ -98,7 +100,7 @@ def grids(scene: Scene) -> tuple[int, ...]:
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """Return the scene on another grid, but with the same solver of elastic objects.
+    """Return the scene with another grid and the same solver for elastic objects.
 
     The scene is computed in single precision, which does not affect the error
     (docs/lab/accuracy.md).

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("phy124.web")
 FILES = (gr.Image, gr.File)
-"""The parts of the arguments that are file names."""
+"""Components of arguments that are files."""
 FILE = "A data: URL with base64, or the path that POST gradio_api/upload of this server returned."
 RUN = "The name of a run, as generate returned it."
 DESCRIPTIONS = {
@@ -178,7 +178,7 @@ class ToolServer:
     def __init__(self, page: gr.Blocks, studio: Studio) -> None:
         self.studio, self.tools = studio, tools(page)
         self._runs: WeakKeyDictionary[Visitor, Any] = WeakKeyDictionary()
-        """Name of each visitor's last run, as the endpoints store it."""
+        """Value by which the endpoints identify each visitor's last run."""
         self._threads = anyio.CapacityLimiter(studio.settings.max_queue)
         self.server: Server[Any, Any] = Server("phy124")
         logging.getLogger("mcp").setLevel(logging.ERROR)  # its warnings quote the text of requests

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 COMPUTES = re.compile(r"/gradio_api/(?:run|api|call|queue)\b")
 """URLs at which a POST request may take more than 0.2 s of processor time."""
 TOGETHER, EACH = 4, 2
-"""Largest number of computing requests in parallel: in total, and per address."""
+"""Largest number of requests that compute at the same time, in total and per address."""
 UPLOADS = re.compile(r"/gradio_api/upload\b")
 """URLs of uploads, which occupy disk space until they are complete."""
 RECEIVED, RECEIVED_EACH = 64, 8
@@ -55,11 +55,11 @@ class Present:
     """
 
     def __init__(self, app: ASGIApp, asking: Callable[[str], AbstractContextManager[None]]) -> None:
-        """Wrap an application; the visitor with a name is present within `asking(name)`."""
+        """Wrap an application. A visitor counts as present within the context `asking(name)`."""
         self.app, self.asking = app, asking
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on, and record its visitor meanwhile."""
+        """Pass the request on; meanwhile, count its visitor as present."""
         name = None
         if scope["type"] == "http" and not _is_stream(scope):
             name = cookie_of(HTTPConnection(scope))

@@ -36,9 +36,9 @@ LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
 """Options of events without data. Only the last event needs an answer, because it shows the latest
 state."""
 CHANGE = "(globalThis.Phy124 ??= {}).change"
-"""JavaScript expression: the number of changes of the scene so far, undefined before the first
-change. Events that set the forecast send this number instead of the forecast's value, and the
-answer contains the number."""
+"""JavaScript expression for the number of changes of the scene so far; undefined before the first
+change. Events that set the forecast send this number in place of the forecast's value. Their
+answers contain the same number."""
 CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
 UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"
 MASTHEAD = """<div id="masthead"><p id="mark"><svg viewBox="0 0 42 42" aria-hidden="true">
@@ -118,7 +118,7 @@ def _bar() -> tuple[gr.HTML, gr.HTML, gr.Button, gr.Button, gr.Button]:
 
 
 def _wire_picture(studio: Studio, picture: Any, source: Any, others: Any, extras: Any) -> Any:
-    """Connect the events of the picture panels; return the event of a new source."""
+    """Connect the events of the picture panels; return the event that reports a new source."""
     picture.choose(handlers.on_choose(studio), None, [picture, source, extras], **EACH)
     picture.correct(handlers.on_correct(studio), [picture, source], picture, **EACH)
     shown = [picture, source]

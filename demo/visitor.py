@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 STAGES = ("cutouts", "objects", "gaussians", "clips", "films", "exports", "studies", "fits")
 """Folders that contain the results of stages (see `demo.visitors`)."""
 UPLOADS = JOBS = 8
-"""Numbers of uploads, and of jobs of each kind, that are kept per visitor."""
+"""Number of uploads and number of jobs of each kind that are kept per visitor."""
 
 
 class Visitor:
@@ -133,10 +133,11 @@ class Visitor:
         self.give_up(room.each)
 
     def give_up(self, most: float, keep: Collection[Path] = ()) -> bool:
-        """Remove exports and then results, the oldest first, until at most `most` bytes are left.
+        """Remove exports and then results, the oldest first, until the limit of `most` bytes is
+        met.
 
-        The latest result of each stage and the paths in `keep` are not removed. Return whether at
-        most `most` bytes are left.
+        The latest result of each stage and the paths in `keep` are not removed. Return whether the
+        limit is met.
         """
         for path in self._oldest():
             if self.measure() <= most:

@@ -48,7 +48,7 @@ AWAY = 150.0
 An open page sends a request every minute.
 """
 UNUSED = 16
-"""Largest number of idle visitors per address; further ones are removed, the longest idle first."""
+"""Largest number of idle visitors per address. Beyond it, the longest idle visitors are removed."""
 UNFINISHED = 3
 """Largest number of unfinished jobs per visitor."""
 FULL = "Too many visitors use this server at the moment."
@@ -271,8 +271,8 @@ class Visitors:
         Visitors whose folder another program has removed are also removed, so that their pages send
         their files again.
 
-        `late` is the time since the last call in which the server could not process requests, for
-        example because it was suspended [s]. This time does not count as silence of the visitors.
+        `late` is the time [s] for which the server could not process requests since the last call,
+        for example because it was suspended. This time does not count as silence of the visitors.
         """
         with self._lock:
             for visitor in self._known.values():

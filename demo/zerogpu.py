@@ -25,7 +25,8 @@ frame is simulated."""
 SHORTEST = 15
 """Shortest declared time of a job, which includes the start of the forked process [s]."""
 COMPILING = 20
-"""Time for compiling CUDA kernels [s]. Until a job has ended, it is added to the declared time."""
+"""Time for compiling CUDA kernels [s]. It is added to the declared times until the first job has
+ended."""
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 
 Work = Callable[[Order], Iterator[Any]]

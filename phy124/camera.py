@@ -80,7 +80,7 @@ class Camera:
 
     @cached_property
     def view(self) -> NDArray[np.float64]:
-        """World-to-camera transform [4,4]."""
+        """Transform from world to camera coordinates [4,4]."""
         eye, target = np.asarray(self.eye, float), np.asarray(self.target, float)
         forward = (target - eye) / np.linalg.norm(target - eye)
         # If a camera looks straight up or down, +x is at the top of the image.
@@ -94,7 +94,7 @@ class Camera:
 
     @property
     def intrinsics(self) -> NDArray[np.float64]:
-        """Camera-to-pixel matrix [3,3]."""
+        """Matrix from camera to pixel coordinates [3,3]."""
         f = self.focal
         x, y = self.centre
         return np.array([[f, 0, x], [0, f, y], [0, 0, 1]])

@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 
 DISK_CODES = {errno.ENOSPC, errno.EFBIG, *([errno.EDQUOT] if hasattr(errno, "EDQUOT") else [])}
 SHORT_CODES = {*DISK_CODES, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
-"""Error codes of a machine that lacks disk space, memory or file descriptors.
-
-In this case, the file that the error names is not the cause.
+"""Error codes that report a lack of disk space, memory or file descriptors.
 """
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 """Escape sequences for control characters, which could change a terminal's colours or title."""
@@ -40,7 +38,7 @@ class InputError(ValueError):
     """The user's input cannot be used; the message says which input, why, and how to correct it.
 
     The command line and the web page print only the message, never a traceback. `remedies` are
-    changes of the scene, each of which solves the problem by itself.
+    changes of the scene. Each of them alone solves the problem.
     """
 
     def __init__(
@@ -65,7 +63,8 @@ class Incomplete(Exception):
 
     `__cause__` is the exception that ended the work.
 
-    `kept` ends a sentence: it names the saved files and the command that continues the run.
+    `kept` is the end of a sentence. It names the saved files and the command that continues the
+    run.
     """
 
     def __init__(self, kept: str) -> None:

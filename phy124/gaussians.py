@@ -110,7 +110,9 @@ class Gaussians:
 
     @property
     def rgb(self) -> Array:
-        """Colours [N,3] in 0..1 from the harmonics of degree 0, whatever the direction of view."""
+        """Colours [N,3] in 0..1 from the harmonics of degree 0, which do not depend on the view
+        direction.
+        """
         return np.clip(0.5 + SH_C0 * self.sh[:, 0], 0, 1)
 
     @property
@@ -300,8 +302,8 @@ def quaternions(rotations: NDArray) -> NDArray[np.float64]:
     r = np.asarray(rotations, dtype=np.float64)
     diagonal = np.einsum("nii->ni", r)
     trace = diagonal.sum(axis=1, keepdims=True)
-    # The rows below are the columns of 4 q q^T, of which the one with the largest diagonal entry is
-    # well conditioned.
+    # The rows below are the columns of 4 q q^T. The column with the largest diagonal entry is well
+    # conditioned.
     squares = np.concatenate([1 + trace, 1 + 2 * diagonal - trace], axis=1)
     best = squares.argmax(axis=1)
     xy, xz, yz = r[:, 1, 0] + r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 2, 1] + r[:, 1, 2]
@@ -336,10 +338,11 @@ def sh_basis(directions: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
-    """Rotate colours `sh` [N,K,3], functions of direction, with Gaussians by `quats` wxyz [N,4].
+    """Rotate the direction-dependent colours `sh` [N,K,3] of Gaussians by `quats` wxyz [N,4].
 
-    That is c'(d) = c(R^T d). A rotation mixes only harmonics of equal degree. The matrix of each
-    degree is computed, exactly, from the values of the harmonics in fixed directions.
+    The rotated colour is c'(d) = c(R^T d). A rotation mixes only harmonics of equal degree. The
+    matrix of each degree is computed, exactly, from the values of the harmonics in fixed
+    directions.
     """
     turned = np.array(sh, dtype=np.float64)
     rotations = rotation_matrices(quats)
@@ -355,7 +358,9 @@ def rotate_sh(sh: NDArray, quats: NDArray) -> NDArray[np.float32]:
 
 
 def mirror_signs(count: int) -> NDArray[np.float64]:
-    """Return, for each harmonic, 1 if it is an even function of x and -1 if it is odd [count]."""
+    """Return 1 for each harmonic that is even in x, and -1 for each harmonic that is odd in x
+    [count].
+    """
     direction = np.array([0.3, 0.5, np.sqrt(0.66)])
     return np.sign(sh_basis(direction * [-1, 1, 1], count) * sh_basis(direction, count))
 

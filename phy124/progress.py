@@ -1,4 +1,4 @@
-"""Reports the progress of work: calls a function with the stage, the steps done and the total.
+"""Reports the progress of work by calls of a function (stage, steps done, total steps).
 
 To stop the work, a progress function raises `Cancelled`, which callers do not catch.
 """

@@ -152,7 +152,7 @@ def test_a_grid_that_tears_the_object_is_not_taken(quick, monkeypatch):
 def test_a_goal_out_of_reach_is_refused_with_what_is_in_reach(quick):
     with pytest.raises(
         InputError,
-        match=r"no grid meets this target: even D/24, which takes about .*, would have an error",
+        match=r"no grid meets this target: even the grid D/24, which takes about .*, would ",
     ):
         run_for_goal(Goal.error("0.0001px"), ball(300), quick)
 
@@ -178,7 +178,7 @@ def test_levels_are_refined_by_at_most_half(quick, monkeypatch):
     scene = quick.replaced({"time.frames": 2})
     about = run_for_goal(Goal.error("1.4%"), ball(300), scene).about
     assert about["levels"] == [6, 8, 12, 16, 24]
-    assert about["refined"] and not about["met"] and "even D/24" in about["why_not"]
+    assert about["refined"] and not about["met"] and "even the grid D/24" in about["why_not"]
 
 
 class Oracle:

@@ -109,8 +109,8 @@ def test_companion_uses_only_threads_that_pay(run, monkeypatch):
     [
         ({"omit": "not wanted"}, "not wanted"),
         ({"affordable": 1e-9}, "of the dynamics"),
-        ({"cancel": True}, "companion on D/8 was interrupted"),
-        ({"fail": True}, "companion on D/8 failed"),
+        ({"cancel": True}, "companion run on D/8 was interrupted"),
+        ({"fail": True}, "companion run on D/8 failed"),
     ],
 )
 def test_missing_own_error_has_a_reason(run, monkeypatch, change, why):

@@ -264,7 +264,7 @@ def test_error_of_several_grids_has_a_bound_above_it():
 def test_finished_run_without_its_own_error_says_why():
     press = Scene.named("press").replaced({"accuracy": "draft"})
     report = {"error": {"about": None, "why_not": "a coarser grid would take too long"}}
-    reason = " This run did not estimate its own error: a coarser grid would take too long."
+    reason = " This run did not estimate its error: a coarser grid would take too long."
     for scene in (press, press.replaced({"material.E": 2e3})):
         before, after = promise(scene, USUAL), promise(scene, USUAL, report)
         assert after.sentence == before.sentence + reason and after.brief == before.brief + reason

@@ -246,7 +246,7 @@ def test_too_few_whole_levels_have_no_order(monkeypatch):
 
 def test_study_has_the_error_that_each_run_states(study):
     stated = {row.name: row.stated for row in study[1].rows}
-    assert all("of the time of the dynamics" in stated[f"D/{n}"]["why_not"] for n in LEVELS)
+    assert all("of the simulation time" in stated[f"D/{n}"]["why_not"] for n in LEVELS)
     assert {stated[name] for name in stated if not name.startswith("D/")} == {None}
 
 

@@ -218,7 +218,7 @@ def test_doctor_advises_on_small_buffers(monkeypatch, tmp_path):
     monkeypatch.setattr("bridge.info.BUFFERS", tmp_path)
     largest, default = diagnose()[-2:]
     assert largest == "net.core.rmem_max: 4096 KiB"
-    assert default.startswith("net.core.rmem_default: 208 KiB, the most that Fast DDS uses")
+    assert default.startswith("net.core.rmem_default: 208 KiB, the limit for Fast DDS")
     assert "sysctl -w net.core.rmem_default=4194304" in default
     (tmp_path / "rmem_max").write_text("212992\n")
     assert "208 KiB, too small for 65,536 points" in diagnose()[-2]

@@ -287,7 +287,7 @@ def test_disk_full_keeps_what_was_written(tmp_path):
     assert int(safe) == 1_000_000 // 60_400
     assert message.startswith("1 the disk is full ([Errno 27] File too large)")
     assert f"{safe} frames are safe" in message
-    assert f"`python -m bridge recover {path}` turns them into a recording" in message
+    assert f"`python -m bridge recover {path}` makes a recording of the stored frames" in message
     assert recover(path).frames == int(safe)
     assert len(list(clouds(path))) == int(safe)
 

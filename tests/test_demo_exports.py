@@ -331,7 +331,7 @@ def test_a_run_that_may_be_torn_has_no_error_and_no_point():
     scene = Scene.named("press")
     torn = {**_report(), "balance": {"tearing": {"likely": True}}}
     text = as_html(torn, scene.data(), 4.0, Estimator().stops(scene))
-    assert "none can be promised: the grid may have torn the material" in text
+    assert "there is no bound: the grid may have torn the material" in text
     assert "at most" not in text and 'class="reached"' not in text
 
 

@@ -257,7 +257,7 @@ def test_the_panel_shows_film_and_fit_picture_by_picture(studio, handlers):
     ended = gr.EventData(None, {"job": job.name})
     panel, files = handlers.on_fit_end(studio)(done, ended, None)
     said = " ".join(panel["found"]["sentences"])
-    assert "50,000 Pa (40,000 to 60,000 Pa, 95 %); it was 40,000 Pa" in said
+    assert "50,000 Pa (95 % interval 40,000 to 60,000 Pa); before the fit 40,000 Pa" in said
     assert (
         "scaled by 1.25 and" in said and "outlines share 97%" in said and "99 runs in 61 s" in said
     )

@@ -23,7 +23,7 @@ def test_busy_port_is_reported_in_a_sentence(capsys):
         assert main(["--port", str(port)]) == 2
     said = capsys.readouterr().err
     assert "Traceback" not in said
-    assert f"port = {port}: Another program listens there." in said
+    assert f"port = {port}: Another program uses this port." in said
 
 
 def test_apps_are_made_without_answers_for_other_sites(gradio):

@@ -56,7 +56,7 @@ def test_torn_or_diverging_grids_promise_nothing():
     assert "on D/24 the grid may tear the material" in torn.promise(16).sentence
     assert "may be torn" in torn.table()
     lost = measurement(None, None, None, rate=None)
-    assert "none can be promised: no convergence" in lost.promise(24).sentence
+    assert "there is no bound: no convergence" in lost.promise(24).sentence
 
 
 def test_a_scene_on_a_coarse_grid_is_measured_there_too():

@@ -75,7 +75,9 @@ class FoxgloveSink:
             self._reports = Reports(self._encoder, self.send, audience, controls)
         self._jobs: queue.Queue[Job] = queue.Queue()
         self._latest: list[Message] = []
-        self._answers: str | None = None  # request that the next state answers
+        self._answers: str | None = (
+            None  # identifier of the request that the next state message answers
+        )
         self._sought = False
 
     def __enter__(self) -> FoxgloveSink:
@@ -165,11 +167,13 @@ class FoxgloveSink:
         self._jobs.put(job)
 
     def forget(self, topic: str) -> None:
-        """Count a viewer that unsubscribes; a server thread calls this method."""
+        """Record that a viewer has unsubscribed from a topic; a server thread calls this method."""
         self._viewers -= topic == self._encoder.main.name
 
     def newcomer(self, topic: str) -> None:
-        """Count a new subscriber, and send the latest message to it; called by a server thread."""
+        """Record a new subscriber, and send it the latest message; a server thread calls this
+        method.
+        """
         self._viewers += topic == self._encoder.main.name
         names = {t.name for t in self._encoder.topics if full_name(t.name, self._node) == topic}
         self.post(

@@ -25,7 +25,7 @@ BACKLOG = 100
 """Largest number of waiting messages; if there are more, the oldest messages are discarded."""
 FLOOD = f"Messages arrive faster than they are read: only the newest {BACKLOG} are kept."
 OFTEN = 0.2
-"""Interval between two checks whether the sink was closed [s]."""
+"""Interval at which waiting calls check whether the sink was closed [s]."""
 Job = Callable[[Obey], object]
 INTEGERS = ("byte", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
 WORDS = {bool: "boolean", str: "string", int: "integer", float: "number"}

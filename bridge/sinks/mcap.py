@@ -30,8 +30,7 @@ Compression = Literal["none", "lz4", "zstd"]
 CHUNK = 1 << 20
 """Size of a chunk [bytes]; a larger frame is stored in a separate chunk."""
 OLDER = ".old"
-"""Suffix of an existing recording in a bag folder until the recording that replaces it is
-complete.
+"""Suffix that an existing recording in a bag folder has until the new recording is complete.
 """
 log = logging.getLogger(__name__)
 
@@ -243,10 +242,12 @@ class McapSink:
         if not self.frames:
             self._remove()
             return Incomplete(f"no frame was recorded, and {self.path} is unchanged")
-        kept = f"{self.frames} frames are safe in {self.file}"
+        kept = f"{self.frames} frames are stored in {self.file}"
         if not self._single and self._older.exists():
             kept += f", and the older recording in {self._older}"
-        return Incomplete(f"{kept}. `{PROGRAM} recover {self.path}` turns them into a recording")
+        return Incomplete(
+            f"{kept}. `{PROGRAM} recover {self.path}` makes a recording of the stored frames"
+        )
 
     def _remove(self) -> None:
         """Remove the new file, and give the older recording its name back."""

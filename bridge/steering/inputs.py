@@ -46,7 +46,7 @@ def centre_frame(options: Options) -> str:
 
 
 def object_frame(options: Options, name: str) -> str:
-    """Return the name of the frame at an object's centre of mass, if there are several objects."""
+    """Return the name of the coordinate frame at the centre of mass of one of several objects."""
     return f"{options.frame_id}_{name.replace('-', '_')}_com"
 
 
@@ -107,7 +107,7 @@ class Inputs:
             self._pushes[frame] = message
         else:
             self._remarks.add(
-                f"~/push: more than {MOST} frames push at once; {frame!r} is ignored."
+                f"~/push: wrenches in more than {MOST} frames; those in {frame!r} are ignored."
             )
 
     def grab(self, message: Any) -> None:

@@ -1,4 +1,4 @@
-"""A live run whose state peers steer.
+"""A live run that other programs (peers) steer.
 
 The class is not thread-safe: sinks call it from `listen`, in the thread that computes the frames.
 Requests take effect in the next frame. If the same requests arrive at the same frames, the results
@@ -57,7 +57,7 @@ class SteeredRun:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """Each frame is shown exactly once."""
+    """State of playback that is constant, because a live run shows each frame exactly once."""
 
     def __init__(
         self,
@@ -188,7 +188,7 @@ class SteeredRun:
         """Carry out a command of `/phy124/command`.
 
         Raises:
-            InputError: The command is unknown, or impossible now.
+            InputError: The command is unknown, or cannot be carried out in the current state.
         """
         word, *values = text.split() or [""]
         if word in WORDS and not values:

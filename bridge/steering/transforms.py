@@ -17,7 +17,7 @@ MOST = 1000
 DEEPEST = 64
 """Largest number of transforms between a frame and the root of its tree."""
 Pose = NDArray[np.float64]
-"""Rotation and translation as a matrix [4,4], m."""
+"""Rotation and translation [m] as a matrix [4,4]."""
 
 
 class Transforms:

@@ -1,7 +1,7 @@
 """Estimate the stiffness of the material in a finished result from a visitor's video.
 
-    upload -> video.py (decodes the video in a process) -> search.py (`phy124.studies.fit`, in a
-    process)
+    upload -> video.py (decodes the video in a separate process) -> search.py (runs
+    `phy124.studies.fit` in another process)
 
 `jobs.py` allows one fit per visitor at a time, and limits the number of fits on the server.
 """

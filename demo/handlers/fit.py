@@ -113,7 +113,8 @@ def summarise(report: dict[str, Any]) -> list[str]:
     value, shown = report["found"][NAME], report["pictures"]
     low, high = (_format(end) for end in value["interval"])
     was = _format(float(shown["was"][NAME]))
-    lines = [f"Softness: {_format(value['value'])} Pa ({low} to {high} Pa, 95 %); it was {was} Pa."]
+    interval = f"95 % interval {low} to {high} Pa"
+    lines = [f"Softness: {_format(value['value'])} Pa ({interval}); before the fit {was} Pa."]
     least, most = (_format(end) for end in value["limit"]["interval"])
     lines.append(
         f"This value is for the accuracy of this result. After correction of the grid error, the "

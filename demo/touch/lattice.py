@@ -30,10 +30,10 @@ REACH = 8.0
 
 
 class Lattice:
-    """Nodes of a live run to which the run's visible Gaussians are bound."""
+    """The nodes to which the visible Gaussians of a live run are bound."""
 
     def __init__(self, live: Live, most: int = MOST) -> None:
-        """Bind the Gaussians to the nearest particles, of which at most `most` are used."""
+        """Bind the Gaussians to the nearest particles; `most` is the largest number of nodes."""
         look, rest = live.look, live.rest
         # In random order, the first Gaussians are an unbiased sample of all Gaussians.
         order = np.random.default_rng(0).permutation(len(look.gaussians))

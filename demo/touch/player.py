@@ -148,8 +148,8 @@ class Player:
         scene = self.live.session()
         kept = shorten_session(scene, self._what.most)
         seconds = kept.time.frames / FPS
-        cut = "" if kept is scene else f" of {scene.time.frames / FPS:.1f} s, the first"
-        text = f"Making the clip{cut} {seconds:.1f} s …"
+        whole = "" if kept is scene else f" (the first part of {scene.time.frames / FPS:.1f} s)"
+        text = f"Making a clip of {seconds:.1f} s{whole} …"
         self._line.tell(SESSION, json.dumps(kept.data()).encode())
         _say(self._line, kind="saved", text=text)
 

@@ -86,9 +86,7 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the stages of the clip and of the videos; a stage that both have gets the sum of its
-    times.
-    """
+    """Join the stages of the clip and of the videos; add the times of a stage that is in both."""
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]

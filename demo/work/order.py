@@ -1,5 +1,5 @@
-"""Orders: an order is a request for a run, with the run's files; a click on the page sends the
-request.
+"""Orders. An order is the request for a run that a click on the page sends, with the paths of the
+run's files.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
 BYTES_MOVED = 8
 """Bytes per frame and particle of a clip that stores particles instead of Gaussians.
 
-A swung object needs 7 bytes, and has fewer such particles than Gaussians (docs/lab/sizes.md).
+A swung object needs 7 bytes, and has fewer stored particles than Gaussians (docs/lab/sizes.md).
 """
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""

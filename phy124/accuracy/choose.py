@@ -45,14 +45,15 @@ from phy124.simulation.bodies import Placed
 FIRST = (12, 16, 24)
 """Cells across the object on the first levels; an order of convergence needs three levels."""
 STEP = 1.5
-"""A new level has at most this multiple of the finest level's cells across the object."""
+"""Largest ratio of the cells across the object between a new level and the finest level so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Cells across the object on the further grids.
+"""Numbers of cells across the object on the grids after the first levels.
 
 A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
-"""Order of convergence if the levels do not converge; free surfaces have first order."""
+"""Order of convergence that is assumed if the levels do not converge. With free surfaces, the error
+is of first order."""
 START = 16
 """The search for a maximum time begins on a grid with this number of cells across the object."""
 ATTEMPTS = 2
@@ -166,7 +167,7 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Levels on which the material may have torn; error estimates ignore these levels."""
+        """Levels on which the material may have torn. Estimates of the error ignore them."""
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 
@@ -207,7 +208,7 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
     try:
         runs.clip(cells)
     except InputError as refusal:
-        return f"this needs D/{cells}, for which {refusal.limit.rstrip('.')}"
+        return f"this needs the grid D/{cells}, for which {refusal.limit.rstrip('.')}"
     return ""
 
 
@@ -222,11 +223,14 @@ def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
 
 
 def _describe_best(goal: Goal, runs: _Runs, error: float, order: float) -> str:
-    """Describe the error and the time on the finest possible grid, extrapolated from the last."""
+    """Describe the error and the time on the finest possible grid, extrapolated from the last
+    grid.
+    """
     known, finest = max(runs.done), CELLS[-1]
     best = format_error(goal.kind, error * (known / finest) ** order)
     seconds = duration(runs.spent[known] * (finest / known) ** GROWTH)
-    return f"even D/{finest}, which takes about {seconds}, would have an error of about {best}"
+    time = f"which takes about {seconds}"
+    return f"even the grid D/{finest}, {time}, would have an error of about {best}"
 
 
 def _report(
@@ -416,8 +420,8 @@ def _choose_next(
     """Return the next grid to forecast; 0 if there is none.
 
     The result is the finest grid whose preparation and run are expected to stay within the maximum
-    time. After the preparation of this grid, enough time must remain to run the best grid found
-    before. If there is no such grid, and no forecast so far was within the maximum time, the result
+    time. After the preparation of this grid, enough time must remain to run the previous best grid.
+    If no grid meets both conditions, and no forecast so far was within the maximum time, the result
     is the coarsest grid.
 
     Args:

@@ -4,8 +4,8 @@ The distance between the two runs is the RMS distance between the positions of s
 estimated error is this distance times a factor, and the error bound is the distance times a larger
 factor. The factors were measured on many objects (docs/lab/own-error.md).
 
-The companion run starts after the original run, so it does not change the result. Whether a
-companion run is made does not depend on measured times, so that equal runs have equal reports.
+The companion run starts after the original run, so it does not change the original result. Whether
+a companion run is made does not depend on measured times, so that equal runs have equal reports.
 """
 
 import math
@@ -31,9 +31,10 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.setup import Setup
 
 AFFORDABLE = 0.2
-"""Maximum predicted time of the companion run, relative to the original run's dynamics."""
+"""Maximum predicted time of the companion run, as a fraction of the time for the dynamics of the
+original run."""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half of the time."""
+"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half of the run's time."""
 SAMPLE = 2000
 """Number of Gaussians whose motions in the two runs are compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
@@ -64,7 +65,8 @@ COARSEST = 6
 FEWEST = 3
 """Minimum number of frames that is needed to estimate an error."""
 PARTED = 0.1
-"""Largest distance between similar motions on two grids, as a fraction of the object's size."""
+"""Largest distance at which two motions on different grids count as similar, as a fraction of the
+object's size."""
 
 
 class Factors(NamedTuple):
@@ -101,7 +103,7 @@ FACTORS = {
 the factors of the kind of motion are used.
 """
 USUAL_CELLS = 16
-"""Number of cells across the object in a companion run at which the factors hold. On finer and
+"""The factors hold for a companion run with this number of cells across the object. On finer and on
 coarser grids, the factors are larger.
 """
 FLOOR = 2e-4
@@ -129,7 +131,8 @@ class OwnError(NamedTuple):
     cells: int | None = None
     """Cells across the object in the companion run; None if there is no companion run."""
     cost: float | None = None
-    """Predicted time of the companion run, relative to the original run's dynamics."""
+    """Predicted time of the companion run, as a fraction of the time for the dynamics of the
+    original run."""
     why_not: str = ""
     """Reason why there is no estimate."""
 
@@ -201,7 +204,7 @@ def measure_error(run: Simulation, clip: Clip) -> OwnError:
     most = affordable(run)
     if cost > most:
         took, limit = format_apart(cost, most)
-        why = f"a coarser grid would take {took} of the time of the dynamics; the limit is {limit}"
+        why = f"a coarser grid would take {took} of the simulation time; the limit is {limit}"
         return OwnError(cost=round(cost, 4), why_not=why)
     with run.setup.context.watch.stage("companion"):
         return _compare(run, clip, scene, indices)
@@ -215,7 +218,7 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest predicted cost at which a companion run is made."""
+    """Return the largest predicted cost with which a companion run is still made."""
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
@@ -263,7 +266,7 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the error, the error bound, and the time for which both hold, as in `OwnError`.
+    """Return the error, the error bound, and the time until which both hold, as in `OwnError`.
 
     Args:
         distances: RMS distance between the two runs in each frame [T], relative to the size.
@@ -290,13 +293,13 @@ def _compare(run: Simulation, clip: Clip, scene: Scene, indices: NDArray[np.int6
         cost = forecast(run, run.solver.clock.substeps, len(companion.particles))
         distances = _distances(companion, clip, indices) / run.scene.object.size
     except Cancelled as cancelled:
-        raise Lost(f"the companion on D/{cells} was interrupted") from cancelled
+        raise Lost(f"the companion run on D/{cells} was interrupted") from cancelled
     except Exception as error:
         why = failure(error).sentence.rstrip(".")
-        raise Lost(f"the companion on D/{cells} failed: {why}") from error
+        raise Lost(f"the companion run on D/{cells} failed: {why}") from error
     expected = expect(run.scene, run.setup.proportions).error
     about, at_most, until = estimate(distances, clip.times, factors_of(scene, cells), expected)
-    why_not = "" if about is not None else "on other grids the first frames already differ"
+    why_not = "" if about is not None else "even the first frames differ on other grids"
     return OwnError(about, at_most, until, cells, round(cost, 4), why_not)
 
 

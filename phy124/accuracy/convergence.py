@@ -27,7 +27,8 @@ SAFETY = 1.25
 """Factor on the errors if the order is outside `TRUSTED` by more than `NEAR` (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Largest distance between levels that are equal up to rounding, in the unit of the results."""
+"""Levels count as equal if the distance between them is at most this value, in the unit of the
+results."""
 
 
 @dataclass(frozen=True)

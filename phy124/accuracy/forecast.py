@@ -181,7 +181,7 @@ class Stop:
     def of(
         cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
     ) -> Stop:
-        """Return the slider position for the named accuracy of a scene.
+        """Return the time and error for the slider position that the named accuracy of a scene has.
 
         Args:
             scene: The scene.
@@ -206,7 +206,7 @@ class Forecaster:
     context: RunContext = field(default_factory=RunContext)
     """Device and threads of the runs; progress and stopwatch are not used."""
     error: bool = True
-    """Whether each run will estimate its error if this takes little time."""
+    """Whether the forecasts include the time in which each run estimates its error."""
     _known: dict[Any, Any] = field(default_factory=dict, repr=False)
     _meter: LoadMeter = field(init=False, repr=False)
 
@@ -349,7 +349,9 @@ def _physics(scene: Scene) -> str:
 
 def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     if pilot.stopped:
-        return "The motion is not stable on a coarse grid, so its duration cannot be determined."
+        return (
+            "The motion is unstable on a coarse grid, so the time of the run cannot be predicted."
+        )
     moving = sum(limiters.get(name, 0.0) for name in ("speed", "gradient"))
     if moving > UNSURE:
         return (

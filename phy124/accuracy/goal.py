@@ -128,7 +128,7 @@ STAGES = {
     "preparing": "the particles and the forecast of each grid",
     "simulate": "the simulation",
     "deform": "the shapes of the Gaussians",
-    "companion": "the own error",
+    "companion": "the estimate of the error",
     "observe": "contacts, forces and torn material in each frame",
     "render": "the pictures",
     "encode": "the videos",

@@ -24,7 +24,7 @@ ALONE = 0.93
 SECOND_THREAD = 1.5
 """Factor by which a simulation takes longer if there is no free core for the second thread."""
 MINIMUM, MAXIMUM = 0.8, 1.5
-"""Range of measured time / predicted time on an idle machine (docs/lab/forecasts.md)."""
+"""Range of the ratio of measured to predicted time on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2
 """Factor that widens the range of the time on a busy machine, where the load may change."""
 FRESH = 10.0

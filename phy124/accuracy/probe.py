@@ -53,15 +53,17 @@ A substep on a GPU takes so little time that the fixed cost of a frame would dom
 probe. The difference of the two probes does not contain this fixed cost.
 """
 FILMED = 2, 6
-"""Numbers of frames of the test videos, to separate the cost of a video from that per frame."""
+"""Numbers of frames of two test videos, which separate the cost per video from the cost per
+frame."""
 TRIES = 2
-"""Number of repetitions of a test video; the fastest is used."""
+"""Number of times that each measurement is made; the shortest time is used."""
 SHORT_STEP = 1e-3
 """Substep that is assumed [s] if the stable substep at rest is longer than `LONG_STEP`."""
 LONG_STEP = 0.1
-"""Limit [s]: a viscous liquid at rest may have a stable substep of minutes until forces act."""
+"""Longest stable substep of a probe [s]. For a viscous liquid at rest, the stable substep may be
+minutes long until forces act."""
 NODE_STAGES = ("clear", "grid")
-"""Stages, besides boundaries, whose time is proportional to the number of nodes."""
+"""Stages whose time is proportional to the number of nodes; the time of boundaries is, too."""
 
 
 @dataclass(frozen=True)
@@ -285,9 +287,10 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS = 0.8
-"""The substeps that a motion needs in addition to rest are proportional to cells^(1 + EXCESS)."""
+"""A moving object needs more substeps than an object at rest. The difference is proportional to
+cells^(1 + EXCESS)."""
 ON_LATTICE = 1.2
-"""The same exponent for bodies on lattices."""
+"""Value that replaces `EXCESS` for bodies on lattices."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 
@@ -297,7 +300,8 @@ class Pilot:
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
-    """For each limit, the number of substeps that it determines in each frame [T], not rounded."""
+    """For each stability limit, the number of substeps that it requires in each frame [T], not
+    rounded."""
     rest: float
     """Number of substeps per frame that the initial state needs."""
     growth: float
@@ -309,9 +313,10 @@ class Pilot:
     factors: NDArray[np.float64] | float = 1.0
     """Factor on Young's modulus at each frame [T]."""
     excess: float = EXCESS
-    """The substeps in addition to those at rest are proportional to cells^(1 + excess)."""
+    """The difference between the numbers of substeps in motion and at rest is proportional to
+    cells^(1 + excess)."""
     dx: float = 1.0
-    """Side of a cell [m]."""
+    """Side of a cell in the pilot run [m]."""
     stages: Stages = field(default_factory=dict)
     """The stages of the substeps on lattices; empty for other solvers."""
     seconds: float = 0.0
@@ -325,8 +330,8 @@ class Pilot:
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid, and the fraction of the substeps that
-        each limit determines.
+        """Predict the number of substeps on another grid, and for each stability limit the fraction
+        of the substeps that it determines.
 
         The number of substeps in a frame is rounded up.
 
@@ -402,7 +407,7 @@ def run_pilot(
     try:
         solver.step(0.0, 0.0)
         rest = substeps_at_rest(solver) / timing.fps
-        _clear_timings(solver)  # The limits of the first substep, which has no duration.
+        _clear_timings(solver)  # Removes the limits of the first substep, which has no duration.
         for frame in range(timing.frames - 1):
             before = dict(solver.clock.needed)
             if softening is not None:

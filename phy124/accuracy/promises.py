@@ -113,11 +113,13 @@ class Promise:
         """Sentence with the reason why a finished run did not estimate its error; may be empty."""
         if not self.unestimated:
             return ""
-        return f" This run did not estimate its own error: {self.unestimated.rstrip('.')}."
+        return f" This run did not estimate its error: {self.unestimated.rstrip('.')}."
 
 
 def _promise_of_run(report: Mapping[str, Any]) -> Promise | None:
-    """Return the error in a run's report, or the reason why it is missing, or None for neither."""
+    """Return the error in a run's report or the reason why it is missing; None if there is
+    neither.
+    """
     broken = why_broken(report)
     if broken:
         return refuse_promise(broken)
@@ -158,7 +160,7 @@ def promise(
 
 def refuse_promise(why: str) -> Promise:
     """Return a promise that states why there is no error bound."""
-    return Promise(None, f"none can be promised: {why}")
+    return Promise(None, f"there is no bound: {why}")
 
 
 def promise_measured(

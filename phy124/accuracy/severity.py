@@ -12,7 +12,7 @@ from phy124.scene import Scene
 from phy124.scene.energies import duration, energy
 
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
-"""Fields of a material that `severity`, `yielding`, `damping` or `poisson` account for."""
+"""Fields of a material that `violence`, `yielding`, `damping` or `poisson` take into account."""
 MEASURED = {"repose_angle": (30.0, 36.0), "hardening": (3.0, 10.0), "extension": (0.004, 0.0075)}
 """For other fields of a material, the ranges in which errors are the same as with the default
 value.
@@ -22,11 +22,11 @@ LOOKS = {"tint", "visibility"}
 
 
 def violence(scene: Scene, thickness: float | None = None) -> float:
-    """Return the severity of a scene: its energy relative to the stiffness, 2 e / c^2 + s^2.
+    """Return the severity of a scene, 2 e / c^2 + s^2, which compares its energy with its
+    stiffness.
 
-    Here 2 e is twice the energy per mass (see `energy`). The speed of waves in a bar of the
-    object's softest material is c. The number s is the deformation by walls and hands, relative to
-    the object's size.
+    Here e is the energy per mass (see `energy`), c the speed of waves in a bar of the object's
+    softest material, and s the deformation by walls and hands, relative to the object's size.
 
     Args:
         scene: The scene.
@@ -39,8 +39,8 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
 def yielding(scene: Scene, thickness: float | None = None) -> float:
     """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
-    Here 2 e is twice the energy per mass (see `energy`), rho the density, and sigma the yield
-    stress. The result is the largest ratio over all materials.
+    Here e is the energy per mass (see `energy`), rho the density, and sigma the yield stress. The
+    result is the largest ratio over all materials.
     """
     supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]
@@ -103,7 +103,7 @@ Motion = Literal["squeezed", "landing", "standing", "held", "free"]
 def motion_of(scene: Scene) -> Motion:
     """Determine the kind of motion of a scene from its walls and the object's initial state.
 
-    A floor that moves exactly as the object's foot does not squeeze the object.
+    A floor that moves exactly like the clamped foot of the object does not count as a press.
     """
     walls = [b for b in scene.boundaries if not b.holds]
     carried = [b.motion for b in scene.boundaries if b.holds and isinstance(b, Movable)]

@@ -15,7 +15,7 @@ WAIT = "wait"
 
 
 class Stage(NamedTuple):
-    """Number of calls of a stage in a series of substeps, and the time that the calls took."""
+    """Number of calls of a stage per substep, and the mean duration of a call."""
 
     calls: float
     """Number of calls per substep."""

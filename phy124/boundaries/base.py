@@ -23,11 +23,12 @@ from phy124.schema.section import Section, omit_default
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Up to this signed distance from a wall [cells], a node responds alone, not in a column.
+"""Signed distance from a wall [cells] below which a node responds individually, not with its
+column.
 
 A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If this plane
 lies about 0.65 cells inside the wall, the body therefore rests on the wall's surface. Plastic and
-fluid materials sink to this plane, so `REACH` applies only to nodes that belong to no column.
+fluid materials sink to this plane, so `REACH` is used only for nodes that belong to no column.
 """
 MARGIN = 2.0
 """A node in front of a wall may respond to the wall up to this distance [cells]."""
@@ -50,11 +51,15 @@ class Rest(Protocol):
         ...
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return the positions at rest [Q,3], m, of the named object; None: of all objects."""
+        """Return the positions at rest [Q,3], m, of the named object, or of all objects if `name`
+        is None.
+        """
         ...
 
     def top_of(self, name: str | None) -> float:
-        """Return the height of the top of the named object [m]; None: of all objects."""
+        """Return the height [m] of the top of the named object, or of all objects if `name` is
+        None.
+        """
         ...
 
 
@@ -229,11 +234,15 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Return the signed distance [m] below which nodes respond; None: at the surface."""
+        """Return the signed distance [m] below which nodes respond; None for contact at the exact
+        surface.
+        """
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return a recorder of the stage for crossing columns, two cells beyond the bounds."""
+        """Return a recorder of the stage for crossing columns, which covers two cells beyond the
+        bounds.
+        """
         low, high = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -347,7 +356,7 @@ def contact_mass_fraction(model: Model) -> float:
 
 
 def seep_distance(model: Model) -> float:
-    """Return the signed distance from a wall [m] below which each node responds on its own.
+    """Return the signed distance from a wall [m] below which nodes respond individually.
 
     The distance applies in columns of nodes that the wall does not push. The distance is finite for
     material that separates into drops or grains. With an infinite distance, drops and grains behind

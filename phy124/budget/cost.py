@@ -34,11 +34,11 @@ PASS = 0.7
 STEP = 6.0
 """Time of a step of a liquid with projected pressure, relative to the time of an MPM substep."""
 VECTOR = 0.25
-"""Time per lattice point with kernels for vector units, relative to that of a particle."""
+"""Time per lattice point with kernels for vector units, relative to the time per MPM particle."""
 PLAIN = 2.4
-"""Time per lattice point with other kernels, relative to that of a particle."""
+"""Time per lattice point with all other kernels, relative to the time per MPM particle."""
 LAUNCHES = 3600.0
-"""Time to launch the kernels of a lattice's substep, relative to that of a particle."""
+"""Time to launch the kernels of a lattice's substep, relative to the time per MPM particle."""
 UNDAMPED = 1.5
 """Longest stable substep of an undamped lattice at rest, in units of sqrt(cfl) dx / c."""
 DAMPED = 0.235
@@ -53,8 +53,8 @@ BYTES_PER_POINT = 1100
 """Memory per lattice point, including the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_CELL = 4 * 1000
-"""Memory per cell that a projected liquid needs at rest [bytes]. A cell takes 1 kB, and in a basin
-the liquid needs four times as many cells as at rest.
+"""Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. A cell
+takes 1 kB. In a basin, the liquid may spread over four times as many cells as at rest.
 """
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""
@@ -99,7 +99,7 @@ class Rates:
         }
 
     def minimum(self, other: Rates) -> Rates:
-        """Combine two sets of rates; of each rate's two values, keep the smaller one."""
+        """Combine two sets of rates; keep the smaller value of each rate."""
         return Rates(**{name: min(value, vars(other)[name]) for name, value in vars(self).items()})
 
 
