@@ -173,7 +173,7 @@ def test_export_moves_the_mesh_of_the_user(tmp_path, spun, capsys):
     sphere.export(tmp_path / "sphere.ply")
     words = ["export", _saved(tmp_path, spun), "--surface", str(tmp_path / "sphere.ply")]
     assert run_command([*words, "--to", "mesh"]) == 2
-    assert "It is for --to moving-mesh" in capsys.readouterr().err
+    assert "This option is only for --to moving-mesh" in capsys.readouterr().err
     assert run_command([*words, "--to", "moving-mesh"]) == 0
     document, _ = _chunks((tmp_path / "clip.glb").read_bytes())
     position = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]

@@ -23,7 +23,7 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""A note names the stiffest part if the two largest wave speeds have at least this ratio."""
+"""A note names the stiffest part if the ratio of the two largest wave speeds is at least this."""
 MANY, LONG = 5.0, 20.0
 """A note about the speed of an object is printed if the run needs at least `MANY` times as many
 substeps as at rest, and if this takes at least `LONG` seconds on a CPU.
@@ -125,7 +125,9 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return changes for which `fits` is true; the run now needs `excess` times its budget."""
+    """Return changes of the scene for which `fits` is true; so far the run needs `excess` times its
+    budget.
+    """
     fitting = []
     for remedy in _propose_remedies(scene, excess):
         try:
@@ -200,7 +202,7 @@ def _note_speed(scene: Scene) -> str | None:
 def _note_stiffest_part(scene: Scene) -> str | None:
     """If one material needs many more substeps than the others, return a note, else None.
 
-    Projected liquids are ignored, since their steps do not depend on a stiffness.
+    Liquids with projected pressure are ignored, because their steps do not depend on a stiffness.
     """
     listed = _list_materials(scene)
     fastest, *others = [m for m in listed if not scene.projects or m[1].law != "fluid"] or listed
@@ -216,7 +218,7 @@ def _note_stiffest_part(scene: Scene) -> str | None:
         remedy += f", or {part}.static = true, if nothing rests on it,"
     return (
         f"{field} ({section.law}) is so stiff that it needs {rest_substeps(scene):,.0f} substeps, "
-        f"{ratio:.0f} times as many as the others: {remedy} makes the run faster by that factor."
+        f"{ratio:.0f} times as many as other materials: {remedy} makes the run so much faster."
     )
 
 

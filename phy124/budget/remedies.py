@@ -14,10 +14,10 @@ from phy124.scene import Scene
 SURE = "solver", "law"
 """If particles can replace lattices, only the `REMEDIES` with these keys are proposed.
 
-When undamped bodies were pressed to a fifth of their height, another solver and another law helped
-in 7 of 7 stopped runs. Half the speeds and forces, and damping, helped in 5 of 7. In stopped random
-scenes, another solver helped in 6 of 6, fewer cells in 4 of 6, half the speeds in 3 of 6, and
-damping in 0 of 4.
+When undamped bodies were pressed to a fifth of their height, another solver helped in all of 7
+stopped runs, and so did another law. Halving the speeds and forces helped in 5 of the 7 runs, and
+so did damping. In stopped runs of random scenes, another solver helped in 6 of 6 runs, fewer cells
+in 4 of 6, half the speeds in 3 of 6, and damping in 0 of 4.
 """
 SOFTER = 16.0
 """Factor by which a remedy divides E, so that the longest substep is four times as long."""
@@ -26,7 +26,8 @@ SOFTER = 16.0
 def find_remedies(
     causes: Sequence[str], scene: Scene, time: float = math.inf
 ) -> tuple[Remedy, ...]:
-    """Return the remedies that address the causes of a stop and that change this scene.
+    """Return the remedies that address the causes of a stop; omit those that would not change the
+    scene.
 
     Args:
         causes: Keys of `REMEDIES`, the likeliest first.
@@ -96,8 +97,8 @@ def _halve_push(scene: Scene) -> Remedy | None:
 def _end_motion(scene: Scene, time: float) -> Remedy | None:
     """Return the remedy that shortens the prescribed motions that were active at `time`.
 
-    In a test, a ball was moved into the ground; the run succeeded when the motion ended after half
-    of the time until the stop.
+    In a test, a ball was moved into the ground until the run stopped. The run succeeded when the
+    motion ended after half of the time until the stop.
     """
     changes: dict[str, Any] = {}
     for index, force in enumerate(scene.forces):
@@ -124,9 +125,10 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy | None:
-    """Return the remedy that divides the substep by four; half the substep has already failed.
+    """Return the remedy that divides the substep by four; the run has already failed with half of
+    it.
 
-    On lattices, substeps a quarter as long helped in none of three random scenes.
+    On lattices, a quarter of the substep helped in none of three random scenes.
     """
     if scene.on_lattice:
         return None

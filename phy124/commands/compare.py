@@ -29,7 +29,7 @@ class Compare:
     a: tyro.conf.Positional[Path]
     """First clip.safetensors, or its folder.
 
-    This clip is shown left, and its cameras are used for both clips.
+    This clip is shown on the left, and its cameras are used for both clips.
     """
     b: tyro.conf.Positional[Path]
     """The second clip.safetensors, or its folder."""

@@ -128,7 +128,7 @@ class Export:
             limit = f"The clip has the frames 0 to {len(clip) - 1}."
             raise InputError("frame", self.frame, limit, "Choose one of them.")
         if self.surface is not None and (self.to != "moving-mesh" or self.frame is not None):
-            limit = "It is for --to moving-mesh, with all frames."
+            limit = "This option is only for --to moving-mesh with all frames."
             raise InputError("surface", self.surface, limit, "Remove this option.")
         if self.merge is not None:
             clip = merge_clip_to(clip, self.merge)
@@ -141,7 +141,7 @@ class Export:
     def _find_format(self) -> Format:
         """Return the file format to write."""
         if self.to in get_args(Filmed) and self.to not in written_formats():
-            limit = "Films of a clip have this format, which export does not write."
+            limit = "This is a format of videos, which `export` does not write."
             remedy = f"Use `phy124 render {self.clip} --format {self.to}`."
             raise InputError("to", self.to, limit, remedy)
         return find_written_format(Path(), self.to, others=("frames",))

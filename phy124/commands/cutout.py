@@ -104,7 +104,7 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe how an object was cut out, and its part of the picture, from `Cutout.data()`."""
+    """Describe the method of a cut-out and its fraction of the picture, from `Cutout.data()`."""
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 

@@ -276,7 +276,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Test the video encoder, store the result, and import SciPy at the same time."""
+    """Test the video encoder and store the result; meanwhile, import SciPy."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)

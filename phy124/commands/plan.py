@@ -42,7 +42,7 @@ class PlanOptions:
     error: Annotated[
         bool,
         tyro.conf.arg(
-            help="Estimate the run's own error from a coarser grid, if that takes at most "
+            help="Estimate the run's error by a second run on a coarser grid if that takes at most "
             f"{format_percent(AFFORDABLE)} of the time of the dynamics "
             f"({format_percent(ON_LATTICE * AFFORDABLE)} on lattices)."
         ),

@@ -22,11 +22,10 @@ from phy124.studies.sweep.storage import Storage
 
 @dataclass(frozen=True)
 class Sweep:
-    """Make the clips that a file declares by pictures, generators and values, or report on the
-    clips.
+    """Make the clips of all pictures, generators and values in a file, or report on finished clips.
 
     `phy124 sweep SWEEP.toml --out DIR` makes the clips that do not exist yet. `phy124 sweep report
-    DIR` prints a table and writes a page with pictures.
+    DIR` prints a table of the clips and writes a page with their pictures.
     """
 
     file: tyro.conf.Positional[str]

@@ -33,7 +33,7 @@ class Force(Section):
     totals: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that are sums over all particles on which the force acts."""
     joins: ClassVar[bool] = False
-    """Whether the force accelerates the whole body uniformly if it has no region."""
+    """Whether the force accelerates the whole body uniformly if no region is set."""
 
     start: float = Field(default=0.0, ge=0, le=LONGEST)
     """Time at which the force starts to act [s]."""
@@ -113,9 +113,9 @@ class Force(Section):
     def in_part(self, part: Model, whole: Model) -> Force | None:
         """Return the force for a part of a model, or None if the force does not act in this part.
 
-        The part's share of each sum over particles is the part's mass divided by the model's mass.
-        A uniform acceleration acts in every part. In held bodies it causes no motion, but observers
-        read it.
+        A sum over particles, such as a total force, is multiplied by the part's mass divided by the
+        model's mass. A uniform acceleration acts in every part. It does not move held bodies, but
+        observers read it.
         """
         if self.uniform and not self.totals:
             return self
@@ -150,7 +150,9 @@ class Force(Section):
 
 
 def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
-    """Return a mask [P] of the particles of the named object; None: of all objects."""
+    """Return a mask [P] of the particles of the named object, or of all objects if `name` is
+    None.
+    """
     mask = np.zeros(len(model), bool)
     mask[model.named(name)] = True
     return mask
@@ -223,8 +225,8 @@ def stage(
         tracks: The tracks to which the strength is added.
         read: Arrays of the state that the kernel reads.
         over: Interval over which the track is averaged if its `mean` is false.
-        limited: Whether the force has its own limit on substeps, which replaces the limit from the
-            track's values.
+        limited: Whether the force itself limits the substep, which replaces the limit from the
+            values of the track.
     """
     chosen = force.chosen(model)
     slot = tracks.add(track, over=over, limited=limited)

@@ -29,7 +29,7 @@ class Gravity(Force):
 
 
 class Acceleration(Force):
-    """A uniform acceleration; its effect does not depend on the number of particles."""
+    """A uniform acceleration. Its effect does not depend on the number of particles."""
 
     kind: Literal["acceleration"] = "acceleration"
     strengths: ClassVar[tuple[str, ...]] = ("a",)

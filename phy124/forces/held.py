@@ -23,8 +23,8 @@ from phy124.schema.region import Vector
 
 
 def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:
-    """Return the weight of each particle in the part [P]: (1 - (d / radius)^2)^2, or 1 if the part
-    is the whole body.
+    """Return the weight of each particle in the part [P]. At the distance d from `point`, the
+    weight is (1 - (d / radius)^2)^2. If the part is the whole body, all weights are 1.
 
     Args:
         rest: Positions at rest [P,3], m.
@@ -51,7 +51,8 @@ class Part(NamedTuple):
     mass: float
     """Weighted mass of the part, sum(w m) [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: force divided by the acceleration of X."""
+    """Effective mass of the part at the start [kg]: a force divided by its acceleration of the
+    centre X."""
     reach: float
     """Distance between the centre X and the part's farthest particle at rest [m]."""
     inertia: float
@@ -61,7 +62,8 @@ class Part(NamedTuple):
     def of(
         cls, model: Model, point: Vector | None, radius: float, field: str, name: str | None = None
     ) -> Part:
-        """Return the part of an object within a radius of a point, at rest.
+        """Return the part of an object that lies within a radius of a point when the object is at
+        rest.
 
         Args:
             model: The model, with masses and positions at rest.
@@ -209,7 +211,7 @@ class Grab(Force):
 
 
 MARGIN = 2.0
-"""Safety factor on the acceleration by a torque: deformation may reduce the inertia."""
+"""Safety factor on the acceleration by a torque, because deformation may reduce the inertia."""
 
 
 class WrenchForce(Force):

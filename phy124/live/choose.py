@@ -20,7 +20,7 @@ CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32)
 TRIED = 12
 """Number of cells across the object in the trial, unless a largest error is requested."""
 SPARE = 0.8
-"""The computation of a frame may take this fraction of the interval between frames."""
+"""Largest fraction of the interval between frames that the computation of a frame may take."""
 WARM = 2
 """Number of warm-up frames of a trial."""
 FRAMES = 6
@@ -47,7 +47,9 @@ class Cost(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """A scene on the finest grid that is fast enough on this machine (or the coarsest grid)."""
+    """A scene on the finest grid that is fast enough on this machine, or else on the coarsest
+    grid.
+    """
 
     scene: Scene
     factor: float
@@ -81,11 +83,11 @@ def held_rate(
         gaussians: The object.
         scene: The scene. The scene's number of cells is ignored.
         context: Device, number of threads, and progress function.
-        rate: Simulated seconds per second; a fifth of the computing time is left unused.
+        rate: Simulated seconds per real second. A fifth of the time between frames is kept free.
         max_error: Largest error bound, relative to the object's size. The coarsest grid within this
             bound is chosen, even if it is too slow. If None, only `rate` counts.
-        shapes: As for `Live`.
-        show: Function that processes each frame, for example draws it; its time counts as well.
+        shapes: Whether frames contain the shapes of the Gaussians, as for `Live`.
+        show: Function that processes each frame, for example draws it; its time is included.
 
     Raises:
         InputError: The object or the scene cannot be used, or a number is out of bounds.

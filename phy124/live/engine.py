@@ -47,7 +47,7 @@ NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
 """A frame takes at most this multiple of the substeps that the object needs at rest. A duck that is
-a hundred times softer, under ten times its weight, needs 23 times as many substeps as at rest.
+made a hundred times softer in ten times the gravity needs 23 times as many substeps as at rest.
 """
 
 
@@ -257,7 +257,8 @@ class Live:
             force: Force [N].
             torque: Torque about `at` [N m].
             at: Position on the moving object [m]; None: the push acts on the whole object.
-            object: Name of one of several objects; None: the object at `at`, or all objects.
+            object: Name of the object. If None, the push acts on the object at `at`, or on all
+                objects if `at` is None, too.
             radius: Radius of the pushed material [m]; the force decreases towards the rim.
             seconds: Duration [s].
             name: Name of the push; it replaces an earlier push of this name. An unnamed push is
@@ -319,7 +320,8 @@ class Live:
         self._changed = True
 
     def move(self, wall: int, to: Sequence[float]) -> None:
-        """Move a boundary to a displacement [m] from the start, at most at a hand's speed.
+        """Move a boundary to a displacement [m] from its initial position, no faster than a hand
+        moves.
 
         Raises:
             InputError: There is no such boundary, the boundary cannot be moved or follows a motion
@@ -372,7 +374,7 @@ class Live:
         """
         places.set_motion(self._run, name, motion, twist=twist)
         self._touched = True
-        self._note(f"{name} was moved at once: the session does not repeat this.")
+        self._note(f"{name} was moved immediately; the session does not repeat this move.")
 
     def session(self) -> Scene:
         """Return the scene with all inputs and the session's number of frames."""
@@ -399,7 +401,9 @@ class Live:
             self._move_on(wall, offset, next_time)
 
     def _move_on(self, wall: int, offset: Vector, next_time: float) -> None:
-        """Move a wall towards the requested offset in the next frame, at most at a hand's speed."""
+        """Move a wall towards the requested offset in the next frame, no faster than a hand
+        moves.
+        """
         moved = self._inputs.moved.setdefault(wall, WallPath())
         here, there = np.array(moved.points[-1]), np.array(offset)
         step, most = there - here, FASTEST * self.limits.size / self._scene.time.fps
@@ -433,7 +437,8 @@ class Live:
         self._run.most_substeps = math.ceil(SLOWEST * usual)
 
     def _go_back(self, why: str) -> Frame:
-        """Drop the inputs, and continue from the last or an earlier state, or from the start.
+        """Drop the inputs; continue from the last valid state, from an earlier one, or from the
+        start.
 
         Raises:
             Stopped: No input has acted since the start.
@@ -451,7 +456,7 @@ class Live:
                 return self._run.step()
             except Stopped:
                 continue
-        self._note("No earlier state could be continued either: the run starts again.")
+        self._note("The run failed again from each earlier state, so it starts again.")
         self.reset()
         return self._run.step()
 

@@ -28,8 +28,8 @@ STRAIN = 0.3
 STRONGEST = 30.0
 """Largest strength of a hand, as a multiple of the object's weight."""
 TWIST = 0.2
-"""Lever arm of the largest torque [object sizes]. With this value, the largest torque and the
-largest force give the rim of a ball equal accelerations.
+"""Ratio of the largest torque to the largest force [object sizes]. With this value, both accelerate
+the rim of a ball equally.
 """
 SWAY = 3.0
 """Natural frequency of an object of 1 m that hangs on a hand's spring [Hz]."""
@@ -85,8 +85,8 @@ class Limits:
         return check_number(field, radius, 0.01 * self.size, 2 * self.size)
 
     def strength(self, modulus: float, radius: float) -> float:
-        """Return a hand's default strength [N] on material of P-wave `modulus` [Pa] and `radius`
-        [m].
+        """Return a hand's default strength [N] on material within `radius` [m]; `modulus` is the
+        modulus of pressure waves in the material [Pa].
         """
         return min(LIFTS * self.weight, STRAIN * modulus * math.pi * radius**2)
 

@@ -162,7 +162,7 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
         solver.free.put(solids.index(name), (motion.place, motion.quat, velocity, spin))
     elif run.scene.couples and not (run.scene.immerses and run.scene.on_lattices[number]):
         limit = (
-            "an object on a lattice cannot be moved at once in a scene with objects of particles."
+            "an object on a lattice cannot be set to a pose in a scene with objects of particles."
         )
         raise InputError("state.entity", name, limit, 'Use accuracy.solver = "mpm".')
     elif run.scene.on_lattice:

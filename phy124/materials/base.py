@@ -13,15 +13,16 @@ from phy124.schema.section import Section
 
 FEW = 1.5
 """Number of particles per cell and axis for metal, foam and granular materials, which cannot tear.
-With 2 particles, a run takes 1.7 times as long and its error does not change
-(docs/lab/accuracy.md). Plasticine has 2: with fewer, its surface becomes bumpy.
+With 2 particles per cell and axis, a run takes 1.7 times as long and its error does not change
+(docs/lab/accuracy.md). Plasticine has 2, because its surface becomes bumpy with fewer particles.
 """
 FLOWING = 4.0
-"""Limit on the longest axis of Gaussians in plastic or fluid material, relative to rest."""
+"""Limit on the longest axis of Gaussians in plastic or fluid material, relative to its length at
+rest."""
 
 
 SHADING = 0.3
-"""`Material.shading` of most materials."""
+"""Value of `Material.shading` for most materials."""
 Tint = Annotated[RGB | None, BeforeValidator(lambda tint: None if tint == "none" else tint)]
 """A colour; if None or "none", the colours of the picture are used."""
 
@@ -99,8 +100,8 @@ class Material(Section):
     def calm_strain(self, growth: float, stiffness: float) -> float:
         """Return the largest strain for which the stiffness grows by at most the factor `growth`.
 
-        The default is for the fixed corotated law, which stiffens most among the elastic laws: by
-        the factor 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
+        The default is for the fixed corotated law, which stiffens most among the elastic laws. Its
+        factor is 2 J^2 - J, where ln J is at most sqrt(3) times the strain.
 
         Args:
             growth: Largest allowed factor (above 1) by which the strain changes the stiffness of
@@ -114,12 +115,16 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the law's parameters for spacing `dx` [m] and `cfl` (substep / elastic limit)."""
+        """Return the law's parameters for the spacing `dx` [m]; `cfl` is the substep / the elastic
+        limit.
+        """
         return self.theta()
 
     @property
     def longest(self) -> float:
-        """Limit on a Gaussian's longest axis relative to rest: `max_stretch` or the default."""
+        """Limit on a Gaussian's longest axis, relative to its length at rest: `max_stretch` or the
+        default.
+        """
         if self.max_stretch is not None:
             return self.max_stretch
         return math.inf if self.device_law.project is None else FLOWING
@@ -192,7 +197,8 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return `sqrt((3 lambda + 2 mu) / rho)` [m/s], which limits the substeps without strain.
+        """Return `sqrt((3 lambda + 2 mu) / rho)` [m/s], which limits the substeps of unstrained
+        material.
 
         If lambda is negative (nu < 0), shear is the stiffest motion, so lambda is replaced by zero.
         """
@@ -200,7 +206,9 @@ class Elastic(Material):
         return math.sqrt((3 * max(lam, 0) + 2 * mu) / self.density)
 
     def sound_speed(self) -> float:
-        """Return the pressure wave's speed without strain, `sqrt((lambda + 2 mu) / rho)` [m/s]."""
+        """Return the speed of pressure waves in unstrained material, `sqrt((lambda + 2 mu) / rho)`
+        [m/s].
+        """
         mu, lam = self.lame
         return math.sqrt((lam + 2 * mu) / self.density)
 

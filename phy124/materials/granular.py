@@ -18,8 +18,9 @@ PACKING = 2 / 3
 """Largest product xi c of snow's hardening xi and critical compression c.
 
 Under isotropic compression to the stretch 1 - c, snow stores the energy psi = 3/2 (2 mu + 3 lambda)
-c^2. Packing by d releases the energy 3 (2 mu + 3 lambda) c d, but the hardening increases psi by
-the fraction 3 xi d. If xi c > 2/3, the increase is larger than the released energy.
+c^2. Packing by a small strain d releases the energy 3 (2 mu + 3 lambda) c d, but the hardening
+increases psi by the fraction 3 xi d. If xi c > 2/3, the increase is larger than the released
+energy.
 """
 GENTLE, STEEPER = 30.0, 0.3
 """Up to a repose angle of `GENTLE` [degrees], heaps come to rest at the angle at which sand flows.
@@ -65,9 +66,9 @@ class Sand(Logarithmic):
         """Return (mu, lambda, alpha); alpha is the slope of the cone.
 
         An infinitely long slope flows at constant volume if its shear stress is 3 alpha / sqrt(2)
-        times the pressure. The angle a of such a slope satisfies tan(a) = 3 alpha / sqrt(2). A
-        slope at rest stays stable up to the angle asin(tan(a)). A steep heap therefore comes to
-        rest at a larger angle, so the angle of flow is chosen smaller than the repose angle.
+        times the pressure. The angle beta of such a slope satisfies tan(beta) = 3 alpha / sqrt(2).
+        A slope at rest stays stable up to the angle asin(tan(beta)). A steep heap therefore comes
+        to rest at an angle larger than beta, so beta is chosen smaller than the repose angle.
         """
         if self.repose_angle is not None:
             flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)
@@ -133,7 +134,9 @@ class Snow(Elastic):
         return min(elastic, math.log(growth) / max(self.hardening, 1.0))
 
     def histories(self, x: NDArray) -> NDArray[np.float64]:
-        """Return Jp - 1 = 0 and the relative deviation of `extension` at x [P,3], m, as [P,2]."""
+        """Return the initial Jp - 1 (zero) and the relative deviation of `extension` [P,2] at x
+        [P,3], m.
+        """
         rows = super().histories(x)
         if self.unevenness:
             rows[:, 1] = np.expm1(self.unevenness * lumps(x))

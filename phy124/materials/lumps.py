@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 LENGTH = 0.3
 """Mean wavelength of the noise, relative to the longest side of the body."""
 BAND = 0.7, 1.4
-"""Smallest and largest wave number, relative to that of the mean wavelength."""
+"""Smallest and largest wave number, relative to the wave number of the mean wavelength."""
 WAVES = 24
 """Number of waves; the values of their sum are approximately normally distributed."""
 

@@ -1,4 +1,5 @@
-"""Measures the quality of a clip: CLIP-T as in the paper, and measures without trained weights.
+"""Measures the quality of a clip by CLIP-T as in the paper, and by measures without trained
+weights.
 
 `evaluate` takes a clip and its rendered frames. `phy124 evaluate` renders the frames and prints a
 table of the measures.
@@ -33,9 +34,9 @@ class ViewFigures:
 
     view: str
     cosine: float | None
-    """CLIP-T as the mean cosine of consecutive frames; None if there is no CLIP model."""
+    """CLIP-T as mean cosine of the embeddings of consecutive frames; None without a CLIP model."""
     distance: float | None
-    """CLIP-T as the mean distance of consecutive frames (4DGen); None if there is no CLIP model."""
+    """CLIP-T as mean distance of these embeddings (4DGen's formula); None without a CLIP model."""
     motion: float
     """Mean change of a colour value between consecutive frames [%]; see `pictures.motion`."""
     flicker: float

@@ -12,11 +12,11 @@ from phy124.io.clip import Clip
 from phy124.metrics.pictures import psnr, ssim
 
 SAME_OBJECT = 0.1
-"""Objects count as equal if their RMS distance at rest is at most this value, relative to the
-object's size.
+"""Two objects count as equal if the RMS distance of their Gaussians at rest is at most this
+fraction of the object's size.
 """
 SAME_TIME = 1e-6
-"""Largest difference between the times of simultaneous frames [s]."""
+"""Two frames count as simultaneous if their times differ by at most this value [s]."""
 
 
 @dataclass(frozen=True)

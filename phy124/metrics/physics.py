@@ -10,7 +10,7 @@ from phy124.io.clip import Clip
 
 @dataclass(frozen=True)
 class Physics:
-    """Physical measures of a clip; None if the clip does not contain the necessary data."""
+    """Physical measures of a clip. A measure is None if the clip lacks the necessary data."""
 
     mass: float | None
     """Mass of the particles [kg]. The mass is constant, because MPM conserves mass by
@@ -75,8 +75,8 @@ def centre_paths_differ(a: Clip, b: Clip) -> float:
     """Return the relative difference between the paths of the centres of two clips.
 
     The difference is the largest distance between the simultaneous displacements of the two
-    centres, divided by the largest displacement. If the difference is small, the objects from two
-    generators move in the same way.
+    centres, divided by the largest displacement. A small difference means that the two objects, for
+    example of two generators, move in the same way.
 
     Raises:
         ValueError: The clips have different numbers of frames.

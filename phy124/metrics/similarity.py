@@ -103,7 +103,8 @@ class ClipModel:
 def _pixels(image: NDArray, size: int, order: Order) -> NDArray[np.float32]:
     """Return the input [3,S,S] of CLIP for an image.
 
-    The image's shorter side is resized to S (bicubic), the centre cropped, the colours normalised.
+    The image's shorter side is resized to S (bicubic), then the centre is cropped and the colours
+    are normalised.
     """
     picture = Image.fromarray((to_unit(image) * 255 + 0.5).astype(np.uint8))
     scale = size / min(picture.size)

@@ -50,8 +50,8 @@ OBSERVERS: tuple[type[Observer], ...] = (
 """All observers, in the order in which a run calls them.
 
 Each observer wraps the stages that earlier observers return. `ExternalWork` therefore measures all
-walls together, around the measurements of single walls. An error ends an attempt, so `Tearing`
-reads only valid frames.
+walls together, including the stages that measure single walls. If an observer finds an error, the
+attempt ends, so `Tearing` reads only valid frames.
 """
 
 
@@ -61,11 +61,11 @@ def _replace(changes: dict[type[Observer], type[Observer]]) -> tuple[type[Observ
 
 
 LIQUID_OBSERVERS = _replace({ExternalWork: MeanWork})
-"""Observers of a projected liquid without other bodies."""
+"""Observers of a liquid with projected pressure, without other bodies."""
 POOL_OBSERVERS = _replace({ExternalWork: MeanWork, LiquidDissipation: PoolDissipation})
-"""Observers of a projected liquid that contains only freely moving solids."""
+"""Observers of a liquid with projected pressure that contains only freely moving solids."""
 MIXED_OBSERVERS = _replace({ExternalWork: PoolWork, LiquidDissipation: MixedDissipation})
-"""Observers of a projected liquid that contains particle bodies."""
+"""Observers of a liquid with projected pressure that contains particle bodies."""
 LATTICE_OBSERVERS: tuple[type[Observer], ...] = (
     LatticeMethod,
     LatticePairs,
@@ -101,7 +101,7 @@ IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
     ImmersedDissipation,
     CoupledWatchdog,
 )
-"""Observers of runs with bodies on lattices in a projected liquid."""
+"""Observers of runs with bodies on lattices in a liquid with projected pressure."""
 
 
 def observers_for(scene: Scene) -> tuple[type[Observer], ...]:

@@ -33,7 +33,7 @@ class CoupledTotals(Totals):
     """Sums of momentum and energy over particles and lattice nodes."""
 
     def __init__(self, solver: CoupledSolver) -> None:
-        """Record the launches."""
+        """Record the launches that compute the sums."""
         super().__init__(solver.model, solver.state)
         lattice = solver.lattice
         self._points, self._nodes = Totals(lattice.model, lattice.state), LatticeTotals(lattice)
@@ -147,7 +147,9 @@ class CoupledContacts(Contacts):
 
 
 class CoupledPairs(LatticePairs):
-    """The row of the effects report that lists the bodies on lattices and the particle bodies."""
+    """Adds a row to the effects report that lists the bodies on lattices and the particle
+    bodies.
+    """
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

@@ -125,11 +125,13 @@ class Dissipation(Observer):
         return {}
 
     def false_gain(self) -> float:
-        """Return the energy [J] that the exchange of liquid and bodies created, at least 0."""
+        """Return the energy [J] that the exchange between liquid and bodies created; never
+        negative.
+        """
         return 0.0
 
     def open(self) -> None:
-        """Start counting from the current state."""
+        """Start to sum the work, from the current state on."""
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:

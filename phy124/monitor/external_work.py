@@ -37,14 +37,14 @@ STAGE = "external work"
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
 """Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Further causes: forces on points, and walls, on lattices and projected liquids. The work of these
-causes is computed with the mean velocities of a step.
+"""Further causes, for lattices and for liquids with projected pressure: forces on points, and
+walls. Their work is computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Slice of the impulse within the sums."""
+"""Position of the impulse in an array of sums."""
 Sums = NDArray[np.float64]
 
 
@@ -110,8 +110,8 @@ class ExternalWork(Observer):
     def __init__(self, *, summed: bool = False) -> None:
         """Set all sums to zero.
 
-        `summed`: a constant acceleration's work is also summed in every substep, because forces and
-        boundaries may be replaced during the run.
+        If `summed` is set, the work of a constant acceleration is also summed in every substep,
+        because forces and boundaries may be replaced during the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
@@ -143,7 +143,7 @@ class ExternalWork(Observer):
         return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; a solver of projected liquids sums the work of walls itself."""
+        """Bind to the solver. Solvers of liquids with projected pressure sum the work of walls."""
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
@@ -161,7 +161,7 @@ class ExternalWork(Observer):
         return self._summed or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
-        """Start counting from the current state."""
+        """Start to sum impulse and work, from the current state on."""
         for name in SOURCES:
             self._closed[name] = np.zeros(kernels.EXCHANGE)
         for sums in self._device.values():
@@ -269,7 +269,9 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum when the sums were last cleared, and the walls' impulses since."""
+        """Store the momentum of the moment at which the sums were cleared, and the impulses of
+        walls since.
+        """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
             sum(self._open(name)[IMPULSES] for name in names if name in self._device)
@@ -334,7 +336,7 @@ class ExternalWork(Observer):
 class MeanWork(ExternalWork):
     """Reads the external work from solvers that sum the work of walls and forces themselves.
 
-    The pressure of a projected liquid and the clamps of lattices counteract a force within the same
+    The projected pressure of a liquid and the clamps of lattices counteract a force within the same
     step. All work is therefore computed with the mean velocities of the step.
     """
 

@@ -1,4 +1,4 @@
-"""Observers of runs with bodies on lattices in a projected liquid.
+"""Observers of runs with bodies on lattices in a liquid with projected pressure.
 
 The kernel of the contact between a body and a wall sums the wall's impulse
 (phy124/monitor/lattice.py). The liquid sums the impulses of walls on the liquid.
@@ -66,7 +66,7 @@ class ImmersedWrenches(LatticeWrenches):
 
 
 class ImmersedPairs(CoupledPairs):
-    """The row of the effects report that lists the bodies on lattices."""
+    """Adds a row to the effects report that lists the bodies on lattices."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 NEIGHBOURS = 7
-"""Number of nearest particles at rest that are examined: six neighbours and itself."""
+"""Number of particles at rest that are examined for each particle: itself and six neighbours."""
 Opened = dict[str, NDArray]
 
 
@@ -172,7 +172,9 @@ class Interior(Observer):
 
     @cached_property
     def _objects(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]]:
-        """Gaussians of each object, its particles that may be exposed, and their neighbours."""
+        """For each object: its Gaussians, its particles that may be exposed, and the particles'
+        neighbours.
+        """
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
         free = elastic & (rest.gaussian < 0)
@@ -191,7 +193,7 @@ class Interior(Observer):
 
     @cached_property
     def _neighbours(self) -> NDArray[np.intp]:
-        """Neighbours of these particles at rest [I,7]."""
+        """Neighbours at rest of each particle in `_inside` [I,7]."""
         return np.concatenate([neighbours for *_, neighbours in self._objects])
 
     def _prepare_object(

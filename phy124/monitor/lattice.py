@@ -40,12 +40,14 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for a body on a lattice: momentum and kinetic energy over nodes; others over points."""
+    """Sums for bodies on lattices: momentum and kinetic energy over nodes, all other sums over
+    points.
+    """
 
     on_lattice = True
 
     def __init__(self, solver: LatticeSolver) -> None:
-        """Record the launches."""
+        """Record the launches that compute the sums."""
         self._crew = solver.crew
         super().__init__(solver.model, solver.state)
         model, nodes = solver.model, solver.nodes_state
@@ -120,7 +122,7 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose walls also contain sums."""
+        """Bind to the solver, whose walls hold sums of impulse and work."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)
@@ -171,7 +173,7 @@ class LatticeWrenches(Wrenches):
         return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; its walls contain the sums."""
+        """Bind to the solver, whose walls hold the sums of impulses."""
         super().bind(solver, observers)
         self._before = self._now()
 
@@ -186,7 +188,7 @@ class LatticeWrenches(Wrenches):
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
     def _read_impulses(self) -> None:
-        """Do nothing, because the solver keeps the sums."""
+        """Do nothing, because the solver itself stores the sums."""
 
     def _now(self) -> NDArray[np.float64]:
         sums: NDArray[Any] = self._solver.walls.sums.numpy()
@@ -206,7 +208,9 @@ class LatticeContacts(Contacts):
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the effects report's row for contact forces; they cost less than contact."""
+        """Return the effects report's row for contact forces, which cost less than the contact
+        itself.
+        """
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
@@ -250,7 +254,7 @@ class LatticeContacts(Contacts):
 
 
 class LatticeMethod(Observer):
-    """The row of the effects report about the solver and the omitted effects."""
+    """Adds a row to the effects report about the solver and the effects that it omits."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
@@ -262,7 +266,7 @@ class LatticeMethod(Observer):
 
 
 class LatticeShock(Observer):
-    """The row of the effects report for artificial viscosity, which resists fast compression."""
+    """Adds a row to the effects report for artificial viscosity, which resists fast compression."""
 
     NAME = "artificial viscosity in fast compression"
 
@@ -283,7 +287,7 @@ class LatticeShock(Observer):
 
 
 class LatticePairs(Observer):
-    """The row of the effects report for contact between bodies."""
+    """Adds a row to the effects report for contact between bodies."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -303,7 +307,7 @@ class LatticePairs(Observer):
 
 
 class LatticeSelfContact(Observer):
-    """The row of the effects report for contact of a body with itself."""
+    """Adds a row to the effects report for contact of a body with itself."""
 
     LOOKING = Cost(fixed=40e3)
     """Cost of the search for parts that are near each other, for an object with 50,000 points."""

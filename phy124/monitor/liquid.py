@@ -1,4 +1,4 @@
-"""LiquidDissipation: reports how much energy a projected liquid loses to each cause.
+"""LiquidDissipation: reports how much energy a liquid with projected pressure loses to each cause.
 
 The solver sums the work of each cause in every step (phy124/liquid/energies.py). The remaining loss
 occurs in the transfers between particles and faces.
@@ -46,7 +46,7 @@ class LiquidDissipation(Dissipation):
         solver.keep_works()
 
     def open(self) -> None:
-        """Start counting from the current state."""
+        """Start to sum the work, from the current state on."""
         self._energies.clear()
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:

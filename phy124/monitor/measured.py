@@ -44,7 +44,8 @@ class NodesNear:
         self.threads: tuple[int, ...] = ()
         """Launch shape of a kernel that processes the rows of these nodes in segments."""
         self.read: list[Any] = []
-        """First inputs of a kernel over these segments: length, box, window, grid's nodes."""
+        """First inputs of a kernel that runs over these segments: segment length, box, window,
+        nodes."""
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes."""
 

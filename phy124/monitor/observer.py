@@ -1,9 +1,10 @@
 """Observer: measures or checks a run, from the first launch to the report.
 
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
-requires; all other observers cost no time and no memory. A run compiles, binds, calls, pauses,
-resumes and reports its observers in loops, in the order of the list. By default, an observer keeps
-its solver and does nothing else, so a new observer overrides only the methods that it needs.
+requires; all other observers cost no time and no memory. For each of its observers, in the order of
+the list, a run calls the methods that compile kernels, bind, measure, pause, resume and report. By
+default, an observer keeps its solver and does nothing else, so a new observer overrides only the
+methods that it needs.
 """
 
 from __future__ import annotations
@@ -128,9 +129,10 @@ class Observer(Kept):
     absent: ClassVar[dict[str, Any]] = {}
     """The section that the report contains if a run does not have this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether the observer updates sums in each substep, which a rejected substep restores."""
+    """Whether the observer updates sums in each substep. A rejected substep restores the sums."""
     in_gathers: ClassVar[bool] = False
-    """Whether a launch is recorded after each gather; a rejected frame restores the sums."""
+    """Whether the observer records a launch after each gather. A rejected frame restores its
+    sums."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -159,7 +161,7 @@ class Observer(Kept):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the wrapped boundaries `inner` of `walls`, with measuring stages."""
+        """Return the boundaries with measuring stages; `inner` holds `walls` as wrapped so far."""
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

@@ -122,8 +122,8 @@ class PoolDissipation(LiquidDissipation):
         return self._of_solids(every=False)
 
     def _of_solids(self, *, every: bool) -> NDArray[np.float64]:
-        """Return the work [J] on each freely moving solid, done by the liquids alone or by
-        everything.
+        """Return the work [J] on each freely moving solid by liquids or, if `every` is set, by all
+        causes.
         """
         if not self._solver.free.all:
             return np.zeros(0)

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 STILL = 3e-4
-"""Largest error due to sleep, relative to the object's size: 0.1 pixels of 300."""
+"""Largest error due to sleep, relative to the object's size; 0.1 pixels in an object of 300
+pixels."""
 CALM = 1 / 6
 """Particles count as at rest if they have moved less than this fraction of `STILL`."""
 HELD = 0.1

@@ -29,7 +29,7 @@ class Softening(Observer):
     """Multiplies Young's moduli of a run by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
-        """Start with the factor 1; `material` [P] is each particle's index of its material."""
+        """Start with the factor 1; `material` holds the index of each particle's material [P]."""
         self._scene, self._material = scene, material
         self.factor = 1.0
         """The current factor on Young's modulus."""

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 APART = 1.2
 """Material may separate if the spacing of particles exceeds this [cells]."""
 MANY, FEW = 5e-3, 3
-"""A tear is likely if more than `MANY` P^(2/3) particles, and more than `FEW`, are farther apart
-than `APART`. P^(2/3) is about the number of particles in a cross-section. At corners, a few
-particles always separate.
+"""A tear is likely if the number of particles that are farther apart than `APART` exceeds both
+`MANY` P^(2/3) and `FEW`. P^(2/3) is about the number of particles in a cross-section. At corners, a
+few particles always separate.
 
 In tests, ducks were pressed, dropped and bounced. All ducks with fewer than 5.2e-3 P^(2/3) such
-particles stayed whole. One duck with 6.7e-3 P^(2/3) lost its head, but another with 7.9e-3 P^(2/3)
-did not.
+particles stayed whole. A duck with 6.7e-3 P^(2/3) lost its head, but another duck with 7.9e-3
+P^(2/3) stayed whole.
 """
 REACH = 1.5
 """Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""
@@ -50,7 +50,7 @@ FLAKE = 8
 ALONE = 1.0
 """A particle has no neighbours if its spacing at rest is larger than this [cells]."""
 STURDY = 1e9
-"""Stretch that no particle reaches."""
+"""Stretch limit that no particle reaches; it excludes particles from the check."""
 FAR = 4096
 """Number of cubes along an axis above which empty space is removed before pieces are labelled."""
 MOST = 50_000_000
@@ -208,7 +208,7 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return how many particles, at x [P,3], m, are outside the largest remainder of their
+        """Return how many particles at x [P,3], m, have left the largest remaining part of their
         piece.
         """
         now = labels(self._spread(x), self._side)

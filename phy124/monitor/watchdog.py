@@ -41,28 +41,29 @@ FEW = 2
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, relative to the largest supplied energy.
 
-Of 6,500 random scenes, 1 % reached 0.7 %. The worst scene, with two particles whose velocity is set
-in every substep, reached 13 %. An unstable run exceeds any limit within a few frames.
+It was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, two particles whose velocity
+is set in every substep, it reached 13 %. An unstable run exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
 """There is a note if the exchange between a liquid and bodies creates more than this fraction of
-the largest supplied energy; the created energy is computed only if `checks.energy` is on. In 14
-scenes, the largest value is 15 %; in 3 scenes with foam or very light bodies, it is 77 to 148 %
+the largest supplied energy. The created energy is computed only if `checks.energy` is on. In 14
+test scenes, it is at most 15 %. In 3 scenes with foam or very light bodies, it is 77 to 148 %
 (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to all transferred momentum."""
 PROJECTED = 0.5
-"""Tolerated spurious momentum in a projected liquid, relative to all transferred momentum. Layers
-thinner than a cell exert up to a quarter less than their weight on walls. When objects two cells
-wide hit the floor, the floor's impulse is up to 35 % too small.
+"""Tolerated spurious momentum of a liquid with projected pressure, relative to all transferred
+momentum. Layers thinner than a cell exert up to a quarter less than their weight on walls. When
+objects two cells wide hit the floor, the floor's impulse is up to 35 % too small.
 """
 LEVEL = 0.05
 """Error of a resting liquid's level [cells]. Spurious energy is compared with at least the energy
 that lifts the liquid by this height.
 """
 CROWDED = 0.1
-"""The walls are too narrow if the mean excess of a projected liquid's density exceeds this."""
+"""Largest mean excess of the density of a liquid with projected pressure. If it is exceeded, the
+space between the walls is too small for the liquid."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss due to rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
@@ -70,7 +71,7 @@ QUIET = 1e-9
 COLLAPSE = 0.8
 """Above this ratio of impact speed to speed of sound, J of some materials approaches 0."""
 UNSEEN = 3e-4
-"""Largest invisible strain: 0.1 pixels in 300 pixels."""
+"""Largest strain that is invisible: 0.1 pixels in an object of 300 pixels."""
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Largest strain per substep due to rounding errors of F.
 
@@ -160,7 +161,8 @@ class Watchdog(Observer):
     def before_attempt(self, *, closely: bool = False) -> None:
         """Start to sum external work; before the first frame, also start the balance.
 
-        `closely`: each substep is checked for non-finite particles, before they affect neighbours.
+        If `closely` is set, each substep is checked for non-finite particles, before they affect
+        their neighbours.
         """
         self._closely = closely
         if not self._begun:
@@ -346,7 +348,7 @@ class Watchdog(Observer):
         return problem
 
     def _check_energy(self, energy: float, turnover: float) -> Violation | None:
-        """Return an error if there is more spurious energy than rounding explains, or None."""
+        """Return an error if rounding does not explain the spurious energy, otherwise None."""
         if energy <= ENERGY_GAIN * turnover:
             return None
         faded = FADING[self.model.precision] * self.clock.substeps
@@ -384,7 +386,9 @@ class Watchdog(Observer):
         return stiffest * volume * strain**2
 
     def _unresolved_lift(self) -> float:
-        """Return the energy [J] that lifts a projected liquid by the error of its level."""
+        """Return the energy [J] that lifts a liquid with projected pressure by the error of its
+        level.
+        """
         pull = getattr(self.clock, "pull", None)
         if pull is None:
             return 0.0

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key of the sums of a projected liquid; the other keys are indices of workers."""
+"""Key of the sums of a liquid with projected pressure; the other keys are indices of workers."""
 Vector3 = NDArray[np.float64]
 
 

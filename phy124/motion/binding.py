@@ -17,13 +17,13 @@ from phy124.motion.blocks import BlockLauncher, Step
 from phy124.runtime.cores import cores
 
 PER_CELL = 2
-"""Mean number of particles in a cell of the search for carrying particles."""
+"""Mean number of particles per cell of the search grid that finds the carrying particles."""
 MOST_CELLS = 256
-"""Largest number of cells of this search along each axis of the particles' bounding box."""
+"""Largest number of cells of the search grid along each axis of the particles' bounding box."""
 FARTHEST = 4.0
-"""Largest distance at which several particles carry a Gaussian, in mean particle distances. A
-Gaussian that is farther away follows only the nearest particle, because the grid does not connect
-material so far apart.
+"""Largest distance at which several particles carry a Gaussian, in mean distances between
+particles. A Gaussian that is farther away follows only the nearest particle, because the grid does
+not connect material so far apart.
 """
 
 
@@ -64,8 +64,8 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return a value for each Gaussian [N] from values of the particles [P]: the value of the
-    particle that represents the Gaussian, or else of the nearest particle.
+    """Return a value for each Gaussian [N] from values of the particles [P]. The value is that of
+    the particle that represents the Gaussian or, without such a particle, of the nearest particle.
     """
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():
@@ -82,8 +82,8 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the carriers [N,K] of each Gaussian and their weights [N,K]; carriers belong to the
-    Gaussian's own object.
+    """Return the carriers [N,K] of each Gaussian and their weights [N,K]. Gaussian and carriers
+    belong to the same object.
     """
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
@@ -115,10 +115,11 @@ def find_carriers(
     """Return the nearest particles of each point [N,K] and their weights [N,K], which sum to 1.
 
     The weight at the distance d is proportional to (1 - (d / R)^2)^2, where R is the distance of
-    the nearest particle that is not chosen. R has two upper limits: twice the distance of the
-    farthest chosen particle, and the maximum of `farthest` and twice the distance of the nearest
-    particle [m]. The weights vary smoothly in space, since a particle enters and leaves the chosen
-    set with weight 0. If there are fewer than K particles, the last weights are 0.
+    the nearest particle that is not chosen. R has two upper limits [m]. The first is twice the
+    distance of the farthest chosen particle. The second is the larger of `farthest` and twice the
+    distance of the nearest particle. The weights vary smoothly in space, since a particle enters
+    and leaves the chosen set with weight 0. If there are fewer than K particles, the last weights
+    are 0.
     """
     low, high = particles.min(axis=0).astype(np.float64), particles.max(axis=0)
     extent = np.maximum(high - low, 1e-9)

@@ -19,11 +19,12 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments: arrays with one entry per Gaussian; `DEFORMATION` is replaced by F."""
+    """First arguments of the kernel: arrays with an entry per Gaussian; F replaces
+    `DEFORMATION`."""
     shared: list[Any]
-    """Next arguments: arrays of which any thread may read any entry."""
+    """Next arguments of the kernel: whole arrays, which all threads may read."""
     out: list[Any]
-    """Last arguments: arrays with one entry per Gaussian, which the kernel writes."""
+    """Last arguments of the kernel: the arrays that it writes, with an entry per Gaussian."""
     each: int = 1
     """Number of Gaussians that a thread of the kernel processes."""
 
@@ -32,7 +33,7 @@ class BlockLauncher:
     """Launches kernels over the Gaussians in blocks that are divided among CPU threads.
 
     The deformation gradients of a block stay in the cache from one step to the next. The threads
-    are reused, because new threads often all started on one core.
+    are reused, because new threads often start on the same core.
     """
 
     def __init__(self, count: int, device: str, threads: int) -> None:

@@ -1,9 +1,10 @@
 """Moves Gaussians with the material: computes a frame from particles and the Gaussians at rest.
 
 The paper (Phy124, arXiv 2409.07179) computes `Sigma_t = F Sigma_0 F^T` with the total deformation
-gradient F. The decomposition `Sigma = Q Lambda Q^T` then gives the rotation and the scales. Here
-the axes are computed from `A = F R_0 S_0` (`Sigma = A A^T`) instead, once per frame and in float64.
-The computation from A preserves thin axes and positive definiteness (`phy124.kernels.deform`).
+gradient F. The decomposition `Sigma = Q Lambda Q^T` then gives the rotation and the scales. This
+module instead computes the axes from `A = F R_0 S_0` (`Sigma = A A^T`), once per frame and in
+float64. The computation from A preserves thin axes and positive definiteness
+(`phy124.kernels.deform`).
 
 Orientations are continuous. The order of the axes (one of 24 proper signed permutations) is chosen
 closest to the previous frame, and the sign of q is chosen so that q . q_previous >= 0. Axes of
@@ -54,9 +55,9 @@ class Deformer:
             gaussians: The object at rest, N Gaussians.
             particles: The particles that `make_particles` made from the Gaussians; None: one
                 particle per Gaussian, in order.
-            max_stretch: Largest allowed length of the longest axis, relative to rest, for all
-                Gaussians or for each Gaussian [N]; for fluid and plastic material, whose F grows
-                without bound. None: no limit.
+            max_stretch: Largest allowed length of the longest axis, relative to its length at rest;
+                a number, or a value per Gaussian [N]. Fluid and plastic material need it, because
+                their F grows without bound. None: no limit.
             rounds: Mask of the Gaussians that become balls when they are stretched [N], so that
                 fluids do not look like needles; None: no Gaussians.
             flows: Mask of the Gaussians of fluid or granular material [N], whose F grows without

@@ -37,7 +37,7 @@ Packed = tuple[Tensors, dict[str, Any]]
 """Packed arrays [bytes] by name, and the data for `unpack`."""
 STATIC = ("means", "quats", "scales", "opacities", "sh", "object_id")
 EXPOSED = ("above", "grain", "frame", "x")
-"""Names of the arrays of `Exposed` besides its Gaussians; files add the prefix `exposed.`."""
+"""Names of the arrays of `Exposed` other than its Gaussians; files add the prefix `exposed.`."""
 
 
 def pack(motion: Motion) -> Packed:

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
     from phy124.motion.deform import Deformer
 
 KEPT = 256e6
-"""All computed frames of a clip are kept up to this total size [bytes]."""
+"""All computed frames of a clip are kept if their total size is at most this [bytes]."""
 NEAR = 4
 """Number of frames that are kept if a clip is larger than `KEPT`."""
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Total size [bytes] of all stored states."""
+"""Largest total size of all stored states [bytes]."""
 BYTES = 40
 """Number of bytes per Gaussian in a computed frame."""
 STATE = 32
@@ -74,7 +74,7 @@ class Motion:
     on_tracks: tuple[int, ...]
     """Indices of the objects that follow a track."""
     tracks: NDArray[np.float64]
-    """Displacements of the objects in `tracked` [T,K,3], m."""
+    """Displacements of the objects in `on_tracks` [T,K,3], m."""
     free: tuple[int, ...]
     """Indices of the objects that are rigid solids."""
     poses: NDArray[np.float64]
@@ -269,7 +269,7 @@ class Recorded:
 
 
 class Torn:
-    """Frames of a motion, with the Gaussians that a tear makes visible at the end."""
+    """Frames of a motion. In each frame, the Gaussians that a tear makes visible come last."""
 
     def __init__(self, recorded: Frames, exposed: Exposed) -> None:
         """Store the frames, which do not contain the exposed Gaussians."""
