@@ -25,8 +25,9 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
     """Return the severity of a scene, 2 e / c^2 + s^2, which compares its energy with its
     stiffness.
 
-    Here e is the energy per mass (see `energy`), c the speed of waves in a bar of the object's
-    softest material, and s the deformation by walls and hands, relative to the object's size.
+    Here e is the energy per mass (`energy` returns 2 e), c the speed of waves in a bar of the
+    object's softest material, and s the deformation by walls and hands, relative to the object's
+    size.
 
     Args:
         scene: The scene.
@@ -39,8 +40,8 @@ def violence(scene: Scene, thickness: float | None = None) -> float:
 def yielding(scene: Scene, thickness: float | None = None) -> float:
     """Return the ratio of energy to yield stress, 2 e rho / sigma; 0 if no material yields.
 
-    Here e is the energy per mass (see `energy`), rho the density, and sigma the yield stress. The
-    result is the largest ratio over all materials.
+    Here e is the energy per mass (`energy` returns 2 e), rho the density, and sigma the yield
+    stress. The result is the largest ratio over all materials.
     """
     supplied = energy(scene, thickness)
     yields = [getattr(section, "yield_stress", math.inf) for section in scene.materials]

@@ -3,8 +3,8 @@
 All thresholds are relative to the object's size, which may be a micrometre or a kilometre. The
 rules apply in this order:
 
-- Gaussians with NaN or infinity in any field are dropped, and those with a coordinate or scale
-  above `LARGEST`.
+- Gaussians are dropped if a field contains NaN or infinity, or if a coordinate or scale is above
+  `LARGEST`.
 - Other invalid values are repaired: a negative scale becomes positive (the covariance does not
   change), a zero scale becomes `THINNEST` times the Gaussian's longest axis, a zero quaternion
   becomes the identity, any other quaternion is normalised, and an opacity above 1 becomes 1.

@@ -19,7 +19,7 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings; makes a regular lattice of grains opaque."""
+"""Standard deviation of a grain, in particle spacings. Regular grains of this size look opaque."""
 CLEARANCE = 2.5
 """Smallest depth of a grain below the surface at rest, in standard deviations of the grain."""
 NEAREST = 0.5
@@ -28,7 +28,7 @@ OPACITY = 0.95
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 PATCH = 0.06
-"""Standard deviation of the filter of the brightness around a Gaussian, relative to the object."""
+"""Standard deviation of the filter that averages the brightness, relative to the object's size."""
 CELLS = 48
 """Number of cells of the filter's grid along each axis."""
 BRIGHTEST = 99.0

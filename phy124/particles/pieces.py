@@ -203,7 +203,7 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return the numbers [L,27] of a cell's 27 nodes in the cells at `step` [L,3]; -1: absent."""
+    """Return the numbers [L,27] that a cell's 27 nodes have in the cells at `step` [L,3], or -1."""
     ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
     table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)
     near = np.asarray((np.abs(step) <= 2).all(axis=1))

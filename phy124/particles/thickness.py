@@ -32,7 +32,7 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness that nine tenths of the volume exceed, relative to the longest side."""
+    """Local thickness, relative to the longest side. Nine tenths of the volume are thicker."""
     compliance: float
     """Mean deflection if the object's weight acts sideways, in units of L rho g L / E, where L is
     the object's size.

@@ -44,8 +44,8 @@ def thin(gaussians: Gaussians, count: int | None, *, seed: int = 0) -> Gaussians
     """Keep at most `count` Gaussians, enlarged to cover the original area.
 
     The kept Gaussians are evenly spaced along a space-filling curve, weighted by opacity and area.
-    The area in this weight is limited to `GIANT`; the excess is not distributed to other Gaussians.
-    The result depends only on the seed.
+    The area in this weight is limited to `GIANT`, and the excess is not distributed to other
+    Gaussians. The result depends only on the seed.
     """
     if count is None or len(gaussians) <= count:
         return gaussians

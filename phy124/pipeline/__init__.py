@@ -150,7 +150,7 @@ def simulate(
         films: Whether videos are made.
         rescues: Whether finished frames are saved if the run fails or its folder has no space;
             `Incomplete` then names the saved files.
-        error: Whether the run's own error is estimated, if that is cheap
+        error: Whether the error of the run is estimated if this takes little time
             (`phy124.accuracy.companion`).
         each: Called with the simulation and every frame as soon as the frame is computed, except
             in trial runs that look for a grid that meets `goal`.
@@ -218,7 +218,7 @@ def go_on(
             the previous number is used; with another number, the result differs by rounding errors.
         any_accuracy: Whether the accuracies of the run and of `scene` may differ, as with a goal.
         keep: Whether the run is saved again if `progress` cancels it.
-        error: Whether the run's own error is estimated, if that is cheap.
+        error: Whether the error of the run is estimated if this takes little time.
         **fields: `device`, `threads` and `progress`, if there is no context.
 
     Raises:

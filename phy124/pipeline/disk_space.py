@@ -38,8 +38,8 @@ def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:
 def estimate_size(run: Simulation, *, films: bool) -> float:
     """Estimate the total size of a run's files [bytes]; the estimate is rough for videos.
 
-    The estimate includes the temporary file of frames, which contains the Gaussians or, in a light
-    run, only the particles.
+    The estimate includes the temporary file of frames. This file contains the Gaussians, or only
+    the particles if the clip stores particles.
     """
     scene, count, frames = run.scene, len(run.setup.shown), run.scene.time.frames
     colours = 12 * (run.setup.shown.sh.shape[1] - 1)

@@ -274,7 +274,8 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse the pictures after the first if they outnumber the objects that wait for a picture.
+    """Refuse the further pictures `more` if there are more of them than objects that need a
+    picture.
 
     Raises:
         InputError: There are too many pictures.

@@ -66,7 +66,8 @@ class Recording:
         self.failed = out is None or not disk.LOCKS_AVAILABLE
         """Whether recording has ended because nothing can be written."""
         self.resumed, self.saved = saved > 0, saved
-        """Number of frames that would be kept if the run ended now."""
+        """Whether the run was continued, and the number of frames that would be kept if it ended
+        now."""
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 

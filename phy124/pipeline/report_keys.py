@@ -1,7 +1,7 @@
 """Declares the keys of report.json; every run writes this file and also stores it in the clip.
 
-A `NotRequired` key is present only if a run uses the option named in the key's description. A
-user's observer may add keys. If a release removes a key, the changelog names this key.
+A `NotRequired` key is present only if a run uses the option named in the key's description. An
+observer that a user adds may add keys. If a release removes a key, the changelog names it.
 """
 
 from typing import Any
@@ -202,13 +202,14 @@ class Energy(TypedDict):
     """Energy lost by the numerical method; negative if the method created energy."""
     kinetic: NotRequired[float]
     """Change of the kinetic energy. The keys `kinetic`, `forces` and `walls` are present for
-    lattices and projected liquids. `kinetic` plus `elastic` equals the sum of all work (`forces`,
+    lattices and for liquids with projected pressure. `kinetic` plus `elastic` equals the sum of all
+    work (`forces`,
     `walls`, `held`, `solids` and `stiffening`) minus `lost`.
     """
     elastic: NotRequired[float]
     """Change of the elastic energy. For lattices, the keys from `elastic` to `unexplained` are
-    present. Of these, `elastic`, `solids`, `stiffening` and `shock` are present for liquids with
-    bodies.
+    present. For liquids with bodies, only `elastic`, `solids`, `stiffening` and `shock` of these
+    keys are present.
     """
     forces: NotRequired[float]
     """Work done by gravity and other forces."""
@@ -243,7 +244,7 @@ class Energy(TypedDict):
     projection: NotRequired[float]
     """Part of `numerical`: energy lost in solving the pressure equation, and in passing its
     pressure to bodies; negative if energy was created. The keys from `projection` to `transfers`
-    are present for projected liquids.
+    are present for liquids with projected pressure.
     """
     density: NotRequired[float]
     """Part of `numerical`: potential energy lost to the displacements that restore the density and
@@ -291,8 +292,8 @@ class Report(TypedDict):
     mass: float
     """Mass of all particles [kg]."""
     thickness: float | None
-    """Local thickness that nine tenths of the object's volume exceed, relative to the object's
-    size.
+    """Local thickness, relative to the object's size. Nine tenths of the object's volume are
+    thicker.
     """
     compliance: float | None
     """Deflection of the object, modelled as a beam under its weight (docs/lab/own-error.md)."""

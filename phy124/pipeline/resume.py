@@ -240,7 +240,9 @@ def _put_frames(run: Simulation, kept: Tensors) -> None:
 
 
 def _turn_last(run: Simulation) -> None:
-    """Rotate the colours of the last frame with the material, as a run at rest repeats it."""
+    """Rotate the colours of the last frame with the material, because a run at rest repeats the
+    frame.
+    """
     if run.frames and run.rotations:
         last = run.frames[-1]
         turned = replace(last.gaussians, sh=rotate_sh(last.gaussians.sh, run.rotations[-1]))

@@ -23,11 +23,11 @@ STAGE = {
 }
 """One kernel from each module that draws a stage; compiling it compiles the whole module."""
 HOST = (INFLATED.project, HULL.project, push, fill_voxels, fields.fill, discs.find_surface)
-"""One kernel from each module that always runs on the CPU: of the generator `relief`, of the set-up
-of lattices, and of the surfaces of liquids.
+"""One kernel from each module that always runs on the CPU. The modules belong to the generator
+`relief`, to the set-up of lattices, and to the surfaces of liquids.
 """
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
-"""Changes of a scene that shorten its run, but keep precision and solver for the kernels."""
+"""Changes that shorten the run of a scene, but do not change which kernels it needs."""
 
 
 def warm(scenes: Sequence[Scene], context: RunContext) -> int:

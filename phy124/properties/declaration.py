@@ -14,8 +14,8 @@ from phy124.schema.section import Section
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 ALIKE = 0.2
-"""In each side length, the bounding boxes of the points and of the object may differ by this
-fraction of the longest side.
+"""Largest difference between corresponding sides of the bounding boxes of the points and of the
+object, as a fraction of the longest side.
 """
 
 
@@ -55,7 +55,8 @@ class Properties(Section):
         Args:
             x: Particles at rest [P,3], m.
             means: Centres of all Gaussians at rest [N,3], m.
-            survivors: Whether cleaning kept each of the first Gaussians; None: all were kept.
+            survivors: Mask of the Gaussians before cleaning that cleaning kept; None: all were
+                kept.
             is_object: Mask [N] of the Gaussians of the object, without surroundings; None: all.
 
         Raises:

@@ -68,11 +68,11 @@ def film(
     context: RunContext | None = None,
     **fields: Unpack[ContextOptions],
 ) -> list[Path]:
-    """Write the files of a view in every format, with every output, from each side.
+    """Write the files of a view: every format and every output, from each side.
 
     Each frame is drawn from all sides before the next frame is drawn. Every video has an encoder,
-    which receives each picture when it is drawn. An encoder keeps several pictures in memory.
-    Therefore, if pictures are large, only some sides are drawn at the same time (`MOST_PIXELS`).
+    which receives each picture when it is drawn. An encoder keeps several pictures in memory, so
+    only some sides are drawn at the same time if pictures are large (`MOST_PIXELS`).
 
     Args:
         clip: The clip.
@@ -161,7 +161,9 @@ def _encode_sides(
 
 @dataclass(frozen=True)
 class Loop:
-    """The order of a video's frames, and the number of last pictures that fade into the start."""
+    """The order of a video's frames, and the number of pictures at the end that fade into the
+    start.
+    """
 
     order: Sequence[int]
     fading: int = 0

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 LUMP = 0.12
 """Mean size of lumps, relative to the longest side of the material at rest."""
 SIZES = 0.11, 0.06, 0.04
-"""Mean sizes of fragments, relative to the longest side; equal within a lump."""
+"""Mean sizes of fragments, relative to the longest side. All fragments of a lump have the same mean
+size."""
 WHOLE, BROKEN = 1.06, 1.3
 """Up to the first stretch, a fragment is drawn as it is; above the second, it keeps its shape."""
 SMALLEST = 0.7

@@ -28,7 +28,7 @@ WHOLE = 0.945
 the eight cells around it.
 """
 MOST = 4_000_000
-"""Largest number of cells. If the liquid is too scattered for this number, the cells are larger."""
+"""Largest number of cells. If a scattered liquid needs more cells, the cells are made larger."""
 SAMPLE = 8192
 """Number of points that determine the extent of the grid."""
 LITTLE = 0.02
@@ -79,7 +79,9 @@ class Field:
     """A grid on which values of points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with spacing `cell` m; wider if it has too many cells."""
+        """Place points [N,3] m on a grid with spacing `cell` m, or wider to limit the number of
+        cells.
+        """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
         extent = high - low + 2 * spare

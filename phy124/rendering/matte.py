@@ -28,7 +28,7 @@ SPARE = 6
 TAILS = 2.5
 """Distance at which the filters are cut off [standard deviations]."""
 MOST = 2_000_000
-"""Largest number of cells; cells are larger if the grains are too scattered for it."""
+"""Largest number of cells. If scattered grains need more cells, the cells are made larger."""
 SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Light from the sky, and light from the lamp on surfaces that face the lamp: red, green and blue.
@@ -144,8 +144,8 @@ def interpolate(
     """Return values at points [n], interpolated linearly between the eight cells around each point.
 
     Args:
-        values: Values of m of the cells [m].
-        cells: Indices of these m cells [m].
+        values: Values of some of the cells [m].
+        cells: Indices of these cells [m].
         count: Number of all cells.
         corner: For each point, the index of the lowest of the eight cells [n].
         shares: Distance of the point from the centre of this cell along each axis [3,n], in cells.

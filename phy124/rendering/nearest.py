@@ -49,7 +49,8 @@ Single drops therefore have no effect.
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE = 0.98
-"""A search for a zoom ends if the camera is farther than this fraction of the smallest distance."""
+"""A search for a zoom ends if the camera distance exceeds this fraction of the smallest
+distance."""
 TRIES = 8
 """Largest number of trials in a search for a zoom."""
 ZOOM = 40.0

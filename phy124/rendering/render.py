@@ -31,7 +31,8 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest number of splats in the lists of tiles; further tiles are blended in other groups."""
+"""Largest number of splats in the lists of tiles. Longer lists are blended in several groups of
+tiles."""
 TILES_PER_SPLAT = 4
 """Expected number of tiles that a splat touches; used to allocate memory for the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
@@ -190,9 +191,9 @@ class Renderer:
     ) -> Callable[[], dict[str, NDArray[Any]]]:
         """Start to render an image; return a function that waits for the named arrays.
 
-        The arrays are the colours `image` [H*W,3], the `coverage` [H*W] and, if each thread draws a
-        pixel, the `bytes` [H*W*3]. If the device is a CPU and threads draw tiles, the arrays alias
-        the renderer's buffers.
+        The arrays are the colours `image` [H*W,3], the `coverage` [H*W] and, in the variant
+        `pixel`, the `bytes` [H*W*3]. If threads of a CPU draw tiles, the arrays alias the
+        renderer's buffers.
         """
         view, pixels = self._look(camera), camera.width * camera.height
         colour = wp.vec3(*_checked_background(BLACK if stage else background))
@@ -236,7 +237,7 @@ class Renderer:
     def _draw(self, gaussians: Gaussians, view: Any, colour: Any, stage: StageFrame | None) -> None:
         """Draw colours and coverage into the buffers `image` [H*W,3] and `coverage` [H*W].
 
-        If each thread draws a pixel, nothing is drawn if the lists of the tiles exceed `_room`.
+        In the variant `pixel`, nothing is drawn if the lists of the tiles exceed `_room`.
         """
         pixels = view.width * view.height
         self._project(gaussians, view)

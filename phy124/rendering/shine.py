@@ -32,7 +32,7 @@ from phy124.scene import View
 KEPT = 256 * 2**20
 """Memory for liquid surfaces that further views reuse [bytes]."""
 LOCKS = 64
-"""Number of locks; a lock belongs to every 64th frame."""
+"""Number of locks. Frames whose indices are equal modulo this number share a lock."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
 FOAMS = 0.1

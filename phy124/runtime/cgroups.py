@@ -26,7 +26,8 @@ class Mount(NamedTuple):
     group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of version 1's hierarchies; in version 2, one hierarchy has them all."""
+    """Controllers of a hierarchy of version 1. In version 2, a single hierarchy has all
+    controllers."""
 
 
 def memory_left(root: Path = ROOT) -> float:
@@ -40,7 +41,9 @@ def cpu_quota(root: Path = ROOT) -> float:
 
 
 def _left(group: Path) -> float:
-    """Return a group's memory limit minus memory in use [bytes]; reclaimable memory is free."""
+    """Return a group's memory limit minus memory in use [bytes]; reclaimable memory counts as
+    free.
+    """
     for limit, use in (
         ("memory.max", "memory.current"),
         ("memory.limit_in_bytes", "memory.usage_in_bytes"),

@@ -19,7 +19,9 @@ def cores() -> int:
 
 
 def physical_cores() -> int:
-    """Return the number of cores of hardware threads; if unknown, the number of threads."""
+    """Return the number of cores to which the hardware threads belong; if it is unknown, the number
+    of hardware threads.
+    """
     try:
         mine = os.sched_getaffinity(0)
         return _within_quota(len({Path(SIBLINGS.format(thread)).read_text() for thread in mine}))

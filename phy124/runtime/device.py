@@ -13,7 +13,8 @@ from phy124.errors import InputError
 CHOICES = "auto, cpu, cuda:0 or another GPU."
 """Help text of the options that take a device."""
 KEPT = 2**30
-"""Freed GPU memory that is kept for the next frame [bytes], since allocation is slow."""
+"""Largest amount of freed GPU memory that is kept for the next frame [bytes], since allocation is
+slow."""
 P = ParamSpec("P")
 Made = TypeVar("Made")
 Owner = TypeVar("Owner")

@@ -1,8 +1,8 @@
 """Explains any exception to users: kind, exit status and error message.
 
 The command line, the bridge and the web page use this module, so that no user sees a traceback and
-a problem has one message everywhere. Exceptions of libraries are recognised by name, in order not
-to import the libraries.
+a problem has the same message everywhere. Exceptions of libraries are recognised by name, in order
+not to import the libraries.
 """
 
 import errno
@@ -156,7 +156,7 @@ def _refusal(problem: BaseException) -> InputError | None:
 
 
 def _package(problem: BaseException) -> str:
-    """Return the package that defines the exception or, if there is none, that raised it.
+    """Return the package that defines the exception; if there is none, the package that raised it.
 
     Modules of the standard library are skipped, so an error in `pathlib` belongs to its caller.
     """

@@ -9,9 +9,8 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section, omit_default
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Default settings of MPM's transfers between particles and grid.
-
-The other solvers do not use these settings.
+"""Default settings of MPM's transfers between particles and grid. All other solvers ignore these
+settings.
 """
 
 
@@ -79,7 +78,7 @@ class Accuracy(Section):
 
     @property
     def share(self) -> float:
-        """Particles keep this fraction of the velocities that the grid cannot represent."""
+        """Fraction that particles keep of the velocities that the grid cannot represent."""
         return self.blend if self.transfer == "aflip" else 1.0
 
 
@@ -91,7 +90,7 @@ NAMED = {
     "standard": (
         Accuracy(cells=32),
         "most purposes: cells are half as wide, so bending is more accurate; shorter substeps "
-        "would not help, since each transfer loses as much, however short the substep is",
+        "would not help, since the loss in a transfer does not depend on the substep",
     ),
     "fine": (
         Accuracy(cells=48, precision="auto"),
@@ -129,7 +128,8 @@ def check_transfer(accuracy: Accuracy) -> None:
 
     Raises:
         InputError: `blend` is set without aflip, or `rpic_damping` or `gradient` without apic. Also
-            raised if one of them is set for a projected liquid or for the lattice solver.
+            raised if one of them is set for a liquid with projected pressure or for the lattice
+            solver.
     """
     transfer = accuracy.transfer
     changed = [name for name, usual in USUAL.items() if getattr(accuracy, name) != usual]

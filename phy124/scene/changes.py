@@ -17,7 +17,7 @@ else:
     import tomli as tomllib
 
 TAGS = ("law", "kind")
-"""Keys whose values are the name of the kind of a section."""
+"""Keys that state the kind of a section, such as the law of a material."""
 LENGTH = ("time.frames", "time.seconds")
 """Two fields that set a scene's length; a change of `time.seconds` removes `time.frames`."""
 BARE = re.compile(r"([\[,=]\s*)(?!(?:true|false|inf|nan)\b)([A-Za-z][\w./-]*)(?=\s*[],}])")
@@ -112,7 +112,9 @@ def _outer_first(path: str) -> tuple[int, bool]:
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Set a value in nested dicts and lists; an index equal to a list's length appends it."""
+    """Set a value in nested dicts and lists; an index equal to a list's length appends the
+    value.
+    """
     keys = path.split(".")
     section: Any = data
     for key, inner in itertools.pairwise(keys):

@@ -62,7 +62,7 @@ def driven(scene: Any) -> float:
 
 
 def _lasts(force: Any, end: float) -> float:
-    """Return the time for which a force acts before the scene ends [s]."""
+    """Return for how long a force acts before the scene ends [s]."""
     return max(0.0, (end if force.end is None else min(force.end, end)) - force.start)
 
 
@@ -103,8 +103,8 @@ def _mass(scene: Any, thickness: float | None) -> float:
 def _wall_speed(wall: Any, size: float, end: float) -> float:
     """Return the largest speed of a wall [m/s]; the position of a press is a cosine in time.
 
-    A wall that holds points may suddenly change its velocity. The points at the wall are then as
-    fast as the change, relative to the wall.
+    A wall that holds points may suddenly change its velocity. Relative to the wall, the speed of
+    the points at the wall is then equal to this change.
     """
     if isinstance(wall, Press):
         return math.pi / 2 * wall.depth * size / min(wall.down, wall.up)

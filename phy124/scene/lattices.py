@@ -16,9 +16,9 @@ Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as
 """
 
 LIGHTEST = 0.03
-"""`auto` chooses lattices for bodies without damping if their density, relative to the densest
-liquid, is at least this value. At a relative density of 0.01, a cube of E = 1 kPa gained energy. At
-0.03, or with E = 10 kPa, the cube did not.
+"""`auto` chooses lattices for bodies without damping if their density is at least this fraction of
+the density of the densest liquid. At a relative density of 0.01, a cube of E = 1 kPa gained energy.
+At 0.03, or with E = 10 kPa, the cube did not.
 """
 
 FARTHEST_DRIVEN = 0.5

@@ -73,7 +73,7 @@ def _obstacles(scene: Any, *, mixes: bool) -> Iterator[tuple[str, object, str]]:
         if wall.holds:
             yield "boundaries", wall.kind, "boundaries that hold material"
         if wall.object is not None:
-            yield "boundaries.object", wall.object, "boundaries of a single object"
+            yield "boundaries.object", wall.object, "boundaries that act on a single object"
     softens = scene.stiffness_profile is not None and not mixes
     asked = {
         "contacts": (scene.keeps_contacts, "forces of walls on single particles"),

@@ -105,8 +105,8 @@ class SceneObject(Object):
             )
         if self.shape == "capsule" and min(self.sides) == max(self.sides):
             raise ValueError(
-                f"{self.name} is a capsule as long as it is thick; lengthen one side, or use a "
-                "sphere"
+                f"{self.name} is a capsule whose length equals its width; lengthen one side, or use "
+                "a sphere"
             )
         return self
 
@@ -177,7 +177,7 @@ def check_objects(first: Object, others: Sequence[SceneObject]) -> None:
     objects = {first.name: first}
     for other in others:
         if other.name in objects:
-            raise ValueError(f"two objects are called {other.name}; give each its own name")
+            raise ValueError(f"two objects are called {other.name}; give them different names")
         objects[other.name] = other
     for name, item in objects.items():
         if name in (FLOOR, ANY):

@@ -13,10 +13,9 @@ HEAD = """# Scene reference
 Every field of a scene file, written by `phy124 scenes --reference`. A scene file is TOML; fields
 that are left out have their default. On the command line the same fields are set by their path,
 `--set object.lift=0.5 forces.0.kind=wind`. Items of lists are counted from 0; the index after the
-last item adds an item. `phy124 scenes NAME` prints a preset in full, as a start for a scene of your
-own. `phy124 scenes --schema > scene.schema.json` writes a JSON schema, with which an editor
-completes and checks scene files; most editors use it if a file begins with `#:schema
-scene.schema.json`.
+last item adds an item. `phy124 scenes NAME` prints a preset in full, as a start for a new scene.
+`phy124 scenes --schema > scene.schema.json` writes a JSON schema, with which an editor completes
+and checks scene files; most editors use it if a file begins with `#:schema scene.schema.json`.
 
 ```toml
 {example}```

@@ -192,12 +192,12 @@ class Scene(Section):
 
     @property
     def mixes(self) -> bool:
-        """Whether a projected liquid moves together with other materials."""
+        """Whether a liquid with projected pressure moves together with other materials."""
         return self.projects and self.has_solids
 
     @property
     def immerses(self) -> bool:
-        """Whether a projected liquid moves together with objects on lattices."""
+        """Whether a liquid with projected pressure moves together with objects on lattices."""
         return self.projects and self.couples
 
     @property
@@ -389,7 +389,7 @@ class Scene(Section):
             InputError: A class of the user is not registered under a name.
         """
         for name, group in self.unregistered.items():
-            limit = "it is a class of your own, which has no name in scene files."
+            limit = "it is a class of your program, which has no name in scene files."
             remedy = f"Register it by an entry point phy124.{group}, or use it in Python."
             raise InputError(group, name, limit, remedy)
 

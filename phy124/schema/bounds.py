@@ -30,7 +30,7 @@ Velocity = tuple[_Rate, _Rate, _Rate]
 Push = tuple[_Push, _Push, _Push]
 """An acceleration [m/s^2], a force [N] or a momentum [N s]."""
 Direction = tuple[_Direction, _Direction, _Direction]
-"""A vector of which only the direction matters."""
+"""A vector whose length does not matter, only its direction."""
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
 """A value of a time profile, by which the strength of a force or motion is multiplied."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]

@@ -196,8 +196,8 @@ def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str
 
 
 def _list_keys_about(declared: Declaration, choices: list[Node], key: str) -> list[str]:
-    """Return the keys whose description begins with a sentence that has all words of `key`; an
-    empty list if these are more than `FEW`.
+    """Return the keys whose description contains all words of `key` in its first sentence; return
+    an empty list if there are more than `FEW` such keys.
     """
     words, keys = _split_words(key), []
     for name, node in (

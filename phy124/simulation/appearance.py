@@ -28,11 +28,12 @@ class Appearance(NamedTuple):
     gaussians: Gaussians
     """All N + G Gaussians at rest, in metres; the grains come last."""
     particles: Particles
-    """Particles of the solver; each moving Gaussian may have a particle of its own."""
+    """Particles of the solver. Each moving Gaussian may be represented by a particle."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
-    """Limit on each moving Gaussian's longest axis, relative to rest; may be infinite."""
+    """Limit on each moving Gaussian's longest axis, relative to its length at rest; may be
+    infinite."""
     rounds: NDArray[np.bool_]
     """Mask of the moving Gaussians that become balls when the material is stretched."""
     flows: NDArray[np.bool_]

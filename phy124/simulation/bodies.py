@@ -163,8 +163,8 @@ def notes(scene: Scene) -> list[str]:
     """Return a note for each object, except the first object, that has too few cells."""
     return [
         f"{body.name} is {body.size / scene.dx:.0f} cells long, which is coarse: the grid spacing "
-        f"follows from the size of {scene.object.name}; a larger accuracy.cells gives it more "
-        f"cells."
+        f"follows from the size of {scene.object.name}; a larger accuracy.cells means "
+        f"more cells."
         for body in scene.objects
         if body.size < FEWEST * scene.dx
     ]

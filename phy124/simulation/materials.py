@@ -30,7 +30,8 @@ def assign(
     crop: Crop = WHOLE,
     means: NDArray | None = None,
 ) -> NDArray[np.int32]:
-    """Return the material index of each particle [P]: 0 for the scene's, i for part i (from 1).
+    """Return the material index of each particle [P]: 0 for the scene's material, i for the
+    material of part i (counted from 1).
 
     Args:
         x: Positions at rest [P,3], m; the object is upright and faces +x.

@@ -59,7 +59,7 @@ class Interrupted(Cancelled):
 
 
 class Simulation:
-    """One run; iterating yields the frames. Leaving the loop early pauses the run.
+    """One run. Iterating over it yields the frames; leaving the loop early pauses the run.
 
     Iterating again continues with the next frame. `phy124.pipeline.resume` saves a paused run and
     continues it later, bit for bit.
@@ -130,7 +130,7 @@ class Simulation:
         return replace(frame, gaussians=self._frames_so_far().gaussians(frame.index))
 
     def _take_frame(self) -> Frame:
-        """Compute and keep the next frame; in a light run, the frame contains no Gaussians."""
+        """Compute and keep the next frame; if `light` is set, the frame contains no Gaussians."""
         index, timing, context = self.count, self.scene.time, self.setup.context
         time = index / timing.fps
         skipped = next(filter(None, (o.skip_to(index) for o in self.observers)), None)
@@ -183,7 +183,8 @@ class Simulation:
         Args:
             each: Function called with every frame as soon as the frame is computed.
             record: Function called with this simulation after every frame, before `each`. Without
-                `each`, light runs compute the Gaussians only when the clip's frames are read.
+                `each`, a run with `light` set computes the Gaussians only when the clip's frames
+                are read.
             shapes: As for `clip`.
 
         Raises:
@@ -209,8 +210,8 @@ class Simulation:
         """Return the frames computed so far as a clip.
 
         Args:
-            shapes: Whether the report of a light run describes the shapes of the Gaussians, which
-                requires all frames; `shapes_of` can add this description later.
+            shapes: If `light` is set: whether the report describes the shapes of the Gaussians.
+                This requires all frames; `shapes_of` can add the description later.
 
         Raises:
             ValueError: The frames were not kept.
@@ -243,7 +244,7 @@ class Simulation:
 
         Args:
             clip: The clip.
-            every: Whether a light run also computes the frames that have not been read.
+            every: Whether a run with `light` set also computes the frames that have not been read.
         """
         look, materials = self.setup.appearance, self.setup.materials
         if self._recorded is None:
@@ -315,7 +316,7 @@ class Simulation:
 
     @cached_property
     def deformer(self) -> Deformer:
-        """Computes the Gaussians of each frame.
+        """Object that computes the Gaussians of each frame.
 
         The deformer is created at first use, so a run without shapes does not bind Gaussians to
         particles.
@@ -330,7 +331,9 @@ class Simulation:
 
     @cached_property
     def _smoothing(self) -> Smoothing | None:
-        """Smooths the motion of solids that keep dents; None if there are none."""
+        """Object that smooths the motion of solids that keep dents; None if there are no such
+        solids.
+        """
         setup = self.setup
         dents = np.array([section.dents for section in setup.materials])[setup.particles.material]
         smooth = dents.any() and self.scene.binding == "lattice"
@@ -342,7 +345,7 @@ class Simulation:
         return self._smoothing(host(x), host(F)) if self._smoothing else (x, F)
 
     def _frames_so_far(self) -> Recorded:
-        """Return the frames of a light run; the Gaussians are computed when a frame is read."""
+        """Return the frames if `light` is set; the Gaussians are computed when a frame is read."""
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._recorded is None:
             measure = self.setup.appearance.elongation(self.setup.materials)

@@ -154,7 +154,7 @@ def find_tops(
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
     """Return the arguments of the solver's `bind`: forces and boundaries, wrapped by the observers.
 
-    The solver of a projected liquid sums the impulses of walls itself.
+    The solver of a liquid with projected pressure itself sums the impulses of walls.
     """
     forces: Sequence[Attachable] = scene.acting
     walls: Sequence[Attachable] = scene.boundaries

@@ -86,7 +86,7 @@ def find(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Path
 
 
 def is_complete(name: str, folder: str | os.PathLike[str] | None = None) -> bool:
-    """Whether all files of a set of weights are present."""
+    """Return whether all files of a set of weights are present."""
     return all(find(file, folder) for file in list_files(name))
 
 

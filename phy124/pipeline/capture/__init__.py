@@ -30,9 +30,11 @@ VISIBLE = 0.1
 """The floor is detected from Gaussians with at least this opacity."""
 NEIGHBOURS = 8
 USUAL = 6.0
-"""Least distance of a floater from its eighth neighbour, relative to the median distance."""
+"""Smallest distance of a floater from its eighth-nearest neighbour, relative to the median of this
+distance over all Gaussians."""
 LONG = 3.0
-"""Least such distance relative to the Gaussian's largest standard deviation."""
+"""Smallest distance of a floater from its eighth-nearest neighbour, relative to its largest
+standard deviation."""
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ ELEVATIONS = tuple(range(0, 65, 5))
 SMALL = 128
 """Longest side of the picture in which the elevations are compared [pixels]."""
 CLEARER = 1.0
-"""A raised camera is assumed if its picture is better than the front camera's by this [dB]."""
+"""A raised camera is assumed if its PSNR exceeds that of the front camera by this value [dB]."""
 RIM = 0.008
 """Width of the compared rim around the object, relative to the photograph's longest side."""
 ROUNDS = (False, False, False, True, True)
@@ -223,7 +223,7 @@ def _correct_camera(
     except cv2.error:
         return camera
     # Pixel p of the photograph corresponds to pixel scale * p + offset of the picture. Pixel
-    # centres are at + 1/2.
+    # centres are at half-integers.
     scale = float(np.sqrt(abs(np.linalg.det(warp[:, :2]))))
     if not 0.5 < scale < 2:
         return camera

@@ -42,7 +42,8 @@ SOFTNESS = 0.25
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light from the lamp and from the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows; beyond it, a sample casts wider shadows."""
+"""Largest number of Gaussians that cast shadows. Of more Gaussians, a sample casts wider
+shadows."""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255

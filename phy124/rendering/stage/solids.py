@@ -44,7 +44,8 @@ class PlacedWall:
     span: Corners
     """Box to which the rendering of an infinite wall is limited, m."""
     floor: float = math.inf
-    """Height to which a slope is rendered downhill [m]; infinite: as far as the box reaches."""
+    """Height down to which a slope is rendered [m]. If it is infinite, the slope ends at the
+    box."""
 
     @property
     def is_floor(self) -> bool:
@@ -74,7 +75,7 @@ class PlacedWall:
 def place_walls(boundaries: Sequence[Boundary], rest: NDArray) -> list[PlacedWall]:
     """Split boundaries into simple walls, and place them around an object at rest [N,3], m."""
     walls = [wall for boundary in boundaries for wall in _walls(boundary, rest)]
-    # Material slides from a slope to the floor, and must not slide on nothing.
+    # Slopes are drawn down to the floor, because material may slide along them to the floor.
     floors = [wall.height for wall in walls if wall.is_floor]
     return [replace(wall, floor=max(floors, default=math.inf)) for wall in walls]
 

@@ -38,7 +38,7 @@ class Deadline(NamedTuple):
 
 
 PATIENT = Deadline()
-"""Time limit [s]. For comparison, a segmentation takes half a second on an idle machine."""
+"""Default deadline. For comparison, a segmentation takes half a second on an idle machine."""
 
 
 class Unfinished(Exception):

@@ -110,7 +110,7 @@ def _strip_annotated(annotation: Any) -> Any:
 def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
     """Return pairs of an option and its arguments.
 
-    The option before the first option is "".
+    Arguments before the first option are paired with an empty text.
     """
     groups: list[tuple[str, list[str]]] = [("", [])]
     for word in arguments:
