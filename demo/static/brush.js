@@ -22,7 +22,7 @@
       this.listen();
     }
 
-    /** Show a picture and its cut-out; strokes over another picture are removed, unless it was only sent again. */
+    /** Show a picture and its cut-out; remove the strokes if the picture is new and not only sent again. */
     load(photo, cut, again = false) {
       this.opener.hidden = !photo;
       if (!photo) this.element.close();

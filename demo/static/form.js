@@ -10,8 +10,8 @@
   const words = (name) => name.replace(/_/g, ' ').replace(/^./, (c) => c.toUpperCase());
 
   class Form {
-    /** `changed` is called after each change, with whether sections were added or removed; `first` is shown before
-     * the sections, `tools` after the sections. */
+    /** `changed` is called after each change; its argument states whether sections were added or removed.
+     * `first` is shown before the sections, `tools` after the sections. */
     constructor(schema, changed, first = '', tools = '') {
       Object.assign(this, { schema, changed });
       this.body = h('div', { class: 'form' });

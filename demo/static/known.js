@@ -90,8 +90,8 @@
 
     each(act) { Object.values(this.views).forEach(act); }
 
-    /** Handle the server's value: an answer about one picture, a file's orientations, or nothing for a new
-     * object. The value replaces the inputs that were sent, so they are sent again. */
+    /** Handle the server's value: an answer about one picture, a file's orientations, or nothing if the
+     * object is new. The value replaces the inputs that were sent, so they are sent again. */
     take(value) {
       if (value?.ways) return this.turn(value.ways);
       if (value?.answer) this.views[value.answer.option]?.take(value.answer);

@@ -19,7 +19,7 @@
 
   const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 
-  /** A picture that moves: always, or only under the pointer and in focus (`rests`). If the visitor's system asks for
+  /** A picture that moves, either always or (if `rests` is set) only under the pointer and in focus. If the visitor's system asks for
    * less motion, only the first frame is shown. */
   function moving(src, attributes, rests = false) {
     const img = h('img', { alt: '', loading: calm() || rests ? 'eager' : 'lazy', ...attributes });

@@ -1,8 +1,8 @@
 /* Touch: a live run that the visitor pushes, over a socket (demo/touch).
  *
  * Pressing on the object and dragging pulls it. Dragging next to the object turns the view. Each frame is
- * acknowledged once it is drawn, so a slow browser skips frames. While something moves, the browser draws as
- * many pixels and as many Gaussians (enlarged) as it can in time. An object at rest is drawn once, with
+ * acknowledged once it is drawn, so a slow browser skips frames. While something moves, the browser draws only
+ * as many pixels, and as many (enlarged) Gaussians, as it can draw in time. An object at rest is drawn once, with
  * all Gaussians, and is not drawn again until it moves.
  */
 'use strict';
@@ -89,7 +89,7 @@
       this.again();
     }
 
-    /** Handle a message of the socket: text is shown to the visitor; in bytes, the first is a letter for the kind. */
+    /** Handle a message of the socket: show text to the visitor; in binary data, the first byte is a letter for the kind. */
     take(data) {
       if (typeof data === 'string') return this.told(JSON.parse(data));
       this.bytes += data.byteLength;

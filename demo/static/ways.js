@@ -13,7 +13,7 @@
     } catch { return {}; }
   }
 
-  /** Return the folder of a file's pictures; each file has its own folder. */
+  /** Return the folder of a file's pictures; each file has a separate folder. */
   function nameOf(pictures) { return Object.values(pictures)[0].path; }
 
   class Ways {

@@ -218,7 +218,7 @@ def _note_stiffest_part(scene: Scene) -> str | None:
         remedy += f", or {part}.static = true, if nothing rests on it,"
     return (
         f"{field} ({section.law}) is so stiff that it needs {rest_substeps(scene):,.0f} substeps, "
-        f"{ratio:.0f} times as many as other materials: {remedy} makes the run so much faster."
+        f"{ratio:.0f} times as many as other materials: {remedy} makes the run faster."
     )
 
 

@@ -105,8 +105,8 @@ class SceneObject(Object):
             )
         if self.shape == "capsule" and min(self.sides) == max(self.sides):
             raise ValueError(
-                f"{self.name} is a capsule whose length equals its width; lengthen one side, or use "
-                "a sphere"
+                f"{self.name} is a capsule whose length equals its width; lengthen one side, or "
+                "use a sphere"
             )
         return self
 
