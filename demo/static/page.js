@@ -19,8 +19,8 @@
 
   const calm = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
 
-  /** A picture that moves, either always or (if `rests` is set) only under the pointer and in focus. If the visitor's system asks for
-   * less motion, only the first frame is shown. */
+  /** A picture that moves, either always or (if `rests` is set) only under the pointer and in
+   * focus. If the visitor's system asks for less motion, only the first frame is shown. */
   function moving(src, attributes, rests = false) {
     const img = h('img', { alt: '', loading: calm() || rests ? 'eager' : 'lazy', ...attributes });
     if (!calm() && !rests) { img.src = src; return img; }
