@@ -286,7 +286,7 @@ def test_disk_full_keeps_what_was_written(tmp_path):
     safe, message = run.stdout.splitlines()
     assert int(safe) == 1_000_000 // 60_400
     assert message.startswith("1 the disk is full ([Errno 27] File too large)")
-    assert f"{safe} frames are safe" in message
+    assert f"{safe} frames are stored" in message
     assert f"`python -m bridge recover {path}` makes a recording of the stored frames" in message
     assert recover(path).frames == int(safe)
     assert len(list(clouds(path))) == int(safe)

@@ -67,7 +67,7 @@ def run(few_gaussians) -> Simulation:
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        ({"objects": [{"name": "object"}]}, "two objects are called object. Give each its own"),
+        ({"objects": [{"name": "object"}]}, "two objects are called object. Give them different"),
         ({"objects": [{"name": "any"}]}, "no object can be called any"),
         ({"objects": [{"name": "a b"}]}, "objects.0.name = a b: it must be text"),
         ({"objects": [{}]}, "objects.0.name = nothing: it is required"),
