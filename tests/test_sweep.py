@@ -306,8 +306,10 @@ def test_the_report_has_a_picture_of_each_clip(made):
     text = "\n".join(format_lines(storage))
     assert text.startswith("6 clips: 6 done") and "by material.E:" in text
     expected = [row["expected_error"] for row in read_manifest(storage)]
-    assert ("expected error, without" in text) == any(value is not None for value in expected)
-    assert "error measured for the clip itself" not in text  # these clips are too short for one
+    assert ("error bound from similar scenes" in text) == any(
+        value is not None for value in expected
+    )
+    assert "error bound measured for the clip" not in text  # these clips are too short for one
     page = Path(write_page(storage)).read_text()
     assert page.count("<img") == 6 and "largest force on a wall" in page
 

@@ -35,7 +35,7 @@ too short by about this depth.
 
 
 class Clamp:
-    """The nodes in a clamp, and the launches that set their velocities to the clamp's velocity."""
+    """The nodes in a clamp, and the kernel launches that give these nodes the clamp's velocity."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class Clamp:
             tracks: The tracks of the run, to which the clamp's displacement is added.
             sums: Sums of the clamp's impulse and work.
             row: Index of these sums.
-            holder: Row of each node's clamp [N], written by the launches.
+            holder: Row in `sums` of each node's clamp [N]; the launches write it.
 
         Raises:
             InputError: The clamp fixes only some directions.
@@ -86,7 +86,9 @@ class Clamp:
         """Indices of the nodes whose velocities change."""
 
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
-        """Record the launches of one substep; other clamps precede or follow this one in the scene.
+        """Record the launches of one substep.
+
+        `earlier` and `later` are the clamps before and after this clamp in the scene.
 
         If a node is inside several active clamps, it belongs to the last of them. A node inside a
         clamp belongs to this clamp even if the node is also at the surface of another clamp.
@@ -110,7 +112,7 @@ class Clamp:
 
 
 class PassedOn:
-    """Records launches that add the contact impulses on clamped nodes to the clamps' sums."""
+    """Prepares launches that add contact impulses on clamped nodes to the sums of the clamps."""
 
     def __init__(
         self,
@@ -150,7 +152,8 @@ class PassedOn:
             near: Indices of the points.
             points: Nodes and weights of each point.
             force: Mean force on each point in a substep [S,3], N.
-            sums: Sums, including work, of the wall or body that exerts the force; None: no sums.
+            sums: Sums, including work, of the wall or body that exerts the force; None if it has no
+                sums.
         """
         nodes, kernel = self._nodes, make_pass_on(self._model.real)
         inputs = [near, *points, nodes.movable, nodes.inverse, self._holder, nodes.rest, nodes.u]

@@ -124,7 +124,7 @@ class CoupledSolver(Solver):
     ) -> None:
         """Replace forces, boundaries and sums from the next substep on, as `Solver.bind` does.
 
-        The lattices have the `uniform` forces and the boundaries `walls`.
+        The `uniform` forces and the boundaries `walls` act on the lattices.
         """
         self.lattice.bind(forces=uniform, boundaries=walls)
         super().bind(**acting)
@@ -225,7 +225,8 @@ def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
 def part_of_bodies(
     model: Model, bodies: Sequence[int], still: Sequence[int]
 ) -> tuple[Model, NDArray[np.int64]]:
-    """Return a model of some bodies, numbered in the given order, and their particles' indices.
+    """Return a model of some bodies, numbered in the order of `bodies`, and their particles'
+    indices.
 
     Args:
         model: The model.

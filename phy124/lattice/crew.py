@@ -1,4 +1,4 @@
-"""The crew: all workers of a run, and the launches of a substep on their cells and nodes.
+"""The crew: all workers (threads) of a run, and the kernel launches on their cells and nodes.
 
 Cells and nodes are sorted by x, so consecutive cells use consecutive nodes. Each worker adds the
 forces of its cells to private memory. For each node, the sums of all workers are then added in a
@@ -34,7 +34,7 @@ LINE = 16
 
 
 class Crew:
-    """All workers of a run, and the launches on their points and nodes."""
+    """All workers of a run, and the kernel launches on their points and nodes."""
 
     def __init__(
         self,
@@ -79,7 +79,9 @@ class Crew:
         numbers = [(span.start, span.stop, at) for span, at in zip(spans, begin, strict=False)]
         self._spans = wp.array(np.array(numbers, np.int32), dtype=wp.vec3i, device=device)
         self.lasting: wp.array | None = None
-        """For each worker, forces on nodes [N] that act until they are replaced; None: none."""
+        """For each worker, forces on nodes [N] that act until they are replaced; None if there are
+        none.
+        """
         self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
         self._read_maxima = reader(self._maxima)
         self.workers = [
@@ -154,7 +156,8 @@ class Crew:
     def press(self, pushes: wp.array, turns: wp.array) -> None:
         """Replace the lasting forces on the nodes by the forces that accelerate the points.
 
-        `pushes` [P,3], m/s^2, are accelerations, `turns` [P,3,3] their moments (`make_press`).
+        `pushes` [P,3], m/s^2, are the accelerations, and `turns` [P,3,3] are their moments (see
+        `make_press`).
         """
         assert self.lasting is not None
         self.lasting.zero_()
@@ -240,7 +243,8 @@ class Crew:
             at: Index of the sum (phy124/kernels/lattice/work.py).
             tracks: The tracks of the run, with the clock and the uniform acceleration.
             out: The sums.
-            pool: The forces; None: those of the stress, or of pushes if `at` is `PUSHED`.
+            pool: The forces. None: the forces of pushes if `at` is `PUSHED`, and of the stress if
+                not.
         """
         pushed = at == PUSHED
         if pool is None:
@@ -390,7 +394,7 @@ class Crew:
         return launches([("follow", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
     def lost(self) -> int:
-        """Return the number of points that were not finite."""
+        """Return the number of points with values that were not finite."""
         return int(self._read_stray()[0])
 
     def maxima(self) -> list[float]:

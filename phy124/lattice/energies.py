@@ -62,7 +62,7 @@ class Works(NamedTuple):
 
 
 class Energies(Kept):
-    """Adds launches that sum work; sums nothing until `start` is called."""
+    """Adds kernel launches that sum work; sums nothing until `start` is called."""
 
     kept = ("_sums", "_clamps")
 
@@ -93,7 +93,8 @@ class Energies(Kept):
             self._pools[at.VISCOUS] = crew.new_pool()
 
     def attach(self, tracks: Tracks, walls: Walls, meetings: Meetings, free: Solids) -> None:
-        """Add the sums of contact work; call before the launches of contact are recorded again.
+        """Add the sums of contact work; call this before the launches of contact are recorded
+        again.
 
         Args:
             tracks: The tracks of the run, with the clock.
@@ -109,7 +110,10 @@ class Energies(Kept):
             walls.work = meetings.work = free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases that sum work before the nodes move; `pushed`: forces act on points."""
+        """Insert the phases that sum work before the nodes move.
+
+        `pushed` states whether forces act on points.
+        """
         forces = [at.STRESS, at.PUSHED] if pushed else [at.STRESS]
         for index, worker in enumerate(self._crew.workers):
             works = []
@@ -175,7 +179,7 @@ class Energies(Kept):
         self._clamps = -self._of_clamps()
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of clamps and its part by motion, from sums of walls and clamps."""
+        """Return the work of clamps, and the part of it that is due to the motion of clamps."""
         if self._walls is None:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]

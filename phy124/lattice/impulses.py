@@ -39,14 +39,17 @@ class Impulses:
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
         """Record the launch that adds a wall's impulses on nearby points to the sums.
 
-        `near` contains the points, one per thread, `force` [S,3], N, the mean forces in a substep.
+        `near` contains the indices of the points, one per thread. `force` [S,3], N, contains the
+        mean forces in a substep.
         """
         kernel = make_add_impulse(self._model.real)
         launch = self._model.launch(kernel, len(near), [near, force, self._clock], [self.sums])
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the launches of clamps, with sums of the momenta of the nodes `held`."""
+        """Return the launches of clamps, together with launches that sum the momenta of the nodes
+        `held`.
+        """
         model, nodes = self._model, self._nodes
         chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)
         kernel = make_add_momentum(model.real)
@@ -88,7 +91,9 @@ class ContactWork:
         *,
         clamped: bool = False,
     ) -> wp.Launch:
-        """Record the launch that sums the work on listed points; parameter 1 is their number.
+        """Record the launch that sums the work on listed points.
+
+        Parameter 1 of the launch is the number of listed points.
 
         Args:
             at: Index of the first of three sums of work.

@@ -35,11 +35,13 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED = 0.6
-"""Two parts of a body are compared again after twice this relative displacement [cells]."""
+"""Two parts of a body are compared again after a relative displacement of twice this value [cells].
+"""
 BETWEEN = 0.15
-"""Two bodies are compared again after twice this relative displacement [cells]."""
+"""Two bodies are compared again after a relative displacement of twice this value [cells]."""
 SLID = 0.4
-"""The pairs are determined again after a point has moved this far along the other surface."""
+"""The pairs are determined again after a point has moved this far along the other surface [cells].
+"""
 FRICTION = 0.5
 """Friction coefficient for contact of a body with itself, and default for pairs of objects."""
 
@@ -72,10 +74,11 @@ class Meeting:
             partners: Object that searches for points that may touch.
             restore: Gain of the speed at which points that penetrate each other separate [1/s].
             sample: Indices of the sampled points of the two bodies [K].
-            bodies: Indices of the two bodies, equal for a body with itself.
+            bodies: Indices of the two bodies; they are equal for contact of a body with itself.
             friction: Coefficient of Coulomb friction.
             sticky: Whether points that have touched stick together.
-            sums: Sums of impulse and moment of the first body on the second; None: one body.
+            sums: Sums of impulse and moment of the first body on the second; None if there is only
+                one body.
         """
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction
@@ -171,7 +174,7 @@ class Meeting:
         """Return the stages that apply, correct and sum the impulses.
 
         Args:
-            work: Records the launch that sums the work of the impulses; None: no sums.
+            work: Records the launch that sums the work of the impulses; None if it is not summed.
             passed: Records launches that transfer impulses on clamped nodes to clamps; None if
                 there are no clamps.
         """

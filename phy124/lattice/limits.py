@@ -25,13 +25,17 @@ from phy124.mpm.workers import run_timed
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN = 0.25
-"""The largest frequency is measured again after this strain; if it is steady, after twice this."""
+"""The largest frequency is measured again after this strain. If the frequency is steady, it is
+measured after twice this strain.
+"""
 WAY = 0.25
 """Largest motion of a point between two measurements of its distance from walls [cells]."""
 TRAVEL = 3.0
 """Largest approach of points to walls before distances are measured again [cells]."""
 VIOLENT = 0.35
-"""Strain rate times substep length above which the limits are measured every substep."""
+"""If the strain rate times the substep's length exceeds this value, limits are measured in every
+substep.
+"""
 
 
 class Limits(Kept):
@@ -68,7 +72,9 @@ class Limits(Kept):
         self.probing = False
         """Whether the next substep measures the largest frequency."""
         self._strain, self._probed = math.inf, 0
-        """Bound of the strain since the last measurement of the frequency; substep at that time."""
+        """Bound of the strain since the last measurement of the frequency, and the number of
+        substeps up to this measurement.
+        """
         self._travel = 0.0
         """Bound of the motion of points and walls since points near walls were listed [m]."""
         self.measured = 0.0
@@ -90,13 +96,13 @@ class Limits(Kept):
         clock = self._clock
         self._runner.join()
         run_timed(self._timings, "measure", lambda: self._runner.complete(MEASURE))
-        # The maxima are not reset, because the end of the substep also reads them if the stress
-        # kernels measure.
+        # The maxima are not reset, because they are read again at the end of the substep if the
+        # stress kernels measure them.
         speed, gradient, clock.closing = self._crew.maxima()
         clock.extremes = clock.extremes._replace(speed=speed, gradient=gradient)
         clock.seen = clock.time
         longest = STRAIN_PER_STEP / max(gradient, 1e-30)
-        # If the stress kernels measure, they also do so in the next substeps.
+        # If the stress kernels measure the maxima, they also do so in the next substeps.
         if longest < drift or clock.in_shock or not self._crew.measuring:
             clock.expire()
         return min(drift, longest)
@@ -183,7 +189,7 @@ class Limits(Kept):
     def _list_near(self) -> None:
         """List the surface points that walls may touch before the next measurement."""
         step = self._step()
-        # The walls are where they were one substep ago.
+        # The walls are still at their positions of the previous substep.
         ahead = (self._clock.interval + 1) * step if math.isfinite(step) else 0.0
         self._walls.list_near(self._travel + max(2 * WAY * self._dx, ahead), step)
 

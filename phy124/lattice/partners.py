@@ -21,7 +21,7 @@ from phy124.mpm.model import Model
 FAR = 3.0
 """If two sampled points are closer than this [cells], the surfaces around the points may touch."""
 REACH, NEAR = 1.4, 1.0
-"""Largest distance between points that may touch [cells], within and between bodies."""
+"""Largest distance at which two points may touch [cells], if they belong to one body or to two."""
 LEAST = 0.05
 """Least volume ratio J by which the map from the surface to the body at rest is divided."""
 AT_ONCE = 16
@@ -55,8 +55,8 @@ class Partners:
     ) -> Callable[[NDArray], NDArray[np.bool_]]:
         """Return a function from positions [K,3], m, of samples to flags [K] of possible contact.
 
-        `sample` [K] contains numbers of surface points. `between` is true if the other part
-        belongs to another body.
+        `sample` [K] contains indices of surface points. `between` is true if the other part belongs
+        to another body.
         """
         model, arrays, grid, far = self._model, self._arrays, self._grid, FAR * self._model.dx
         vectors, count = self._nodes.rows is SIMD, len(sample)

@@ -141,5 +141,5 @@ def not_immersed(scene: Any) -> bool:
 
 
 def is_elastic(section: Material) -> bool:
-    """Return whether a material's law can run on a lattice: phy124's own elastic laws can."""
+    """Return whether a material's law can run on a lattice, as the elastic laws of phy124 can."""
     return isinstance(section, Elastic) and section.device_law.project is None

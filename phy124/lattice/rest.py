@@ -52,7 +52,7 @@ class RestLattice:
     offset: NDArray[np.float64]
     """Position of each point relative to its cell's first node [P,3], cells, 0.5 to 1.5."""
     mass: NDArray[np.float64]
-    """Mass of each node, including its tied nodes [N], kg; 0 for a tied node."""
+    """Mass of each node, including the nodes that are tied to it [N], kg; 0 for a tied node."""
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
@@ -65,7 +65,9 @@ class RestLattice:
     body: NDArray[np.int64]
     """Body index of each node [N]."""
     source: NDArray[np.int64]
-    """For each node, the index of the node that it repeats [N]; its own index if there is none."""
+    """For each node, the index of the node that it repeats [N], or of the node itself if it repeats
+    none.
+    """
 
     @classmethod
     def of(
@@ -256,7 +258,7 @@ class RestLattice:
 
     @property
     def across(self) -> int:
-        """Sum, over all bodies, of the largest extent [cells]."""
+        """Sum of the largest extents of all bodies [cells]."""
         bodies = [self.index[self.body == body] for body in np.unique(self.body)]
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 

@@ -32,13 +32,13 @@ UNSEEN = 0.6
 several short substeps squeeze a point as much as one long substep.
 """
 FORGET = 4
-"""Earlier frequencies and closing rates decay faster than in the default solver by this factor,
-because both are determined by a few points that are squeezed for a short time.
+"""The clock lets earlier frequencies and closing rates decay. This factor makes the decay faster
+than in the particle solver, because a few points that are squeezed for a short time determine both.
 """
 COLLAPSED = 1e-6
 """Smallest valid substep, relative to the substep of the undeformed body."""
 STALLED = 1000
-"""This number of substeps lasts at least as long as one substep of the undeformed body."""
+"""A run is unstable if this number of substeps together is shorter than one substep at rest."""
 
 
 class LatticeClock(Clock):
@@ -92,8 +92,9 @@ class LatticeClock(Clock):
         return self.in_shock or speed * drift > IMPACT * self.dx or way > UNSEEN * self.dx
 
     def stalls(self, usual: float) -> bool:
-        """Return whether the last `STALLED` substeps together are shorter than one at rest, `usual`
-        [s].
+        """Return whether the last `STALLED` substeps together are shorter than one substep at rest.
+
+        The length of a substep at rest is `usual` [s].
         """
         taken, elapsed = self.substeps - self._marked[0], self.time - self._marked[1]
         if 0 <= taken < STALLED and elapsed >= 0:
@@ -114,7 +115,7 @@ def largest_calm_rate(materials: Sequence[Material], dx: float) -> float:
 
 
 def in_shock_only(clock: LatticeClock, recorded: Sequence[Named]) -> list[Named]:
-    """Return launches that run only while the artificial viscosity acts."""
+    """Return kernel launches that run only while the artificial viscosity acts."""
 
     def launch() -> None:
         if clock.in_shock:

@@ -31,7 +31,9 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""The normal at a point is used for contact with a box up to this depth [cells]."""
+"""Largest depth in a box at which the normal of a point on a flat body may be used for contact
+[cells].
+"""
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""
 
@@ -67,7 +69,8 @@ class Solids(FreeBodies):
         """Speed at which points inside a solid are moved out, per unit depth [1/s]."""
         self._touches: list[_Touch] = []
         self._reach_points = 0.0
-        """Distance at which points may touch solids before the next measurement [m]."""
+        """Points at most this far from a solid may touch the solid before the next measurement [m].
+        """
 
     def _total(self) -> NDArray[np.float64]:
         """Return the sums of impulse and work of each solid on each body [F,bodies,EXCHANGE]."""
@@ -143,9 +146,10 @@ class Solids(FreeBodies):
         self._list(turn=True)
 
     def _list(self, *, turn: bool) -> None:
-        """List the points near each solid; `turn`: also update the normals near boxes.
+        """List the points near each solid; if `turn` is set, also update the normals near boxes.
 
-        A run updates the normals only when limits are measured, so a restored run does not.
+        A run updates the normals only when limits are measured. They are therefore not updated when
+        a run is restored.
         """
         for touch in self._touches:
             touch.list_near(self._reach_points, LISTED * self._model.dx, turn=turn)
@@ -221,7 +225,9 @@ class _Touch(Kept):
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Append to the last stage launches that sum work or pass on impulses; None: no launch."""
+        """Append launches that sum work, or pass on impulses, to the last stage; None means no
+        launch.
+        """
         near = self._list, self._points, self.force
         self._passed = None if passed is None else passed.of(*near, self._sums)
         known = self._list, self._points, self._gap, self.force

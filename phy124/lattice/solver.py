@@ -115,7 +115,8 @@ class LatticeSolver(Kept):
         self.outliers = Outliers(model, self.state)
         self.boundaries: Sequence[Stage] = ()
         self.guests: list[Any] = []
-        """Further kinds of contact, whose launches run along with the launches of walls."""
+        """Further kinds of contact, whose kernels are launched together with the kernels of walls.
+        """
         nodes, lattice = self.nodes_state, self.lattice
         with self.runner.on_threads():
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, self.runner.complete)
@@ -135,7 +136,8 @@ class LatticeSolver(Kept):
     ) -> None:
         """Replace forces, boundaries and sums, from the next substep on.
 
-        Contact forces and times of measurements are kept: live runs are bitwise reproducible.
+        Contact forces and times of measurements are kept, so that live runs are bitwise
+        reproducible.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -270,12 +272,12 @@ class LatticeSolver(Kept):
             self.follow()
 
     def pinch(self) -> tuple[float, int, int]:
-        """Return the result of `Walls.pinch` with the walls at their current places."""
+        """Return the result of `Walls.pinch` for the current positions of the walls."""
         self._place_walls()
         return self.walls.pinch()
 
     def _place_walls(self) -> None:
-        """Evaluate all tracks at the current time, since the last substep used its beginning."""
+        """Evaluate all tracks at the current time; the last substep evaluated them at its start."""
         self.clock.begin(0.0, 0.0)
         self._sample.launch()
 
@@ -336,7 +338,7 @@ class LatticeSolver(Kept):
         return drift
 
     def start_step(self, kick: float, drift: float) -> None:
-        """Change velocities of nodes by forces and contact: all of a substep but the motion."""
+        """Do the first part of a substep: change the velocities of nodes by forces and contact."""
         self.limits.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock

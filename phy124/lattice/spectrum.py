@@ -1,7 +1,7 @@
 """Spectrum: measures the largest angular frequency of the bodies, which limits the substep.
 
 At rest, the frequency is found by power iteration. In motion, one more iteration is made every few
-substeps. This iteration starts from the last shape plus the current accelerations. The
+substeps. This iteration starts from the last mode shape plus the current accelerations. The
 accelerations are large in material that has just been squeezed or that begins to vibrate more
 strongly.
 """
@@ -151,8 +151,8 @@ class Spectrum:
         Args:
             share: Factor with which the accelerations are added to the shape.
             rounds: Number of iterations.
-            velocities: Velocities of the nodes. If given, velocities are changed instead of
-                displacements, and the result is the largest rate of damping [1/s].
+            velocities: Velocities of the nodes, or None. If they are passed, they are changed
+                instead of displacements, and the result is the largest rate of damping [1/s].
         """
         square, peak, trials = 0.0, self._peak(), self._trials
         for _ in range(rounds):

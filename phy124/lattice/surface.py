@@ -5,8 +5,9 @@ nodes get no weight. The weights are then corrected to reproduce every linear fu
 With the exact weights at the surface, contact would act mostly on the lightest nodes, which would
 vibrate. In tips, the integration points touch walls as well (phy124/lattice/tips.py).
 
-Points are sorted by eight colours; points of one colour are at least about one cell apart. In this
-order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to row.
+Points are divided into eight groups and sorted by group. Points of one group are at least about one
+cell apart. In this order, the error after a Gauss-Seidel sweep is a tenth of the error after a
+sweep from row to row.
 """
 
 from __future__ import annotations
@@ -95,8 +96,9 @@ class Lazy:
     def __init__(
         self, values: NDArray[Any], compute: Callable[[NDArray[np.int64]], NDArray]
     ) -> None:
-        """Compute nothing yet; `compute` returns the `values`, whose first axis is the points, at
-        indices.
+        """Store the function `compute`, which returns values for the points with some indices.
+
+        `values` is an array for the results; its first axis corresponds to the points.
         """
         self._values, self._compute = values, compute
         self._known = np.zeros(len(values), bool)

@@ -19,23 +19,26 @@ cells, the points of the cell are only slightly strained, so large forces would 
 out.
 """
 LIGHT = 0.02
-"""Least mass of untied nodes, relative to a node inside; lighter nodes vibrate too fast."""
+"""Least mass of untied nodes, relative to the mass of a node inside the body. Lighter nodes would
+vibrate too fast.
+"""
 GIVING = 0.2
-"""Least mass of nodes that give the added mass, relative to a node inside."""
+"""A node gives mass to light nodes only if its mass is at least this fraction of the mass of a node
+inside the body.
+"""
 BENT, THIN = 3.0, 0.6
-"""`BENT`: weight of the products of two coordinates in the fit of the donors' weights; in thin
-parts, these weights reproduce such products as well as possible. In these parts, each donor has
-less than `THIN` of the mass of a node inside the body. Without the products, the outer nodes of a
-bent plate would not follow its
-curvature: a plate with a thickness of 0.3 cells on the border of two layers of cells would be 20 %
-too stiff.
+"""In thin parts of a body, the weights of the donors are fitted so that they also reproduce
+products of two coordinates. `BENT` is the weight of these products in the fit. A part is thin if
+each donor has less than `THIN` of the mass of a node inside the body. Without the products, the
+outer nodes of a bent plate would not follow its curvature: a plate with a thickness of 0.3 cells on
+the border of two layers of cells would be 20 % too stiff.
 """
 DONORS = 27
-"""Largest number of nodes from which the motion of a tied node is extrapolated."""
+"""Largest number of nodes from which the motion of a tied node is extrapolated (its donors)."""
 NEAR = 3.0
-"""Largest distance of these nodes [cells]."""
+"""Largest distance of a donor from the tied node [cells]."""
 FAR = 6.0
-"""Largest distance of these nodes if the nearer nodes do not determine the motion [cells]."""
+"""Largest distance of a donor if the nodes within `NEAR` do not determine the motion [cells]."""
 
 
 def tie_light(
@@ -226,7 +229,7 @@ def _extrapolate(
         light: The nodes that are extrapolated [T].
         donors: The nodes from which each light node is extrapolated [T,K].
         distance: Distances of the donors [T,K], cells; infinite if there is no donor.
-        thin: Whether the mass of each node is that of a node in a thin part [N].
+        thin: Whether each node has as little mass as a node in a thin part [N].
     """
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)

@@ -33,9 +33,12 @@ class Trials:
         """
         self._model, self._crew = model, crew
         self.shape, self.mixed = (model.array(shape, types(model.real).vec3) for _ in range(2))
-        """The next trial shape; the last one, which includes a share of the accelerations [N,3]."""
+        """The next trial shape, and the last trial shape with a share of the accelerations [N,3].
+        """
         self.a, self.u, self.after = (wp.zeros_like(self.shape) for _ in range(3))
-        """Accelerations of the nodes; displacements in the trial; accelerations due to them."""
+        """Accelerations of the nodes before a trial, displacements in the trial, and accelerations
+        due to these displacements.
+        """
         self._pool = crew.new_pool()
         self._tries: list[wp.Launch] = []
         for index, worker in enumerate(crew.workers):

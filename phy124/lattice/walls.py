@@ -54,7 +54,7 @@ DEEP, EXACT = 0.1, 1e-3
 correction displaces a point by more than `EXACT` [cells].
 """
 STEP = 0.5
-"""Increment of the distance up to which points are listed [cells]."""
+"""The distance up to which points are listed increases in steps of this length [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Speed at which points inside a wall are moved out, divided by their depth. The unit is (pi / 2
 H)^2 / dt for a body of H cells and substeps dt at rest. A body that stands on the wall has the
@@ -168,7 +168,9 @@ class Walls:
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the recorder of launches that add impulses to clamps' sums; None: no clamps."""
+        """Return the object that records launches for the sums of clamps; None if there are no
+        clamps.
+        """
         if not self._clamps:
             return None
         model, _, nodes, tracks = self._around
@@ -230,7 +232,7 @@ class Walls:
     def pinch(self) -> tuple[float, int, int]:
         """Return the largest depth [cells] of a point that is inside one wall while another wall
         touches it, and the indices of both walls among the walls that are not clamps. The depth is
-        at least 0. The walls are at the places for which the tracks were last evaluated.
+        at least 0. The positions of the walls are those at the last evaluation of the tracks.
         """
         if len(self._contacts) < 2:
             return 0.0, 0, 0
@@ -253,7 +255,7 @@ class Walls:
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the last contact forces, unless they belong to another set of walls."""
+        """Set the contact forces of the last substep, unless they belong to other walls."""
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])

@@ -1,7 +1,7 @@
 """Workers: the points and nodes that each thread processes, and the launches of each thread.
 
-Most launches belong to a phase of one worker; `Division` divides the threads of other kernels among
-all workers.
+Most kernel launches belong to a phase of one worker. `Division` divides the threads of other
+kernels among all workers.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from phy124.mpm.threads import Team
 from phy124.mpm.workers import Timings, run_launches
 
 MEASURE, PLACE = -1, -2
-"""Two tasks besides the phases: to measure the points' motion, and to place the points."""
+"""Numbers of two tasks besides the phases: measuring the points' motion, and placing the points."""
 
 
 @dataclass
@@ -39,7 +39,9 @@ class Worker:
     phases: list[list[Named]] = field(default_factory=list)
     """Launches of a substep by phase; threads wait for each other between phases."""
     tasks: dict[int, list[Named]] = field(default_factory=dict)
-    """Launches of the other tasks; their numbers are negative, and their callers time them."""
+    """Launches of each other task; the key is the task's negative number. The callers measure the
+    time of these tasks.
+    """
     timings: Timings = field(default_factory=dict)
 
     def run(self, task: int) -> None:
@@ -52,7 +54,7 @@ class Worker:
 
 
 class Division:
-    """Records kernels whose threads are divided among all workers."""
+    """Prepares kernels whose threads are divided among all workers."""
 
     def __init__(self, model: Model, team: Team) -> None:
         """Store the constants of the run, and the threads that launch the kernels."""

@@ -32,7 +32,7 @@ from phy124.mpm.tracks import Tracks
 STAGE = "bodies"
 """Name of the stages in reports."""
 FIRST = 8
-"""Number of steps in which a new body's surface is shifted until it encloses the right volume."""
+"""Number of steps in which a new body's surface is shifted until it encloses the body's volume."""
 MOST = 0.7
 """Largest shift of a body's surface [cells]."""
 LIGHT = 0.05
@@ -42,8 +42,8 @@ YIELDED = 0.004
 
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]
-"""Function that predicts the mean velocities [m/s] and velocity gradients [1/s] of the particles in
-a step [s] under the last pressure.
+"""Function that maps the duration of a step [s] to the mean velocities [m/s] and velocity gradients
+[1/s] of the particles. It assumes that the last pressure acts in the step.
 """
 
 
@@ -74,7 +74,7 @@ class Bodies(Kept):
         """Allocate the arrays of the particles.
 
         Args:
-            model: The particles of the bodies; they may be followed or preceded by a liquid's.
+            model: The particles of the bodies; particles of a liquid may precede or follow them.
             state: State of the particles.
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
@@ -117,7 +117,7 @@ class Bodies(Kept):
         """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
         """Centre of mass of each solid and body [m]; force [N] and torque [N m] in the last step,
-        except those due to liquid and weight.
+        without those of the liquid and of the weight.
         """
         self._impulses = np.zeros((every, 2, 3))
         """Impulse of the liquid on each solid and body in the last step, and its moment."""
@@ -183,7 +183,9 @@ class Bodies(Kept):
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Solid fractions of B-splines, and open eighths of cells, without bodies."""
+        """Solid fractions of B-splines, and open fractions of eighths of cells, if there were no
+        bodies.
+        """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
         )
@@ -392,7 +394,8 @@ class Bodies(Kept):
         self._launch(films.make_film(real), count, inputs, outputs)
 
     def _vibration(self, index: int) -> float:
-        """Return the period [s] of a body on a wall; infinite if liquid surrounds the contact.
+        """Return the vibration period [s] of a body on a wall; infinite if liquid surrounds the
+        contact.
 
         The period is four times the time in which a wave crosses the body.
         """

@@ -24,7 +24,7 @@ up to two cells, and the B-splines around each particle reach two cells further.
 LARGEST = 32
 """Margin around the particles [cells] above which the window is renewed."""
 MOST_CELLS = 2**22
-"""Largest number of cells in a window, whatever `Outliers.allowed` is."""
+"""Largest number of cells in a window, even if `Outliers.allowed` is larger."""
 BULK = 0.01
 """Fraction of the particles that may be outside a restricted window on each side."""
 FAR = 1e3
@@ -32,11 +32,11 @@ FAR = 1e3
 
 
 ROOM = 4
-"""A solid changes distances and open fractions up to this distance [cells]."""
+"""A solid changes distances and open fractions up to this distance from its surface [cells]."""
 
 
 def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
-    """Return the sides [3] of the window over a box [cells], with its margins."""
+    """Return the sides [3] of a window around a box, including the margins [cells]."""
     return (upper - lower) / dx + 2 * MARGIN
 
 
@@ -143,7 +143,7 @@ class Cells:
             upper: Highest corner of the particles [3], m.
 
         Raises:
-            Unstable: The particles are too far away to number the cells.
+            Unstable: The particles are so far away that cells cannot be numbered.
         """
         model = self._model
         if not np.all(np.abs([lower, upper]) < FARTHEST * model.dx):
@@ -157,7 +157,10 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on; keep pressures of common cells."""
+        """Set the window to `size` [3] cells from `low` [3] on.
+
+        Cells that were already in the old window keep their pressures.
+        """
         kept = self.pressure.numpy().reshape(self.size) if self.count else np.zeros((0, 0, 0))
         before = self.low
         self.low, self.size = np.array(low, int), np.array(size, int)

@@ -17,23 +17,29 @@ from phy124.mpm.timestep import Extremes, Substep
 CELLS = 2.0
 """Largest distance that a particle moves in a step [cells]."""
 WAVES = 0.5
-"""Longest step in units of sqrt(dx / a), with the acceleration a of the liquid."""
+"""Longest step in units of sqrt(dx / `a`), where `a` is the acceleration of the liquid."""
 
 DIFFUSED = 5.0
-"""Largest fraction of a velocity that diffuses to a neighbouring face in a step. This limit keeps
-the number of iterations for viscosity below about 200.
+"""Largest product of a step's length and the rate at which velocities diffuse to a neighbouring
+face. This limit keeps the number of iterations for viscosity below about 200.
 """
 
 RESOLVED = 4.0
-"""Smallest number of steps in a period of a body's vibration, unless `AVERAGED` holds."""
+"""Each period of a body's vibration must have at least this number of steps, or each step must have
+at least `AVERAGED` periods.
+"""
 AVERAGED = 1.5
-"""Smallest number of periods in a step. Between the two limits, the last pressure amplifies
-vibrations."""
+"""Smallest number of periods in a step, if a period has fewer than `RESOLVED` steps. Between the
+two limits, the last pressure would amplify vibrations.
+"""
 LIGHT_RESOLVED = 8.0
-"""Smallest number of steps in a period of a light body, unless `LIGHT_AVERAGED` holds."""
+"""Each vibration period of a light body must have at least this number of steps, or each step must
+have at least `LIGHT_AVERAGED` periods.
+"""
 LIGHT_AVERAGED = 0.45
-"""Smallest number of periods in a step. Between the two limits, a step's pressure deforms a light
-body more than the liquid follows, which creates energy.
+"""Smallest number of periods in a step, if a period has fewer than `LIGHT_RESOLVED` steps. Between
+the two limits, the pressure of a step would deform a light body more than the liquid can follow,
+which would create energy.
 """
 
 
@@ -75,8 +81,8 @@ class LiquidClock(Clock):
         return Substep(limits[limiter], limiter)
 
     def divide(self, rest: float) -> tuple[float, Substep]:
-        """Return the next step's length [s] and limit, if the `rest` [s] is divided into equal
-        steps.
+        """Divide the remaining time `rest` [s] into equal steps; return the length [s] of a step,
+        and the limit that determines it.
         """
         limit = self.stable()
         dt = rest / max(1, math.ceil(rest / limit.dt - 1e-9))
@@ -89,7 +95,8 @@ class LiquidClock(Clock):
         return dt, limit
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy at the positions' time minus that at the velocities' time [J].
+        """Return the kinetic energy at the time of the positions, minus the kinetic energy at the
+        time of the velocities [J].
 
         `momentum` [3] is in kg m/s; `power` is not used, since a projected liquid has no stress.
         """

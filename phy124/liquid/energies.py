@@ -73,7 +73,8 @@ class Energies(Kept):
             count: Number of walls without solids and bodies.
             tracks: Quantities that change over time.
             impulses: Sums of the walls' impulses.
-            gains: Mass, and momentum gained by forces on particles, in each cell, per worker.
+            gains: For each worker and cell, the mass of the particles, and the momentum that they
+                gained by forces.
         """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
         self._gains, self._fixed = gains, count

@@ -150,8 +150,8 @@ class ImmersedSolver:
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density, relative to the rest density; the excess
-        must last for two frames.
+        """Largest mean excess of the liquid's density, relative to the rest density. Only an excess
+        that lasts for two frames counts.
         """
         return self.liquid.crowding
 
@@ -201,7 +201,9 @@ class ImmersedSolver:
         self.lattice.bind(forces=of_bodies, boundaries=boundaries, accumulators=sums)
 
     def keep_pushes(self, of_bodies: wp.array, of_liquid: wp.array) -> None:
-        """From now on, sum impulse and work of forces on points and particles, a row per worker."""
+        """From now on, sum impulse and work of forces on points and particles, in one row per
+        worker.
+        """
         self._pushed = of_bodies
         self.lattice.keep_pushes(of_bodies)
         self.liquid.keep_pushes(of_liquid)
@@ -219,8 +221,8 @@ class ImmersedSolver:
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of the liquid, each followed by the bodies' substeps, as
-        `LiquidSolver.advance` does.
+        """Take steps of the liquid, each followed by substeps of the bodies; see
+        `LiquidSolver.advance`.
         """
         self._after = after
         self.lattice.pairs.begin()
@@ -248,7 +250,7 @@ class ImmersedSolver:
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def _press(self) -> None:
-        """Let the last pressure act in the next substeps."""
+        """Let the liquid's last pressure act on the bodies in the next substeps."""
         bodies, lattice = self.bodies, self.lattice
         lattice.rejection.pressed = bodies.limit
         run_timed(self.timings, "press", lambda: lattice.crew.press(bodies.pushes, bodies.turns))

@@ -1,4 +1,4 @@
-"""Layers: weighs the layers of liquids of different densities around a body."""
+"""Layers: computes the weights of liquid layers with different densities around a body."""
 
 import math
 

@@ -47,7 +47,9 @@ class MixedClock(Clock):
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy at positions' time minus that at velocities' time [J]."""
+        """Return the kinetic energy at the time of the positions, minus the kinetic energy at the
+        time of the velocities [J].
+        """
         return super().lag(power, momentum) + self.liquid.lag(0.0, self.wet().momentum)
 
 
@@ -136,8 +138,8 @@ class MixedSolver(Solver):
 
     @property
     def crowding(self) -> float:
-        """Largest mean excess of the liquid's density, relative to the rest density; the excess
-        must last for two frames.
+        """Largest mean excess of the liquid's density, relative to the rest density. Only an excess
+        that lasts for two frames counts.
         """
         return self.liquid.crowding
 
@@ -178,9 +180,7 @@ class MixedSolver(Solver):
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take steps of the liquid, each followed by the bodies' substeps, as `Solver.advance`
-        does.
-        """
+        """Take steps of the liquid, each followed by substeps of the bodies."""
         self._after, self._each = after, each
         self.rejection.begin(self.clock.time, until)
         self._measure_if_due()

@@ -43,7 +43,7 @@ from phy124.mpm.workers import Worker
 LAYERS = 4
 """Number of layers of faces to which velocities are extrapolated; must be even (`Cells.known`)."""
 LAYERS_SHIFT = 2
-"""Number of layers of faces to which displacements are extrapolated; must be even, too."""
+"""Number of layers of faces to which displacements are extrapolated; must also be even."""
 EXTENT = 7
 """Number of values for the extent: negated low corner, high corner, squared speed."""
 
@@ -263,7 +263,7 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return the launches that compute forces on a worker.
+        """Return the launches with which a worker applies forces to particles.
 
         The first worker gets all launches if a launch cannot be divided between workers.
         """

@@ -20,7 +20,9 @@ PARTS = 512
 MOST = 400
 """Largest number of iterations of one solution."""
 CHECK = 8
-"""Number of iterations between two checks of the residual on a GPU, since each check waits."""
+"""Number of iterations between two checks of the residual on a GPU, as each check waits for the
+GPU.
+"""
 MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
 """Factories of the kernels of an iteration."""
 

@@ -19,7 +19,9 @@ STAGE = "free"
 
 
 class Solids:
-    """Records the launches for the solids of a scene; solids are the last walls."""
+    """Records the launches for the solids of a scene; solids are the last entries in the list of
+    walls.
+    """
 
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
@@ -98,7 +100,8 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return the launch with which a worker writes the rows of J.
+        """Return the launch with which a worker writes the rows of J
+        (phy124/kernels/liquid/solids.py).
 
         Args:
             cells: The cells.

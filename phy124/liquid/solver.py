@@ -47,7 +47,9 @@ from phy124.mpm.workers import (
 )
 
 TOLERANCE, LOOSE = 1e-4, 1e-2
-"""Largest residuals of the equations of pressure and density, relative to the right side."""
+"""Largest allowed residuals of the equations of pressure and density, relative to the largest
+right-hand side.
+"""
 SETTLE = 4
 """Number of corrections of the density before the first step."""
 
@@ -95,7 +97,7 @@ class LiquidSolver(Kept):
             threads: Number of CPU threads; None: the fastest number.
             bodies: Bodies of other materials.
             advance_bodies: Function that moves the bodies up to a time [s].
-            whole: All particles of the run, which place the walls; None: `model`.
+            whole: All particles of the run, relative to which walls are placed; None: `model`.
             acting: Forces, boundaries, sums and planes, as in `bind`.
 
         Raises:
@@ -133,13 +135,12 @@ class LiquidSolver(Kept):
         self.kick = 0.0
         """Duration over which the current pressure acted [s]."""
         self.follower: Callable[[], None] | None = None
-        """Called after each step, before the function that `advance` receives."""
+        """Function that is called after each step, before the function that `advance` receives."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
         """Largest mean excess of the liquid's density, and excess at the end of the last frame,
-        relative to the rest density; the largest excess must last for two frames. A shorter excess
-        does not count, because an impact compresses the liquid for a moment even if the liquid can
-        expand.
+        relative to the rest density. The largest excess includes only excesses that last for two
+        frames, because an impact compresses the liquid for a moment even if the liquid can expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
@@ -281,10 +282,11 @@ class LiquidSolver(Kept):
     def start(self) -> None:
         """Move particles out of walls, and restore the rest density, without changing velocities.
 
-        The observers must have been bound, because the first window records all of their sums. At
-        the start of a run, particles may be slightly inside a wall, or nearer to the wall than in
-        any later step. Particles may also be closer to each other than at rest. The energy balance
-        should not include the lift out of a floor or out of a crowded tank.
+        The observers must have been bound before, because the launches of their sums are recorded
+        together with the first window. At the start of a run, particles may be slightly inside a
+        wall, or nearer to the wall than in any later step. Particles may also be closer to each
+        other than at rest. The energy balance should not include the lift out of a floor or out of
+        a crowded tank.
         """
         self._fit()
         if self.walls.move:
@@ -422,8 +424,8 @@ class LiquidSolver(Kept):
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners [m] of the particles' bounding box, or of its part that has room in
-        the largest window; particles outside the window move along parabolas.
+        """Return the corners [m] of the particles' bounding box, or of the part of this box that
+        fits into the largest window; particles outside the window move along parabolas.
         """
         most = min(self.outliers.allowed, MOST_CELLS)
         if np.prod(needed_cells(lower, upper, self.model.dx)) <= most:

@@ -16,8 +16,8 @@ STAGE = "viscosity"
 
 
 class Viscosity:
-    """Records the sweeps of the viscosity. Before the sweeps, the effect of the last pressure is
-    anticipated.
+    """Records the iterations that compute viscosity. Before them, the effect of the last pressure
+    is added to the velocities in advance.
     """
 
     def __init__(self, model: Model, cells: Cells, mixture: Mixture) -> None:
@@ -28,7 +28,8 @@ class Viscosity:
         self.fastest = mixture.viscosity / (mixture.lightest * model.dx**2)
         """Upper bound of the rate at which velocities diffuse [1/s]."""
         self.carry = wp.ones(1, dtype=wp.float64, device=model.device)
-        """Factor on the last pressure, which gives the initial guess of the next pressure."""
+        """The last pressure, multiplied by this factor, is the initial guess of the next pressure.
+        """
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
         """Set the walls, the quantities that change over time, and the sums of walls' impulses."""

@@ -44,8 +44,8 @@ class Clock(Kept):
         self.limiters: dict[str, int] = {}
         """Number of substeps that each limit determined."""
         self.needed: dict[str, float] = {}
-        """Number of substeps for each limit if a frame could contain fractions of a substep. Each
-        substep adds the ratio of its length to the limit.
+        """For each limit, the number of substeps that it would require alone, if a frame could
+        contain fractions of a substep. Each substep adds the ratio of its length to the limit.
         """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
         """The last measured values that limit substeps, and the maxima of these values since the
@@ -87,7 +87,8 @@ class Clock(Kept):
         return self._limits[1]
 
     def lag(self, power: float, momentum: NDArray) -> float:
-        """Return the kinetic energy at the positions' time minus that at the velocities' time [J].
+        """Return the kinetic energy at the time of the positions, minus the kinetic energy at the
+        time of the velocities [J].
 
         `power` is the power of the stress [W]; the momentum is not used here.
         """
@@ -96,7 +97,7 @@ class Clock(Kept):
     def uniform_work(self, momentum: NDArray) -> float:
         """Return the uniform acceleration's work since the kick [J], which is a part of `lag`.
 
-        `momentum` [3] is that of all particles after the last kick, kg m/s.
+        `momentum` [3] is the momentum of all particles after the last kick, kg m/s.
         """
         return 0.0
 
@@ -151,8 +152,8 @@ class Clock(Kept):
             self.values.assign(np.array(values))
 
     def finish(self, drift: float, *, violent: bool = False) -> None:
-        """Count a finished substep of length `drift` [s]; after a violent one, a measurement is
-        due.
+        """Count a finished substep of length `drift` [s]; after a violent substep, request a
+        measurement.
         """
         self.time += drift
         self.substeps += 1
@@ -162,7 +163,7 @@ class Clock(Kept):
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count the substeps that a limit determined; `needed` is the number before rounding up."""
+        """Count substeps that a limit determined; `needed` is their number before rounding up."""
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 

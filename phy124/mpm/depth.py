@@ -1,4 +1,4 @@
-"""Computes how deep points lie in a solid on the host, as `phy124.kernels.distance` on the device.
+"""Computes on the host how deep points lie in a solid; kernels use `phy124.kernels.distance`.
 
 A shape is defined by three vectors, as in `phy124.kernels.distance`, and the depth is minus the
 signed distance. `tests/test_depth.py` compares the two modules.
@@ -44,7 +44,7 @@ _DEPTHS: dict[str, Callable[[Points, Points], Points]] = {
 def measure_depth(shape: str, vectors: ArrayLike, x: ArrayLike) -> Points:
     """Return the depth of points below the surface of a solid [P], m; negative outside the solid.
 
-    Outside a box, this is the depth below the plane of the farthest face.
+    For a point outside a box, the result is the depth below the plane of the farthest face.
 
     Args:
         shape: half_space, sphere, box or capsule.

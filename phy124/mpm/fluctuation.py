@@ -78,7 +78,9 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record a transfer to the grid: first of the particles' motion, then of the remainder."""
+        """Record the transfer to the grid: of the particles' motion in pass 0, of the remainder
+        later.
+        """
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, model.mass[run], part.nodes.lattice, part.nodes.window]

@@ -33,7 +33,7 @@ finds most of the approaching nodes, and the second solution finds most of the f
 substep corrects the remaining error.
 """
 MARGIN = 1.5
-"""Largest distance of nodes in contact with a solid [cells]."""
+"""Nodes up to this distance from a solid can be in contact with the solid [cells]."""
 POINTS = {"sphere": 1, "capsule": 2, "box": 8}
 """Number of points of each shape at which a wall may act."""
 Vector3 = NDArray[np.float64]
@@ -303,15 +303,14 @@ class FreeBodies(Kept):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each pair of a particle body and a solid, in this order."""
+        """For each pair of a particle body and a solid, the names of both; the body comes first."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Return the mean wrench of each particle body on each solid in the `seconds` since
-        `begin`.
+        """Return the mean wrench of each particle body on each solid since `begin`, `seconds` ago.
 
-        The order is that of `names`; torques are about the origin.
+        The wrenches are in the order of `names`. Torques are about the origin.
         """
         sums = -(self._total() - self._begun)[:, self._met] / seconds
         rows = sums.reshape(-1, kernels.EXCHANGE)
@@ -352,7 +351,7 @@ class FreeBodies(Kept):
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction coefficients of those kinds of contact that have a fixed value."""
+"""Friction coefficients of the kinds of contact that have a fixed coefficient."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:

@@ -65,7 +65,7 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """Discard the captured graph; call when the launches of a substep have changed."""
+        """Discard the captured graph; call this when the launches of a substep have changed."""
         self._captured = None
 
     def run(

@@ -1,6 +1,7 @@
 """Grid: nodes in a window that follows the particles.
 
-Each body has a separate grid on a common lattice. Two bodies at one node have two velocities.
+Each body has a separate grid. All grids have common node positions. If two bodies reach the same
+node, each body has a separate velocity there.
 """
 
 from collections.abc import Iterator, Sequence
@@ -60,7 +61,8 @@ class Grid:
         self.stale = True
         """Whether the particles may have moved so far that the window no longer contains them."""
         self.layers: tuple[int, int] | None = None
-        """Layers (first <= i < last) that launches being recorded may change; None: all layers."""
+        """Layers (first <= i < last) that the next recorded launches may change; None: all layers.
+        """
         self.worker, self.workers = 0, 1
         """Index of the worker whose launches are being recorded, and number of workers."""
 
@@ -94,8 +96,8 @@ class Grid:
             upper: Highest corner of the particles [3], m.
 
         Raises:
-            Unstable: Particles are outside the old window, so that the grid did not move them, or
-                they are too far away to number the nodes.
+            Unstable: Particles were outside the old window, so the grid did not move them; or
+                particles are so far away that nodes cannot be numbered.
         """
         if not np.all(np.abs([lower, upper]) < FARTHEST * self.dx):
             raise Unstable(f"particles moved {FARTHEST:.0e} cells away")
@@ -124,8 +126,8 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the current wall. The array is allocated at first use,
-        and is zero between walls.
+        """Change of each node's velocity by the current wall. The array is allocated at first use.
+        Before each wall, all its values are zero.
         """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)

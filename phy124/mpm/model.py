@@ -93,11 +93,15 @@ class Model:
     integration points of a lattice lie below its surface, and free solids have no particles.
     """
     whole: Model | None = None
-    """The model of all bodies, by which boundaries are placed, if this model has only some."""
+    """The model of all bodies, if this model has only some of them. Boundaries are placed relative
+    to all bodies.
+    """
     least_stiffness: float = 1.0
-    """Smallest factor on Young's modulus E of a particle."""
+    """Smallest of the particles' factors on Young's modulus E."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Returns the accelerations [P] caused by forces on points; None: particles are independent."""
+    """Function that returns the accelerations [P] caused by forces on points; None if particles are
+    independent of each other.
+    """
 
     @classmethod
     def of(
@@ -139,7 +143,7 @@ class Model:
             tops: Height of the surface of each body on a lattice and of each free solid, by name
                 [m]; None: there are no such bodies.
             origin: Position of node (0, 0, 0) [m].
-            cfl: Fraction of the elastic limit of the substep, in (0, 1).
+            cfl: Length of a substep as a fraction of the elastic limit, in (0, 1).
             precision: "float32" or "float64".
             device: Warp device.
             simd: Whether to use SIMD code if the device supports it.
@@ -215,7 +219,9 @@ class Model:
         return model.rest[model.named(name)]
 
     def top_of(self, name: str | None) -> float:
-        """Return the height [m] of the top of a body; None: of all bodies and free solids."""
+        """Return the height [m] of a body's top or, if `name` is None, of all bodies and free
+        solids.
+        """
         model = self if self.whole is None else self.whole
         heights = [height for key, height in model.tops.items() if name in (None, key)]
         return max([float(model.rest_of(name)[:, 2].max()), *heights])
@@ -357,7 +363,7 @@ def parameters(
         material: For each particle, its index into `materials` [P].
         stiffness: Factors [P] on the parameters that are proportional to E, or None.
         dx: Grid spacing [m].
-        cfl: Fraction of the elastic limit of the substep.
+        cfl: Length of a substep as a fraction of the elastic limit.
     """
     kinds = np.unique(material)
     rows = np.array([materials[i].theta_on(dx, cfl) for i in kinds])

@@ -68,7 +68,9 @@ class Outliers(Kept):
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
-        """Adapt the box to the corners of bodies [3], m; return whether to measure again."""
+        """Adapt the box to the corners of all bodies [3], m; return whether particles must be
+        measured again.
+        """
         if self.bounded:
             lower = np.min([low for low, _ in corners], axis=0)
             upper = np.max([high for _, high in corners], axis=0)

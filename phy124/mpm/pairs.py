@@ -24,7 +24,7 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Length of the sums of a pair and a worker; no two workers write to one cache line."""
+"""Length of the array of sums of a pair and a worker; no two workers write to one cache line."""
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
@@ -79,7 +79,9 @@ class Pairs(Kept):
         self._begun = self._total()
 
     def _total(self) -> NDArray[np.float64]:
-        """Return the impulse and moment of the first body on the second body [pairs,6]."""
+        """Return, for each pair, the impulse and moment of the first body on the second body
+        [pairs,6].
+        """
         return np.asarray(self._sums.numpy()).sum(axis=0)[:, :SUMS] + self._added
 
     def add(self, first: int, second: int, impulse: NDArray, moment: NDArray) -> None:
@@ -120,8 +122,8 @@ class Pairs(Kept):
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Return each pair's mean wrench of the first body on the second in the `seconds` since
-        `begin`.
+        """Return each pair's mean wrench of the first body on the second since `begin`, `seconds`
+        ago.
 
         The torque is about the origin. The wrench of the second body on the first is the opposite.
         """

@@ -28,8 +28,8 @@ FIRST = 4
 PULL = 0.1
 """A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
 ROUNDED = 1 - 1e-6
-"""The bounds also cover this fraction of the previous frame, that is, all but its first moment.
-With the first moment, rounding errors could add forces that ended just before that frame.
+"""The bounds also cover this fraction of the previous frame. The first moment of this frame is left
+out, because rounding errors could add forces that ended just before the frame.
 """
 
 
@@ -96,7 +96,8 @@ class StepRejection:
         Args:
             clock: Clock with the last measurement.
             dt: Length of the substep [s].
-            flying: Whether no force, wall or body is near the window, so that speed is harmless.
+            flying: Whether no force, wall or body is near the window, so that high speeds do no
+                harm.
         """
         extremes, dx = clock.extremes, self._model.dx
         fast = 2 * max(extremes.speed, self.wall) * dt > CELLS_PER_STEP * dx
@@ -108,7 +109,8 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps between measurements of speeds: the user's, if it is safe.
+        """Return the number of substeps between measurements of speeds; the user's number, if it is
+        safe.
 
         Up to the strain `calm`, no material stiffens significantly.
         """

@@ -58,7 +58,7 @@ class Solver(Kept):
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """A launch of another solver, between the update of the grids and the walls."""
+    """A launch of another solver, which runs after the update of the grids and before the walls."""
 
     def __init__(
         self,
@@ -83,7 +83,8 @@ class Solver(Kept):
             pairs: Pairs of bodies whose contact differs from the default.
             free: Freely moving rigid solids.
             ceiling: Longest substep allowed [s].
-            threads: Number of CPU threads; None: from the free cores and particles.
+            threads: Number of CPU threads; None: chosen from the numbers of free cores and
+                particles.
             graph: Whether a frame runs as one graph on the device; None: on CUDA with one body.
             measure_every: Number of substeps between measurements of the limits, used only if it is
                 safe.
@@ -196,7 +197,8 @@ class Solver(Kept):
 
         Args:
             until: The time at which to stop [s].
-            after: Called after each substep; with a graph, only after several substeps.
+            after: Function that is called after each substep or, with a graph, after several
+                substeps.
             each: Whether `after` must be called after each substep, so that no graph is used.
 
         Raises:
@@ -228,7 +230,7 @@ class Solver(Kept):
         return sum(seconds for seconds, _ in self.timings.values())
 
     def step(self, kick: float, drift: float) -> None:
-        """Take one substep: velocities by `kick` [s], and positions and F by `drift` [s]."""
+        """Take one substep: advance velocities by `kick` [s], positions and F by `drift` [s]."""
         self._measure_if_due()
         self._scatter(kick, drift)
         self.runner.run(GATHER)
@@ -334,7 +336,7 @@ class Solver(Kept):
             self._follow_window()
 
     def _measure_due(self) -> None:
-        """Measure the speeds, and other limits that may have changed; may raise Unstable."""
+        """Measure the speeds, and the other limits if they may have changed; may raise Unstable."""
         clock = self.clock
         calm = self._calm_strain()
         if self.on_device or self.outliers.bounded or clock.complete(calm):
@@ -390,7 +392,9 @@ class Solver(Kept):
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit the slabs to the particles, or divide these again; return whether slabs changed."""
+        """Fit the slabs to the particles, or divide the particles again; return whether slabs
+        changed.
+        """
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
             return False

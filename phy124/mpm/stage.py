@@ -1,4 +1,4 @@
-"""Stage: a launch in a substep that is recorded again whenever the grid's window changes."""
+"""Stage: a kernel launch in a substep; it is recorded again when the grid's window changes."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
@@ -74,7 +74,7 @@ Named = tuple[str, Callable[[], Any]]
 
 
 class Repeatable(Protocol):
-    """A recorded launch."""
+    """A kernel launch that was recorded and can be repeated."""
 
     def launch(self) -> None:
         """Repeat the launch."""

@@ -1,7 +1,7 @@
 """Records the launches of one substep for the current windows of the grids.
 
-A substep consists of push, clear, p2g, update, collide and g2p, with one launch per law and worker
-each. Repeating a recorded launch takes a few microseconds.
+A substep consists of the phases push, clear, p2g, update, collide and g2p. Each phase has one
+kernel launch per law and worker. Repeating a recorded launch takes a few microseconds.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Recorder:
     rpic: float = 0.0
     """Decay rate of the symmetric part of C [1/s]."""
     guest: Any = None
-    """A launch of another solver, between the update of the grids and the walls."""
+    """A launch of another solver, which runs after the update of the grids and before the walls."""
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -181,7 +181,7 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return a worker's phases: grid update, contact of bodies and with free bodies, and walls.
+        """Return a worker's phases after the scatter: grid update, contact of bodies, and walls.
 
         Walls come last, so that no other stage can push material through them.
         """
@@ -215,14 +215,18 @@ class Recorder:
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return a worker's launches for free bodies' contact with each particle body in turn."""
+        """Return a worker's launches for the contact of free bodies with each particle body in
+        turn.
+        """
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
 
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's launches for a wall and a body; the first handles some walls alone."""
+        """Return a worker's launches for a wall and a body; the first worker handles some walls
+        alone.
+        """
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
         bodies = len(self._moving)

@@ -1,4 +1,4 @@
-"""A team of threads. All run a task in parallel, and wait at a barrier before the next.
+"""A team of threads, which run a task in parallel and wait at a barrier before the next task.
 
 Warp's CPU kernels release Python's global lock, so several threads can run kernels at the same
 time. The barrier spins inside a kernel, since putting a thread to sleep would take longer than a
@@ -21,13 +21,13 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS = 20
-"""For this number of spins, a thread at a barrier only yields its core."""
+"""For this number of spins, a thread that waits at a barrier only yields its core."""
 NAP = 5e-5
 """Between later spins, the thread sleeps for this time [s]."""
 SPINS = 100_000
 """Number of checks of the barrier per spin if every thread has a core; otherwise one check."""
 Task = Callable[[int], None]
-"""Function that runs the part of the member with the given index."""
+"""Function that runs one member's part of a task; its argument is the member's index."""
 
 
 class Team:
@@ -92,7 +92,9 @@ class Team:
         self._hand_over(None)
 
     def complete(self, task: Task) -> None:
-        """Run a task for all members and wait; without threads, run it for one after another."""
+        """Run a task for all members and wait; without threads, run it for one member after
+        another.
+        """
         if self.alive:
             self.put(task)
             task(0)

@@ -123,7 +123,8 @@ def decay(value: float, substeps: int) -> float:
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the stable part of the viscous limit for substeps of `cfl` times the elastic limit.
+    """Return the stable fraction of the viscous limit for substeps of `cfl` times the elastic
+    limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.

@@ -172,7 +172,8 @@ class Track:
     ) -> Track:
         """Return a track with a value multiplied by a profile.
 
-        A track that starts at time 0 is also active before it, so that the first kick is complete.
+        A track that starts at time 0 is also active before time 0, so that the first kick is
+        complete.
 
         Args:
             value: The value at factor 1.
@@ -309,9 +310,10 @@ class Tracks:
     def record(
         self, clock: wp.array | None = None, outputs: Sequence[wp.array] | None = None
     ) -> wp.Launch:
-        """Return the launch that samples every track by a clock [3], s, by default that of the run.
+        """Return the launch that samples every track at the time of a clock [3], s.
 
-        The outputs are arrays for values and rates, by default `values` and `rates`.
+        By default, this clock is the clock of the run, and the outputs are the arrays `values` and
+        `rates`.
         """
         tables = [self.starts, self.times, self.keys, self.spans, self.flag_array]
         inputs = [*tables, self.clock if clock is None else clock]

@@ -43,7 +43,9 @@ the functions that are called after each substep (progress, budget and observers
 NODES = 16
 """Particles are divided again only if slabs have more nodes per particle than this."""
 GROWN = 1.25
-"""Particles are divided again if the ratio of slabs' to window's nodes grows by this factor."""
+"""Particles are divided again if the ratio of the number of nodes in slabs to the number of nodes
+in windows grows by this factor.
+"""
 GAP = 1
 """Gap between two slabs [nodes], because SIMD code reads one additional node."""
 LINE = 4
@@ -61,7 +63,8 @@ class Part:
     particles: slice
     """The span of particles that contains the part."""
     chosen: wp.array
-    """Indices within this span; empty if the part is the whole span."""
+    """Indices of the part's particles within this span; empty if the part contains all of the span.
+    """
     count: int
     """Number of particles."""
     nodes: Grid
@@ -76,7 +79,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Select the indices that belong to the part's particles."""
+        """Return those of the `indices` that are indices of the part's particles."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -189,7 +192,7 @@ class Slabs:
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
         """Fit the slabs' nodes to their particles; return whether the nodes changed.
 
-        `rows` [parts,COUNT] are measurements; `force`: the common window has changed.
+        `rows` [parts,COUNT] are measurements. `force` states whether the common window has changed.
         """
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):

@@ -94,7 +94,8 @@ class Outlook:
         """Describe the forecast in one sentence."""
         rows = zip(self.runs(), self.each, self.grids, strict=True)
         parts = [f"{count} runs of {each:.2f} s on {cells} cells" for count, each, cells in rows]
-        return f"about {', '.join(parts)}, {self.workers} at once: {self.wall(USUAL):.0f} s"
+        time = f"{self.wall(USUAL):.0f} s with {self.workers} at a time"
+        return f"about {', '.join(parts)}: {time}"
 
 
 def make_outlook(

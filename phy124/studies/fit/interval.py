@@ -43,7 +43,7 @@ def bootstrap(
     Args:
         jacobian: Derivatives of the weighted prediction with respect to the values [M,P].
         residual: Weighted differences between prediction and measurement at the fitted point [M].
-        groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
+        groups: Index of each measurement's group [M], from 0; errors in a group are correlated.
         kinds: Kinds of measurements; the groups of each kind are drawn separately.
         seed: Seed of the random draws.
     """
@@ -125,8 +125,9 @@ def shift_values(
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
-        parts: Size of the grid errors for each kind of measurement, as a fraction of its misfit.
-        groups: Group of each measurement, from 0 [M]; errors in a group are correlated.
+        parts: For each kind of measurement, the size of the grid errors as a fraction of the
+            misfit.
+        groups: Index of each measurement's group [M], from 0; errors in a group are correlated.
         kinds: Kinds of measurements.
     """
     counts = [len(np.unique(groups[kind.place])) for kind in kinds]
@@ -155,7 +156,7 @@ damping. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. Fo
 singular value is 0.93.
 """
 SHARE = 0.3
-"""A value is undetermined if its component in the weakest direction is at least this value."""
+"""A value is undetermined if its component in the weakest direction is at least this large."""
 VAGUE = 1 / 3
 """A value may be undetermined only if the half-width of its 95 % interval is at least this fraction
 of the range.
@@ -189,7 +190,9 @@ class Undecided(InputError):
     def __init__(self, names: Sequence[str], why: str) -> None:
         """Suggest an experiment that determines the values; `why` is the reason of the error."""
         self.names, self.tell = tuple(names), suggest_experiment(names)
-        """Names of the values, and description of an experiment that would determine them."""
+        """Names of the undetermined values, and description of an experiment that would determine
+        them.
+        """
         how = HOW if FORCE in self.tell else ""
         other = f"or fix {names[-1]} by --set and fit the others."
         remedy = f"To determine them: {self.tell}{how}; {other}"

@@ -90,7 +90,8 @@ class Observation(Protocol):
     measured: Values
     """Measured values [M]."""
     groups: Groups
-    """Group of each measurement, from 0 [M]; errors within a group are correlated."""
+    """Index of each measurement's group [M], counted from 0; errors within a group are correlated.
+    """
     last: float
     """Time of the last measurement [s]."""
 
@@ -133,7 +134,7 @@ class Observations:
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Interpolate values [T,...] between their times [T] to the wanted times [R]; return [R,...].
+    """Interpolate values [T,...] from the times [T] to the wanted times [R]; return [R,...].
 
     If all wanted times coincide with frames, the values of these frames are returned; otherwise a
     spline is used.

@@ -30,7 +30,7 @@ from phy124.studies.fit.video import Film
 
 WIDTH, HEIGHT, TOP, BOTTOM, MARGIN = 300, 110, 6, 92, 6
 COLOURS = ("#d55e00", "#0072b2")
-"""CSS colours of pixels only in the video (`ONLY_SEEN`) or only in the fit (`ONLY_FITTED`)."""
+"""CSS colours of pixels that the object covers only in the video, or only in the fitted scene."""
 
 
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
@@ -92,7 +92,7 @@ def distances(shown: dict[str, Any]) -> str:
     places = " ".join(f"{x(time):.1f}" for time in times)
     mark = f'<line class="now" y1="{TOP}" y2="{BOTTOM}" data-places="{places}"/>'
     was = ", ".join(f"{value:g}" for value in shown["was"].values())
-    label = f"Distance between outlines, up to {highest:.3f} of a pixel; dashed: before ({was})"
+    label = f"Distance between outlines, up to {highest:.3f} pixels; dashed: before the fit ({was})"
     return _plot(label, [*drawn, mark], f"{times[0]:.2f} s", f"{times[-1]:.2f} s")
 
 
@@ -113,7 +113,9 @@ def trials(report: dict[str, Any], name: str) -> str:
         f'cx="{x(value):.1f}" cy="{y(miss):.1f}"/>'
         for run, value, miss in zip(tried, values, off, strict=True)
     ]
-    label = f"Distance over {name}, up to {max(off):.3g} {unit}; blue: finer grids; band: 95 %"
+    label = (
+        f"Misfit of runs over {name}, up to {max(off):.3g} {unit}; blue: finer grids; band: 95 %"
+    )
     return _plot(label, [band, *dots], f"{min(values):.3g}", f"{max(values):.3g}")
 
 
@@ -184,9 +186,7 @@ class Comparison:
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return an image [H,W,3] in which pixels of both masks, and of only one mask, have different
-    colours.
-    """
+    """Return an image [H,W,3] whose colours show which pixels are in both masks or in only one."""
     picture = np.full((*seen.shape, 3), 255, np.uint8)
     picture[seen & fitted] = BOTH
     picture[seen & ~fitted] = ONLY_SEEN

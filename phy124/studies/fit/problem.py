@@ -23,7 +23,7 @@ class Problem(Protocol):
     measured: Values
     """Measured values [M]."""
     groups: Groups
-    """Group of each measurement [M]; errors in a group are correlated."""
+    """Index of each measurement's group [M]; errors in a group are correlated."""
 
     @property
     def names(self) -> Sequence[str]:

@@ -63,7 +63,7 @@ def make_report(
 def report_pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
     """Return the misfit of the silhouette in each frame of a video, before and after the fit.
 
-    The clip is that of the fitted scene, simulated on the scene's grid.
+    `clip` is the clip of the fitted scene, simulated on the scene's grid.
     """
     (seen,) = (part for part in target.observations.parts if isinstance(part, Silhouettes))
     assert target.film is not None

@@ -40,7 +40,8 @@ class Silhouettes:
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
         """Compute the silhouettes of a video at a reduced resolution.
 
-        `times` [T] are those of the video's frames [s]; each frame of the scene has a camera.
+        `times` [T] are the times of the video's frames [s]. `cameras` contains one camera for each
+        frame of the scene.
 
         Raises:
             InputError: The aspect ratio of the video differs from that of the camera.
@@ -76,7 +77,7 @@ class Silhouettes:
 
 
 def smaller(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera with another image size (width, height) [pixels]."""
+    """Return the same camera with another image size (width, height) [pixels]."""
     part = size[0] / camera.width
     shift = (camera.shift[0] * part, camera.shift[1] * part)
     return replace(camera, width=size[0], height=size[1], shift=shift)
@@ -87,7 +88,7 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of each pixel's block [T*h*w]; a block lies in one frame."""
+    """Return the index of each pixel's block [T*h*w]; the pixels of a block are in one frame."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()

@@ -34,7 +34,7 @@ from phy124.studies.fit.silhouettes import Laid, Silhouettes, align_film
 from phy124.studies.fit.video import FILMS, Film, read_film
 
 TRACKED = 256
-"""Maximum number of a clip's Gaussians that are used as tracked points."""
+"""If the target is a clip, at most this number of its Gaussians are used as tracked points."""
 PLACE_COLUMNS = (("x", "y", "z"), ("u", "v"))
 FORCE_COLUMNS = (("fx", "fy", "fz"),)
 

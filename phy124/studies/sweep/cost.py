@@ -43,8 +43,9 @@ class Expected(NamedTuple):
         mean, error = self.seconds
         hours = mean * self.clips / 3600
         return (
-            f"{self.clips:,} clips of {mean:.2f} s of one core each (standard error {error:.2f} s, "
-            f"from {self.tried}): {hours:.2f} CPU-hours, {self.wall(workers) / 3600:.2f} h with "
+            f"{self.clips:,} clips, each with {mean:.2f} s of CPU time (standard error "
+            f"{error:.2f} s, from {self.tried}): {hours:.2f} CPU-hours, "
+            f"{self.wall(workers) / 3600:.2f} h with "
             f"{workers} workers; {self.bytes * self.clips / 1e9:.2f} GB"
         )
 
@@ -119,7 +120,7 @@ class Remaining:
         """Compute the work of a sample of the clips that this run makes (`numbers` are their
         indices).
 
-        The clock returns the current time [s], as `written` in the rows.
+        The clock returns the current time [s] in the same form as the column `written` of the rows.
         """
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None
@@ -141,7 +142,7 @@ class Remaining:
         self._moments += (1.0, work, seconds, work**2, work * seconds)
 
     def left(self, clips: int) -> float | None:
-        """Return the time of `clips` more clips [s], or None until enough clips are finished."""
+        """Return the time for `clips` more clips [s], or None until enough clips are finished."""
         count, work, seconds = self._moments[:3]
         if self._start is None or count < FEWEST:
             return None
@@ -172,7 +173,8 @@ def work_of(scene: Scene, *, films: bool) -> float:
 
 
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
-    """Fit seconds over work by least squares; return the intercept [s] and the slope [s per work].
+    """Fit a line of seconds over work by least squares; return its intercept [s] and slope [s per
+    work].
 
     Both are non-negative. If all clips have equal work, the data determine only the ratio of
     seconds to work. A small penalty on the intercept makes the fit unique in this case. The moments

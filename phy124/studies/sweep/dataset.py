@@ -32,7 +32,7 @@ class Dataset:
     """
 
     def __init__(self, folder: str) -> None:
-        """Read the manifest in the folder, or at the fsspec address, of a sweep's results.
+        """Read the manifest of a sweep; `folder` is the path or the fsspec address of its results.
 
         Raises:
             InputError: The folder contains no results of a sweep.

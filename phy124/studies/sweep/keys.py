@@ -55,7 +55,7 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return the key of a request for a clip, which may be invalid.
+    """Return the key of a request for a clip; the request may be invalid.
 
     `picture` is an address; `changes` maps dotted paths in the scene to values.
     """

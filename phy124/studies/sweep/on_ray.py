@@ -38,7 +38,8 @@ BEAT = 0.2
 LEFT = 5.0
 """Longest wait for the end of killed workers, whose incomplete files are then removed [s]."""
 SHARED = 64
-"""Maximum number of sources whose Gaussians are kept in memory for other clips."""
+"""Maximum number of sources (such as pictures) whose Gaussians are kept in memory for other clips.
+"""
 
 
 def on_ray(
@@ -104,7 +105,8 @@ class _Tasks:
     def _reserve(self, order: Order) -> dict[str, float]:
         """Return the resources that Ray reserves for a task.
 
-        The memory does not exceed that of the largest node; otherwise, the task would wait forever.
+        The memory is limited to that of the largest node. Without this limit, the task might wait
+        forever.
         """
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
@@ -170,7 +172,7 @@ def _ray(address: str | None, workers: int | None) -> Any:
 
 @contextmanager
 def _keeping_sigterm() -> Iterator[None]:
-    """Restore the handler of SIGTERM that Ray replaces by its own, which ends the program.
+    """Restore the handler of SIGTERM, because Ray replaces it by a handler that ends the program.
 
     Raises:
         Cancelled: Ray's handler was called within this context.

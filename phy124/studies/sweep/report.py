@@ -19,10 +19,10 @@ SHOWN = 600
 BARS = 12
 """Number of bars in a histogram."""
 MEASURES = (
-    ("seconds.clip", "seconds of one core per clip"),
+    ("seconds.clip", "CPU time per clip [s]"),
     ("largest_force", "largest force on a wall [N]"),
-    ("own_error", "error measured for the clip itself, at most [object sizes]"),
-    ("expected_error", "expected error, without a measured one [object sizes]"),
+    ("own_error", "error bound measured for the clip itself [object sizes]"),
+    ("expected_error", "error bound from similar scenes, for all other clips [object sizes]"),
     ("energy_gain", "energy gained / energy supplied (below 0: energy lost)"),
     ("bytes", "bytes per clip"),
 )
@@ -98,7 +98,7 @@ def _values(rows: Iterable[Row], name: str) -> Any:
 
 
 def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
-    """Group the clips by their value, for each axis that has 2 to 20 different values."""
+    """For each axis with 2 to 20 different values, group the clips by their value on this axis."""
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     for name in ("picture", "generator", *columns):
         groups: defaultdict[str, list[Row]] = defaultdict(list)

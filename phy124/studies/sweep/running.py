@@ -25,7 +25,9 @@ class Counts:
     """Numbers of clips in a run of a sweep, counted by their status."""
 
     here: int = 0
-    """Number of clips that need not be made, because they, or equal clips, exist already."""
+    """Number of clips that need not be made, because the clip itself or an equal clip exists
+    already.
+    """
     ended: Counter[str] = field(default_factory=Counter)
     """Number of clips that this run has finished, by status."""
     left: float | None = None

@@ -130,7 +130,7 @@ def fetch(address: str) -> Iterator[Path]:
 
 
 def stamp(address: str) -> object:
-    """Return a value that changes when a file changes; None if the file system has no stamp."""
+    """Return a value that changes when a file changes, or None if there is no such value."""
     files, path = _open(address)
     try:
         return files.ukey(path)

@@ -41,7 +41,9 @@ CONTEXT = 6e8
 UNSURE = 2.0
 """Safety factor on memory, because the volume of an object is unknown."""
 STEP = 1 << 28
-"""Unit in which memory is reserved [bytes]; similar tasks reserve the same amount."""
+"""Memory is reserved in multiples of this size [bytes], so that similar tasks reserve equal
+amounts.
+"""
 SHARERS = 8
 """Maximum number of tasks per GPU; more tasks would wait for each other."""
 
@@ -58,7 +60,8 @@ class Needs(NamedTuple):
 def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
     """Estimate the resources for the clip of a scene before its Gaussians are made.
 
-    None means no limit on the number of Gaussians, or no GPU. `gpu_memory` is in bytes.
+    If `gaussians` is None, their number has no limit. `gpu_memory` is in bytes; None means that
+    there is no GPU.
     """
     count = min(gaussians or GAUSSIANS, GAUSSIANS)
     particles, nodes = count_particles(scene, count), count_nodes(scene)
@@ -88,7 +91,7 @@ def _part(state: float, gpu_memory: float) -> float:
 Row = dict[str, Any]
 """A row of the manifest: the data of one clip."""
 FAILED = ".failed.json"
-"""File name ending of the row of a failed clip, which the next run makes again."""
+"""Ending of the names of the row files of failed clips. The next run makes these clips again."""
 THUMBNAIL = 96
 """Width and height of a clip's thumbnail in the report [pixels]."""
 
@@ -207,7 +210,7 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 
 
 def clean_up(order: Order) -> bool:
-    """Remove the incomplete files of a killed worker; keep a state from which the clip can go on.
+    """Remove the incomplete files of a killed worker, but keep the state of its paused run.
 
     Return whether the worker has ended.
     """

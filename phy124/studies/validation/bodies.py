@@ -30,9 +30,10 @@ MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 
 
 def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the centres [P,3], m, of cubes that fill a box, `counts` [3] along the axes.
+    """Return the centres [P,3], m, of the cubes that fill a box.
 
-    The cubes have edges of length `spacing` [m]; `corner` is the lowest corner of the box [m].
+    There are `counts` [3] cubes along the three axes. Their edges have the length `spacing` [m].
+    `corner` is the lowest corner of the box [m].
     """
     lines = [(np.arange(count) + 0.5) * spacing for count in counts]
     x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -54,7 +55,8 @@ def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
     """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
 
-    The particles lie on concentric shells, about `spacing` apart [m], with a smooth surface.
+    The particles lie on concentric shells, so that the ball has a smooth surface. Neighbouring
+    particles are about `spacing` apart [m].
     """
     count, rng = round(radius / spacing), np.random.default_rng(0)
     step, x, volume = radius / count, [], []
@@ -127,7 +129,7 @@ def fill_solid(
     upper: Sequence[float] | NDArray[Any],
     voxel: float,
 ) -> Solid:
-    """Return the solid inside a surface; voxels at the surface are filled by their fraction inside.
+    """Return the solid inside a surface; a voxel at the surface is filled up to the surface.
 
     Args:
         distance: Function that returns the signed distance of points [...,3] from the surface [m];
@@ -180,7 +182,8 @@ FAR = 1e3
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
     """Return the positions [P,3], m, of particles in a single layer in the plane y = corner[1].
 
-    The layer has `counts` [2] particles along x and z, `spacing` apart [m].
+    The layer has `counts` [2] particles along x and z. Neighbouring particles are `spacing` apart
+    [m].
     """
     x = lattice((counts[0], 1, counts[1]), spacing) * [1.0, 0.0, 1.0]
     return np.asarray(x + np.asarray(corner), float)

@@ -18,7 +18,9 @@ COARSEST = 8
 KNOWN = 0.5
 """A level is recommended only if the errors of at least this fraction of the frames are known."""
 MOVING = 2
-"""A level is recommended only if the errors of this many frames after the first are known."""
+"""A level is recommended only if the errors of at least this number of frames after the first are
+known.
+"""
 GOOD = 0.04
 """Largest error of a recommended setting, as a fraction of the object's size."""
 
@@ -37,9 +39,11 @@ class Row:
     """Median number of particles per axis, over all cells that contain particles."""
     substeps: int
     predicted: float | None
-    """Predicted time of simulation and shapes [s]; None if there is no forecast."""
+    """Predicted time to simulate and to deform the Gaussians [s]; None if there is no forecast."""
     seconds: float
-    """Measured time of simulation and shapes [s], without splitting the energy loss."""
+    """Measured time to simulate and to deform the Gaussians [s], without the time to split the
+    energy loss by cause.
+    """
     limiters: dict[str, float]
     """For each limit, by name, the fraction of the substeps whose length it determines."""
     energy_lost: float
@@ -95,7 +99,7 @@ class Report:
 
     @property
     def _extent(self) -> str:
-        """A sentence about the time after which errors are unknown; empty if there is none."""
+        """Sentence about the time after which errors are unknown; empty if there is none."""
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "
@@ -133,8 +137,8 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
     """Recommend a level in a sentence that also compares it with the next finer level.
 
-    `known` are the number of frames after the first whose errors are known, and the number of all
-    frames after the first.
+    The pair `known` contains the number of frames after the first whose errors are known, and the
+    number of all frames after the first.
     """
     levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
     no = "No setting can be recommended by its error"

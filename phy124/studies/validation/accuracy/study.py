@@ -35,7 +35,8 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object on each level, from coarse to fine; includes those of the presets."""
+"""Cells across the object on each level, from coarse to fine; all presets are among these levels.
+"""
 MIN_PARTICLES_PER_AXIS = 1.5
 """If there are fewer particles per cell and axis than this, finer grids are not more accurate."""
 VARIED = 24
@@ -65,7 +66,8 @@ class Study:
     A thorough study takes about three times as long.
     """
     on_row: Callable[[Row], None] = lambda row: None
-    """Called with the row of each finished setting, before the errors are known."""
+    """Function that is called with the row of each finished setting, before the errors are known.
+    """
     keep: bool = False
     """Whether finished settings are evaluated if the study is cancelled or fails later."""
     ended: Exception | None = field(default=None, init=False)
@@ -209,10 +211,10 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast the time to simulate and to deform Gaussians [s], without splitting the energy
-        loss.
+        """Forecast the time to simulate and to deform the Gaussians [s].
 
-        A user's run of the scene does not split its energy loss by cause.
+        The time to split the energy loss by cause is not included, because users' runs of the scene
+        do not do this.
         """
         scene = simulation.scene
         if scene.checks.energy:
@@ -275,8 +277,9 @@ class Study:
     ) -> Row:
         """Add to a row its difference from the finest level and its error, and return the new row.
 
-        If the object is torn, its row is returned unchanged. The `known` errors of the levels are
-        valid for the first `frames` frames of their clips, which are sorted from coarse to fine.
+        If the object is torn, its row is returned unchanged. `levels` contains the clips of the
+        levels, from coarse to fine. The `known` errors of the levels are valid for the first
+        `frames` frames of these clips.
         """
         if row.torn:
             return row

@@ -62,7 +62,8 @@ PASTE = 630.0
 
 
 def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
-    """Return mean speeds dZ/dT of the front: between the positions in `PASSAGE`, and in `PERIOD`.
+    """Return mean speeds dZ/dT of the front, between the positions `PASSAGE` and the times
+    `PERIOD`.
 
     The front is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
     """

@@ -59,8 +59,8 @@ class Law:
 def fit_law(nu: float, *, whole: bool) -> Law:
     """Fit a contact-force law to finite-element results for a neo-Hookean ball.
 
-    A `whole` ball lies on one plate, pressed against the plate by its inertia; otherwise, the ball
-    is between two plates.
+    If `whole` is true, the ball lies on one plate, and its inertia presses it against the plate. If
+    `whole` is false, the ball is between two plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]

@@ -87,7 +87,8 @@ def _draw_values(
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
-    """Draw, in one row per quantity, the simulated values' deviations from the published value [%].
+    """Draw the deviations of the simulated values from the published value [%], one row per
+    quantity.
 
     The deviations are relative, or absolute if the published value is zero.
     """

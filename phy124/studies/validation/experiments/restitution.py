@@ -120,7 +120,7 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
 
 def observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
-    """Simulate and return a bounce with this ratio of maximum depth to radius."""
+    """Simulate and return a bounce; `depth` is its maximum depth relative to the radius."""
     times = np.linspace(0, FLIGHT * duration(depth), SAMPLES + 1)[1:]
     speeds = record(solver, times, partial(mean_along, solver, "v", UP))
     return Bounce(times, speeds / speed(depth))

@@ -76,7 +76,10 @@ def collapse(cells: int, aspect: float, angle: float) -> float:
 
 
 def measure(cells: int, aspects: Sequence[float], angle: float) -> Values:
-    """Measure the run-out of the first columns; the values of the other columns are NaN."""
+    """Measure the run-out of columns with these aspect ratios, which are the first of `ASPECTS`.
+
+    The values of the other columns are NaN.
+    """
     ways = [collapse(cells, aspect, angle) for aspect in aspects]
     return (*ways, *[math.nan] * (len(ASPECTS) - len(ways)))
 

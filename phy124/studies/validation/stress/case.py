@@ -56,7 +56,7 @@ class Case(NamedTuple):
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether the table shows precision and device after the name of the case."""
+    """Whether the table shows the precision and the device after the name of the case."""
 
 
 class Row(NamedTuple):

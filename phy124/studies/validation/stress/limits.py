@@ -103,7 +103,9 @@ def disturb(
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """Check that values are finite and the number of substeps is right for E of 1e2 to 1e13 Pa."""
+    """Check that values are finite and the number of substeps is as expected for E of 1e2 to 1e13
+    Pa.
+    """
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
@@ -170,7 +172,7 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """Smallest and largest J, and number of substeps, for a block on another block."""
+    """Measurements of a block on another block: smallest and largest J, and number of substeps."""
 
     min_J: float
     max_J: float

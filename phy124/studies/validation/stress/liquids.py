@@ -127,7 +127,7 @@ def _swing() -> Path:
 
 
 def _block(low: Sequence[float], high: Sequence[float]) -> Array:
-    """Return particles between two corners, 8 in each cell [P,3], m."""
+    """Return positions [P,3], m, of particles in a box between two corners, 8 in each cell."""
     counts = [round(2 * (b - a) / DX) for a, b in zip(low, high, strict=True)]
     return lattice(counts, DX / 2, low)
 

@@ -18,7 +18,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most
 DEEPEST = 0.3
 """Maximum permitted depth of a Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""Maximum depth below the floor at `fine` with the lattice solver [cells]."""
+"""Maximum permitted depth below the floor with accuracy `fine` and the lattice solver [cells]."""
 PIERCED = 2.5
 """Maximum permitted depth of a Gaussian inside another body [cells].
 
