@@ -86,7 +86,7 @@ class Clamp:
         """Indices of the nodes whose velocities change."""
 
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
-        """Record the launches of one substep.
+        """Record the kernel launches of one substep.
 
         `earlier` and `later` are the clamps before and after this clamp in the scene.
 
@@ -146,7 +146,7 @@ class PassedOn:
         force: wp.array,
         sums: wp.array | None = None,
     ) -> wp.Launch:
-        """Record the launch for listed points, with one thread per point.
+        """Record the kernel launch for listed points, with one thread per point.
 
         Args:
             near: Indices of the points.

@@ -172,7 +172,7 @@ class CoupledSolver(Solver):
         super()._scatter(kick, drift)
 
     def _record(self) -> None:
-        """Record the launches of one substep, in order."""
+        """Record the kernel launches of one substep, in order."""
         for material in self.materials:
             pair = material.pair
             (other,) = {pair.first, pair.second} - self._numbers.keys()

@@ -142,7 +142,7 @@ class Crew:
         return launches([("locate", model.launch(kernel, span.stop - span.start, inputs, outputs))])
 
     def force(self, worker: Worker, pushes: Tracks | None = None) -> list[Named]:
-        """Return the launches that sum the forces of a worker's points on the nodes.
+        """Return the kernel launches that sum the forces of a worker's points on the nodes.
 
         `pushes` are the tracks of forces on points; None: no force acts on points.
         """
@@ -174,7 +174,7 @@ class Crew:
         return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
-        """Return the launches that sum the forces due to trial displacements.
+        """Return the kernel launches that sum the forces due to trial displacements.
 
         Args:
             worker: The worker.
@@ -184,7 +184,7 @@ class Crew:
         return self._stress(worker, u, [out, self._unread, self.stray])
 
     def shock(self, worker: Worker, clock: wp.array, out: wp.array | None = None) -> list[Named]:
-        """Return the launch that adds the forces of the artificial viscosity to the nodes.
+        """Return the kernel launch that adds the forces of the artificial viscosity to the nodes.
 
         Args:
             worker: The worker.
@@ -212,7 +212,7 @@ class Crew:
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return the launches that, after the kick, add a worker's viscous forces to a pool.
+        """Return the kernel launches that, after the kick, add a worker's viscous forces to a pool.
 
         The viscous forces are computed as the forces of a material without stiffness.
         """
@@ -236,7 +236,8 @@ class Crew:
     def work(
         self, worker: Worker, at: int, tracks: Tracks, out: wp.array, pool: wp.array | None = None
     ) -> list[Named]:
-        """Return the launch, after all contact, that sums the work of forces on a worker's nodes.
+        """Return the kernel launch, after all contact, that sums the work of forces on a worker's
+        nodes.
 
         Args:
             worker: The worker.
@@ -258,7 +259,8 @@ class Crew:
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
 
     def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
-        """Return the launch that sums impulse and work of forces on points over a worker's nodes.
+        """Return the kernel launch that sums impulse and work of forces on points over a worker's
+        nodes.
 
         Args:
             worker: The worker.
@@ -298,14 +300,14 @@ class Crew:
         return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
 
     def _stress(self, worker: Worker, u: wp.array, outputs: list[wp.array]) -> list[Named]:
-        """Return the launches that sum the forces of the stress, as in `_stress_of`."""
+        """Return the kernel launches that sum the forces of the stress, as in `_stress_of`."""
         records = [self._stress_of(worker, group, u, outputs) for group in self._model.groups]
         return [("clear", outputs[0].zero_), *launches(records)]
 
     def _stress_of(
         self, worker: Worker, group: Group, u: wp.array, outputs: list[wp.array]
     ) -> Recorded:
-        """Record the launch that adds the forces of a group's stress to the nodes.
+        """Record the kernel launch that adds the forces of a group's stress to the nodes.
 
         Args:
             worker: The worker.
@@ -330,7 +332,9 @@ class Crew:
         return self._vectors and simd.has_stress(group.law)
 
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the vectorised launches that sum energy and power over the points of a group."""
+        """Record the vectorised kernel launches that sum energy and power over the points of a
+        group.
+        """
         constants = [group.start, self._model.dx, group.theta]
         motion, kernel = [self.nodes.u, self.nodes.v], simd.make_totals_simd(group.law)
         spans = [_common(worker.points, group.particles) for worker in self.workers]
@@ -341,7 +345,7 @@ class Crew:
         ]
 
     def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
-        """Return the launches that change the velocities of a worker's nodes by the forces.
+        """Return the kernel launches that change the velocities of a worker's nodes by the forces.
 
         Args:
             worker: The worker.
@@ -358,13 +362,13 @@ class Crew:
         return kicks + self._kick(*stress, self._middle if kicks else before)
 
     def _kick(self, span: slice, pool: wp.array, donors: Any, *rest: Any) -> list[Named]:
-        """Return the launch of `make_kick` on a span of nodes."""
+        """Return the kernel launch of `make_kick` on a span of nodes."""
         inputs = [self.nodes.inverse, pool, self._spans, donors, *rest]
         plain = node_kernels.make_kick(self._model.real)
         return self._over_nodes(span, plain, simd.make_kick_simd, inputs)
 
     def drift(self, worker: Worker, tracks: Tracks) -> list[Named]:
-        """Return the launch that moves a worker's nodes."""
+        """Return the kernel launch that moves a worker's nodes."""
         nodes = self.nodes
         inputs = [self.tied, tracks.clock, nodes.before]
         inputs += [nodes.v, nodes.u, nodes.residue, nodes.lagging]
@@ -382,7 +386,7 @@ class Crew:
         return launches([("nodes", launch)])
 
     def _follow(self, worker: Worker) -> list[Named]:
-        """Return the launch that computes x, v, C and F of a worker's points."""
+        """Return the kernel launch that computes x, v, C and F of a worker's points."""
         span, state, nodes, model = worker.points, self._state, self.nodes, self._model
         outputs = [state.x, state.v, state.C, state.F]
         if self._vectors and span.stop > span.start:
@@ -409,7 +413,8 @@ class Crew:
         return largest
 
     def accelerate(self, worker: Worker, pool: wp.array | None, out: wp.array) -> list[Named]:
-        """Return the launches that compute the accelerations of a worker's nodes without gravity.
+        """Return the kernel launches that compute the accelerations of a worker's nodes without
+        gravity.
 
         Args:
             worker: The worker.
@@ -422,7 +427,7 @@ class Crew:
         return [("clear", cast("wp.array", out[span]).zero_), *kick]
 
     def _measure(self, worker: Worker) -> list[Named]:
-        """Return the launches that follow a worker's points and measure their motion."""
+        """Return the kernel launches that follow a worker's points and measure their motion."""
         model, state, nodes, records = self._model, self._state, self.nodes, []
         outputs = [worker.maxima, self.stray]
         for group in model.groups:

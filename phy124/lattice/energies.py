@@ -124,7 +124,7 @@ class Energies(Kept):
             worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:
-        """Return the launches with which a worker sums only the viscous forces."""
+        """Return the kernel launches with which a worker sums only the viscous forces."""
         crew, worker = self._crew, self._crew.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
         clock = self._clock.values
@@ -136,7 +136,7 @@ class Energies(Kept):
         return _rename(filled)
 
     def _multiply(self, index: int, forces: Sequence[int]) -> list[Named]:
-        """Return the launches that sum the work done by forces on a worker's nodes."""
+        """Return the kernel launches that sum the work done by forces on a worker's nodes."""
         crew, works = self._crew, []
         worker, known = crew.workers[index], (self._tracks, cast("wp.array", self._sums[index]))
         for key in forces:

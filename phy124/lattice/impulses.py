@@ -37,7 +37,7 @@ class Impulses:
         """Impulse on each node [N,3], N s."""
 
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
-        """Record the launch that adds a wall's impulses on nearby points to the sums.
+        """Record the kernel launch that adds a wall's impulses on nearby points to the sums.
 
         `near` contains the indices of the points, one per thread. `force` [S,3], N, contains the
         mean forces in a substep.
@@ -47,8 +47,8 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the launches of clamps, together with launches that sum the momenta of the nodes
-        `held`.
+        """Return the kernel launches of clamps, together with launches that sum the momenta of the
+        nodes `held`.
         """
         model, nodes = self._model, self._nodes
         chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)
@@ -91,7 +91,7 @@ class ContactWork:
         *,
         clamped: bool = False,
     ) -> wp.Launch:
-        """Record the launch that sums the work on listed points.
+        """Record the kernel launch that sums the work on listed points.
 
         Parameter 1 of the launch is the number of listed points.
 

@@ -74,7 +74,7 @@ class Material(Kept):
         """Largest number of points near the particles so far."""
 
     def record(self, grid: Grid, clock: wp.array, recovery: float) -> None:
-        """Record the launches for the current window of the particles' grid.
+        """Record the kernel launches for the current window of the particles' grid.
 
         Args:
             grid: The grid of the particles.
@@ -101,7 +101,7 @@ class Material(Kept):
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum impulses.
 
         `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
         any.

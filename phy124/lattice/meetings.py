@@ -57,7 +57,7 @@ class Meetings(Kept):
             division: Divides kernels among all workers.
         """
         self.work: ContactWork | None = None
-        """Records launches that sum the work of contact; None if the work is not summed."""
+        """Records kernel launches that sum the work of contact; None if the work is not summed."""
         self.way = math.inf
         """Upper bound of all points' displacements since sampled points were last compared [m]."""
         self._slack = 0.0
@@ -105,7 +105,7 @@ class Meetings(Kept):
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum impulses.
 
         `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
         any.

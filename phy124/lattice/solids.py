@@ -59,7 +59,7 @@ class Solids(FreeBodies):
         """
         self._nodes, self._surface = nodes, surface
         self.work: ContactWork | None = None
-        """Records launches that sum the work of contact; None if the work is not summed."""
+        """Records kernel launches that sum the work of contact; None if the work is not summed."""
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         """Sums of the impulses of each solid on each body [F,bodies,16]; layout as for walls."""
@@ -111,7 +111,7 @@ class Solids(FreeBodies):
         self._list(turn=not earlier)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum impulses.
 
         `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
         any.

@@ -188,7 +188,7 @@ class LatticeSolver(Kept):
         self.record()
 
     def record(self) -> None:
-        """Record the launches of one substep."""
+        """Record the kernel launches of one substep."""
         crew, pushed = self.crew, bool(self._forces)
         self.energies.attach(self.tracks, self.walls, self.meetings, self.free)
         for index, worker in enumerate(self.workers):
@@ -209,7 +209,9 @@ class LatticeSolver(Kept):
         """Index of the phase that completes the forces on all nodes."""
 
     def _contact(self) -> list[Named]:
-        """Return the launches of all contact; all impulses are applied before any is corrected."""
+        """Return the kernel launches of all contact; all impulses are applied before any is
+        corrected.
+        """
         passed, parts = self.walls.passed_on(), (self.walls, self.meetings, self.free, *self.guests)
         everything = [part.stages(passed) for part in parts]
         return [
@@ -217,8 +219,8 @@ class LatticeSolver(Kept):
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return the launches with which a worker applies forces on points; if one of the launches
-        cannot be divided, the first worker runs all of them.
+        """Return the kernel launches with which a worker applies forces on points; if one of the
+        launches cannot be divided, the first worker runs all of them.
         """
 
         def record(stages: Sequence[Stage]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Records the launches of walls and clamps on a lattice, including sums of impulse and work.
+"""Records the kernel launches of walls and clamps on a lattice, including sums of impulse and work.
 
 Walls act on surface points, and clamps act on nodes (phy124/lattice/clamps.py).
 """
@@ -135,7 +135,7 @@ class Walls:
         self.impulses: Impulses | None = None
         """Sums per surface point and node; None unless `keep_impulses` was called."""
         self.work: ContactWork | None = None
-        """Records launches that sum the work of contact; None if the work is not summed."""
+        """Records kernel launches that sum the work of contact; None if the work is not summed."""
         self.holding = [number for number, (holds, _) in enumerate(simple) if holds]
         """Rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0
@@ -177,7 +177,7 @@ class Walls:
         return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum impulses.
 
         Clamps act before the impulses. `passed` records launches that transfer impulses on clamped
         nodes to clamps, if there are any.
@@ -390,7 +390,7 @@ class _Contact:
             launch.set_dim(max(1, len(self._near)))
 
     def _yield(self) -> wp.Launch:
-        """Record the launch that computes the points' velocity change per unit impulse."""
+        """Record the kernel launch that computes the points' velocity change per unit impulse."""
         nodes = self._nodes
         inputs = [self._list, *nodes.points[:2], nodes.movable, nodes.inverse]
         kernel = make_yields(self._model.real, nodes.rows)
@@ -406,7 +406,7 @@ class _Contact:
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
     def _resist(self) -> wp.Launch:
-        """Record the launch that corrects the impulses."""
+        """Record the kernel launch that corrects the impulses."""
         model, nodes, tracks, response = (
             self._model,
             self._nodes,
@@ -421,7 +421,7 @@ class _Contact:
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
     def _account(self) -> wp.Launch:
-        """Record the launch that sums the wall's impulse and work."""
+        """Record the kernel launch that sums the wall's impulse and work."""
         nodes = self._nodes
         inputs = [self._list, *nodes.points[:2], self._place, self.force]
         inputs += [self._tracks.clock, nodes.before, nodes.v]

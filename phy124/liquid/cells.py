@@ -220,7 +220,7 @@ class Cells:
     def record(
         self, worker: int, kernel: Any, inputs: list[Any], outputs: list[Any]
     ) -> Repeatable | None:
-        """Record a launch over a worker's active cells.
+        """Record a kernel launch over a worker's active cells.
 
         Args:
             worker: Index of the worker.

@@ -41,7 +41,9 @@ class Works(NamedTuple):
 
 
 class Energies(Kept):
-    """Records the launches that sum mechanical work. Nothing is summed until `start` is called."""
+    """Records the kernel launches that sum mechanical work. Nothing is summed until `start` is
+    called.
+    """
 
     kept = ("_sums",)
 
@@ -82,7 +84,9 @@ class Energies(Kept):
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return the launches with which a worker stores velocities and sums the drag of walls."""
+        """Return the kernel launches with which a worker stores velocities and sums the drag of
+        walls.
+        """
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -98,8 +102,8 @@ class Energies(Kept):
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int, viscosity: float) -> list[Recorded]:
-        """Return the launch with which a worker sums the work on faces, after their velocities are
-        known. `viscosity` is 0 if no liquid is viscous.
+        """Return the kernel launch with which a worker sums the work on faces, after their
+        velocities are known. `viscosity` is 0 if no liquid is viscous.
         """
         if not self.on:
             return []
@@ -112,8 +116,8 @@ class Energies(Kept):
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return the launch in which a worker sums the work done by displacements. `sign` is -1
-        before the particles are displaced, and 1 afterwards.
+        """Return the kernel launch in which a worker sums the work done by displacements. `sign` is
+        -1 before the particles are displaced, and 1 afterwards.
         """
         if not self.on:
             return []

@@ -139,7 +139,7 @@ class Phases:
         return range(self._first[name], self._last[name])
 
     def extent(self, worker: int) -> list[Named]:
-        """Return the launches that measure the extent of a worker's particles."""
+        """Return the kernel launches that measure the extent of a worker's particles."""
         model, s, run = self._model, self._state, self._run(worker)
         threads, *fraction = shared_out(run.stop - run.start, model.device)
         row = cast("wp.array", self.extents[worker])
@@ -248,7 +248,9 @@ class Phases:
         yield [*self._sum_shifts(worker, moves), *self.pushes.work(worker, self._run(worker))]
 
     def _sum_shifts(self, worker: int, moves: list[Recorded]) -> list[Recorded]:
-        """Return launches that displace a worker's particles, and launches that sum the work."""
+        """Return kernel launches that displace a worker's particles, and launches that sum the
+        work.
+        """
         run = self._run(worker)
         first, last = (self.energies.of_shifts(worker, run, sign) for sign in (-1, 1))
         return [*first, *moves, *last]
@@ -259,11 +261,11 @@ class Phases:
         return slice(first, first + count)
 
     def _over_cells(self, worker: int, name: str, kernel: Any, inputs: list, outputs: list) -> Any:
-        """Record a named launch over a worker's active cells."""
+        """Record a named kernel launch over a worker's active cells."""
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return the launches with which a worker applies forces to particles.
+        """Return the kernel launches with which a worker applies forces to particles.
 
         The first worker gets all launches if a launch cannot be divided between workers.
         """
@@ -280,7 +282,9 @@ class Phases:
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return the launches with which a worker finds, counts and then lists the active cells."""
+        """Return the kernel launches with which a worker finds, counts and then lists the active
+        cells.
+        """
         cells, launch = self._cells, self._model.launch
         part, parts = self._projection.part(worker)
         counts = self._projection.counts
@@ -441,7 +445,9 @@ class Phases:
         return [*out, *walls.push_out(cells, run, s, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
-        """Return the launches with which a worker sums its particles' volumes [m^3] over cells."""
+        """Return the kernel launches with which a worker sums its particles' volumes [m^3] over
+        cells.
+        """
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
         inputs = [volume[run], cells.lattice, cells.window, self._state.x[run]]

@@ -28,7 +28,7 @@ MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
 
 
 class Projection:
-    """Records and repeats the launches that solve an equation."""
+    """Records and repeats the kernel launches that solve an equation."""
 
     def __init__(self, model: Model, workers: int, solids: int = 0) -> None:
         """Allocate the arrays of sums.
@@ -67,7 +67,8 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return a worker's launches for an equation: begin, then pairs of advance and improve.
+        """Return a worker's kernel launches for an equation: begin, then pairs of advance and
+        improve.
 
         Three pairs of launches are recorded: for the first, for odd and for even iterations.
 
@@ -116,7 +117,9 @@ class Projection:
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return the launch with which a worker sums the impulse of the pressure on each solid."""
+        """Return the kernel launch with which a worker sums the impulse of the pressure on each
+        solid.
+        """
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]

@@ -77,7 +77,9 @@ class Pushes:
         return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)
 
     def keep(self, run: slice) -> list[Named]:
-        """Return the launches that store velocities before forces act on a worker's particles."""
+        """Return the kernel launches that store velocities before forces act on a worker's
+        particles.
+        """
         return self._copy(0, run)
 
     def renew(self) -> None:
@@ -95,14 +97,18 @@ class Pushes:
             wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
-        """Return the launches that copy v, and C if forces change C, of a worker's particles."""
+        """Return the kernel launches that copy v, and C if forces change C, of a worker's
+        particles.
+        """
         s = self._state
         pairs = [(self._v[index], s.v), (self._C[index], s.C)]
         parts = [(part_of(kept, run), part_of(a, run)) for kept, a in pairs if len(kept)]
         return [(STAGE, partial(wp.copy, kept, a)) for kept, a in parts]
 
     def add(self, worker: int, run: slice) -> list[Named]:
-        """Return the launches that sum the momentum that a worker's particles gained by forces."""
+        """Return the kernel launches that sum the momentum that a worker's particles gained by
+        forces.
+        """
         if not self._in_cells:
             return self._copy(1, run)
         model, cells, s, count = self._model, self._cells, self._state, self._cells.count

@@ -1,4 +1,4 @@
-"""Records the launches that couple the motion of solids in a liquid to the pressure."""
+"""Records the kernel launches that couple the motion of solids in a liquid to the pressure."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -19,8 +19,8 @@ STAGE = "free"
 
 
 class Solids:
-    """Records the launches for the solids of a scene; solids are the last entries in the list of
-    walls.
+    """Records the kernel launches for the solids of a scene; solids are the last entries in the
+    list of walls.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Solids:
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
-        """Return the launches that apply gravity to the freely moving solids."""
+        """Return the kernel launches that apply gravity to the freely moving solids."""
         records = []
         for index, (solid, body) in enumerate(
             zip(self.bodies.all, self.bodies.numbers, strict=True)
@@ -73,7 +73,8 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's launches that run before the divergence of the velocities is computed.
+        """Return a worker's kernel launches that run before the divergence of the velocities is
+        computed.
 
         Args:
             cells: The cells.
@@ -100,7 +101,7 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return the launch with which a worker writes the rows of J
+        """Return the kernel launch with which a worker writes the rows of J
         (phy124/kernels/liquid/solids.py).
 
         Args:
@@ -116,7 +117,7 @@ class Solids:
     def respond(
         self, walls: Walls, impulses: WallImpulses, tracks: Tracks, pulled: bool
     ) -> list[Recorded]:
-        """Return the launches that apply the liquid's impulses to freely moving solids.
+        """Return the kernel launches that apply the liquid's impulses to freely moving solids.
 
         Args:
             walls: The walls.

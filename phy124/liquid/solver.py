@@ -435,7 +435,7 @@ class LiquidSolver(Kept):
         return lower, upper
 
     def _record(self) -> None:
-        """Record the launches for the current window, and write the walls into its cells."""
+        """Record the kernel launches for the current window, and write the walls into its cells."""
         self.grid.low, self.grid.size = self.cells.low, self.cells.size
         if self._bodies is not None:
             self._bodies.fit(self.cells)

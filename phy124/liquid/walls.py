@@ -152,7 +152,8 @@ class Walls:
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
     ) -> list[list[Recorded]]:
-        """Return the launches with which a worker writes the geometry of the walls into the cells.
+        """Return the kernel launches with which a worker writes the geometry of the walls into the
+        cells.
 
         Args:
             cells: The cells, which the launches write.
@@ -176,8 +177,8 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> tuple[Recorded, list[Recorded]]:
-        """Return the launches with which a worker adds a group of walls to the geometry in the
-        cells: for the distances, and then for the open parts of faces and cells.
+        """Return the kernel launches with which a worker adds a group of walls to the geometry in
+        the cells: for the distances, and then for the open parts of faces and cells.
         """
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]
@@ -199,7 +200,8 @@ class Walls:
         return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's launch that computes the solid fractions of the B-splines in a region.
+        """Return a worker's kernel launch that computes the solid fractions of the B-splines in a
+        region.
 
         The solid fraction of a B-spline is the fraction inside walls.
 
@@ -215,7 +217,7 @@ class Walls:
         return STAGE, self._model.launch(kernel, count, inputs, [cells.shares])
 
     def _record_motions(self) -> Any:
-        """Return the launch that computes the walls' velocities up to the end of a step."""
+        """Return the kernel launch that computes the walls' velocities up to the end of a step."""
         inputs = [self._tracks.clock, self._places, self._next, self.slots]
         kernel = make_motions(self._model.real)
         return self._model.launch(kernel, max(len(self.all), 1), inputs, [self.motions])
@@ -231,7 +233,7 @@ class Walls:
     def push_out(
         self, cells: Cells, run: slice, state: State, sums: wp.array, *, stops: bool
     ) -> list[Recorded]:
-        """Return the launches that move particles out of all walls.
+        """Return the kernel launches that move particles out of all walls.
 
         Args:
             cells: The cells.

@@ -253,11 +253,11 @@ class FreeBodies(Kept):
         )
 
     def drift(self) -> list[Recorded]:
-        """Return the launches that move all solids at the end of a substep."""
+        """Return the kernel launches that move all solids at the end of a substep."""
         return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
     def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """Record the launch for the contact of a solid with the walls."""
+        """Record the kernel launch for the contact of a solid with the walls."""
         solid, tracks = self.all[index], self._tracks
         inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]

@@ -75,7 +75,7 @@ class Grid:
     def only(
         self, layers: tuple[int, int] | None, worker: int = 0, workers: int = 1
     ) -> Iterator[None]:
-        """Record launches for one worker within this context.
+        """Record kernel launches for one worker within this context.
 
         Args:
             layers: Layers first <= i < last for the launches; None for all layers.

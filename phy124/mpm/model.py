@@ -261,7 +261,8 @@ class Model:
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
-        """Record a launch on the model's device; return None if the launch would have no threads.
+        """Record a kernel launch on the model's device; return None if the launch would have no
+        threads.
 
         Args:
             kernel: The Warp kernel.

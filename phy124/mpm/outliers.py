@@ -88,7 +88,8 @@ class Outliers(Kept):
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the launches for the gather of `part`, including launches that move outliers.
+        """Return the kernel launches for the gather of `part`, including launches that move
+        outliers.
 
         Args:
             part: Some of the particles.

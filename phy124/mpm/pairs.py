@@ -134,7 +134,8 @@ class Pairs(Kept):
         }
 
     def record(self, grids: Sequence[Grid], worker: int, workers: int) -> list[Recorded]:
-        """Record the launches of a worker, one for each pair of bodies whose windows overlap.
+        """Record the kernel launches of a worker, one for each pair of bodies whose windows
+        overlap.
 
         A launch is limited to the worker's layers of the lattice. Every node is in the layers of
         exactly one worker, which processes all pairs at this node in order.

@@ -39,7 +39,7 @@ class Repair(Kept):
     kept = ("count", "first")
 
     def __init__(self, model: Model, state: State, *, needed: bool = True) -> None:
-        """Record the launches.
+        """Record the kernel launches.
 
         Args:
             model: The particles.

@@ -324,7 +324,7 @@ class Solver(Kept):
         return self._graph.run(until, self.rejection, self._launches, apart=apart)
 
     def _launches(self) -> Iterable[Callable[[], Any]]:
-        """Yield the launches of one substep of a single worker, in order."""
+        """Yield the kernel launches of one substep of a single worker, in order."""
         if self.tracks.vary:
             yield self._sample.launch
         for _, launch in itertools.chain(*self.workers[0].phases):
@@ -405,7 +405,7 @@ class Solver(Kept):
         return True
 
     def _record_measures(self) -> None:
-        """Record the launches that measure each worker's particles."""
+        """Record the kernel launches that measure each worker's particles."""
         for worker in self.workers:
             worker.measures = self._recorder.measures(worker, self._stray)
             worker.glances = self._recorder.speeds(worker, self._stray)
@@ -444,12 +444,12 @@ class Solver(Kept):
         return max(1, min(interval, self.rejection.room(self.clock)))
 
     def _follow_window(self) -> None:
-        """Record the launches again if a window has moved."""
+        """Record the kernel launches again if a window has moved."""
         if self._moved:
             run_timed(self.timings, WINDOW, self._record)
 
     def _record(self) -> None:
-        """Record the launches of one substep, in order."""
+        """Record the kernel launches of one substep, in order."""
         self._moved = False
         self._recorder.record(self._forces, self.boundaries, self._sums)
         walls = {stage.name for stage in self.boundaries} - {stage.name for stage in self._sums}

@@ -86,5 +86,5 @@ Recorded = tuple[str, Repeatable | None]
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """Return named functions that repeat the recorded launches; omit missing launches."""
+    """Return named functions that repeat the recorded kernel launches; omit missing launches."""
     return [(name, launch.launch) for name, launch in records if launch is not None]

@@ -1,4 +1,4 @@
-"""Records the launches of one substep for the current windows of the grids.
+"""Records the kernel launches of one substep for the current windows of the grids.
 
 A substep consists of the phases push, clear, p2g, update, collide and g2p. Each phase has one
 kernel launch per law and worker. Repeating a recorded launch takes a few microseconds.
@@ -67,7 +67,7 @@ class Gathered(Protocol):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch for a worker's part of the particles.
+        """Record the kernel launch for a worker's part of the particles.
 
         Args:
             part: Particles of one law that a worker processes.
@@ -81,7 +81,7 @@ class Gathered(Protocol):
 
 @dataclass(frozen=True)
 class Recorder:
-    """Records the launches of a substep."""
+    """Records the kernel launches of a substep."""
 
     model: Model
     state: State
@@ -169,7 +169,7 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return the launches with which a worker applies forces to particles.
+        """Return the kernel launches with which a worker applies forces to particles.
 
         The first worker gets all launches if a force cannot be divided between workers.
         """
@@ -215,8 +215,8 @@ class Recorder:
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return a worker's launches for the contact of free bodies with each particle body in
-        turn.
+        """Return a worker's kernel launches for the contact of free bodies with each particle body
+        in turn.
         """
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
@@ -224,8 +224,8 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's launches for a wall and a body; the first worker handles some walls
-        alone.
+        """Return a worker's kernel launches for a wall and a body; the first worker handles some
+        walls alone.
         """
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
@@ -244,7 +244,7 @@ class Recorder:
         return first, last
 
     def _clear(self, index: int, *, velocities: bool = False) -> Iterator[Named]:
-        """Yield the launches that clear a worker's nodes before the scatter.
+        """Yield the kernel launches that clear a worker's nodes before the scatter.
 
         If `velocities` is set, `Grid.nodes` is cleared instead of the momenta, if these are
         separate arrays.
@@ -271,7 +271,7 @@ class Recorder:
         return [launch for launch in measures if launch is not None]
 
     def speeds(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
-        """Return the launches that measure only the speeds of a worker's particles."""
+        """Return the kernel launches that measure only the speeds of a worker's particles."""
         model, glances = self.model, []
         for part in worker.parts:
             run, (threads, *fraction) = part.particles, shared_out(part.count, model.device)
@@ -320,7 +320,9 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the launch that updates a worker's part of a grid, by default with the clock."""
+        """Return the kernel launch that updates a worker's part of a grid, by default with the
+        clock.
+        """
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta
         clock = self.tracks.clock if clock is None else clock

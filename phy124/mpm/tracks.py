@@ -310,7 +310,7 @@ class Tracks:
     def record(
         self, clock: wp.array | None = None, outputs: Sequence[wp.array] | None = None
     ) -> wp.Launch:
-        """Return the launch that samples every track at the time of a clock [3], s.
+        """Return the kernel launch that samples every track at the time of a clock [3], s.
 
         By default, this clock is the clock of the run, and the outputs are the arrays `values` and
         `rates`.
