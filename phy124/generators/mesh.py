@@ -275,7 +275,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return the pieces with triangles in the scene's axes, and the shapes of all nodes.
+    """Return the pieces that have triangles, in the scene's axes, and the shapes of all nodes.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".

@@ -166,7 +166,7 @@ def arguments(real: Any, width: int = 0) -> dict[str, Any]:
         "quats": wp.array(dtype=wp.vec4f),  # orientations of the Gaussians
         "scales": wp.array(dtype=wp.vec3f),  # lengths of the axes of the Gaussians [m]
         "maxima": t.reals,  # measured maxima
-        "stray": Ints,  # number of particles or points that are not finite
+        "stray": Ints,  # number of particles or points with non-finite values
     }
     return {
         **model,

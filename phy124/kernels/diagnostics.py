@@ -24,7 +24,7 @@ MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
 LEAST_J, LARGEST_J = 0, 1
 """Indices of the smallest and the largest J; the smallest is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
-"""Index of each kind of invalid particle: values not finite, or inverted."""
+"""Index of each kind of invalid particle: non-finite, and inverted."""
 
 
 @wp.func

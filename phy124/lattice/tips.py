@@ -22,7 +22,7 @@ ABOVE = 0.3
 
 
 def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
-    """Return the indices of the integration points in sharp parts with tied nodes [K].
+    """Return the indices of the integration points that are in sharp parts and use tied nodes [K].
 
     Args:
         points: Surface points: position [m], outward normal and body index [S,7].

@@ -83,7 +83,7 @@ class Phases:
         self.extents = wp.zeros(shape, dtype=model.real, device=device)
         """Extent of each worker's particles."""
         self.stray = wp.zeros(1, dtype=int, device=device)
-        """Number of particles that are not finite."""
+        """Number of particles with values that are not finite."""
         self._mixture = Mixture(model)
         self.viscosity = Viscosity(model, cells, self._mixture)
         density = self._mixture.density

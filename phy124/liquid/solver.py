@@ -406,7 +406,7 @@ class LiquidSolver(Kept):
         """Measure the particles' extent and speed, and renew the window if it is too small.
 
         Raises:
-            Unstable: A particle is not finite, or too far away.
+            Unstable: A value of a particle is not finite, or a particle is too far away.
         """
         extents, team = self._extents, self.runner.team
 

@@ -61,7 +61,8 @@ class Clock(Kept):
         complete measurement. If the bounds are infinite, the next measurement must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
-        """Time of the last measurement [s]; number of substeps since a measurement was complete."""
+        """Time of the last measurement [s]; number of substeps since the last complete measurement.
+        """
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
         """Array on the device: the substep's kick and drift, and the time at its start [s]."""
         self._shared = self.values.numpy() if model.device == "cpu" else None

@@ -51,7 +51,7 @@ class Graph:
             clock: The clock, updated after each run.
             grid: The grid; the particles may not leave its window.
             worker: The only worker; its launches measure the limits.
-            stray: Number of particles that are not finite [1].
+            stray: Number of particles with values that are not finite [1].
         """
         self._model, self._clock, self._grid = model, clock, grid
         self._worker, self._stray, device = worker, stray, model.device

@@ -195,7 +195,8 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; a body without a row has -inf and inf.
+    """Return the lowest and highest corner of each body; both are infinite for a body without a
+    row.
 
     Args:
         rows: Measured maxima of parts of the particles [R,M]; see `Maxima.of`.

@@ -85,7 +85,8 @@ class Solver(Kept):
             ceiling: Longest substep allowed [s].
             threads: Number of CPU threads; None: chosen from the numbers of free cores and
                 particles.
-            graph: Whether a frame runs as one graph on the device; None: on CUDA with one body.
+            graph: Whether a frame runs as one graph on the device. None: only on CUDA, if there is
+                one body.
             measure_every: Number of substeps between measurements of the limits, used only if it is
                 safe.
             scheme: The grid-to-particle transfer scheme.
@@ -414,7 +415,7 @@ class Solver(Kept):
         """Measure the particles; return a row of maxima per part of each worker, or per body.
 
         Raises:
-            Unstable: A particle is not finite.
+            Unstable: A value of a particle is not finite.
         """
         self._each_worker(Worker.measure)
         rows = [part.maxima for part in self.slabs.parts] if self.slabs else []
@@ -422,7 +423,7 @@ class Solver(Kept):
         return np.array([row.numpy() for row in rows], dtype=np.float64).reshape(-1, COUNT)
 
     def _each_worker(self, measure: Callable[[Worker], None]) -> None:
-        """Let all workers measure their particles; raise Unstable if one is not finite."""
+        """Let all workers measure their particles; raise Unstable if a value is not finite."""
         workers = self.workers
 
         def task(member: int) -> None:

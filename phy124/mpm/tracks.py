@@ -32,7 +32,7 @@ Key = tuple[float, Vector]
 Over = Literal["", "kick", "drift"]
 """Interval over which a value is averaged: no interval, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
-"""For each kind of interval, its flag."""
+"""Flag of a track for each interval over which the track's values may be averaged."""
 
 
 class Table(Section):
@@ -224,7 +224,7 @@ class Track:
         return fastest
 
     def largest_jump(self, end: float) -> float:
-        """Return the largest norm by which the value's rate jumps before `end` [s]."""
+        """Return the norm of the largest jump of the value's rate of change before `end` [s]."""
         times = np.array([time for time, _ in self.keys])
         rates = np.zeros((len(times) + 1, 3))
         rates[1:-1] = np.diff([value for _, value in self.keys], axis=0) / np.diff(times)[:, None]

@@ -197,7 +197,7 @@ class Slabs:
         reaches = [self._reach(part, row) for part, row in zip(self.parts, rows, strict=True)]
         if not force and all(map(_has_space, self.parts, reaches)):
             return False
-        # All slabs are fitted together, so that no other slab has to change soon.
+        # All slabs are fitted at the same time, so that none of them has to be fitted again soon.
         boxes = []
         for part, reach in zip(self.parts, reaches, strict=True):
             grid = self._grids[part.group.body]

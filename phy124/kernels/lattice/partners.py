@@ -104,7 +104,7 @@ def next_near(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over the samples from `start` on: flags those near which contact is possible.
+    """Kernel over the samples from `start` on: flags the samples near which contact is possible.
 
     `x` contains the current positions of the samples, which have been sorted into `cells`.
     """

@@ -163,7 +163,7 @@ def refine(
 
 
 def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values) -> Values:
-    """Return the least-squares step of the linear model that stays in the ranges."""
+    """Return the least-squares step of the linear model; the step does not leave the ranges."""
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)

@@ -66,7 +66,7 @@ class Row:
 
     @property
     def level(self) -> bool:
-        """Whether the setting is a level; other settings vary other options than the spacing."""
+        """Whether the setting is a level, which differs from the scene only in its grid spacing."""
         return self.name.startswith("D/")
 
 

@@ -126,7 +126,7 @@ def make_band(
         exact: Function that returns a slender beam's tip deflection / length for a load.
         name: Symbol of the load.
         stretch: Mean tension in the hanging beam, as a fraction of the load; the tension makes the
-            beam longer. 0: the band neglects this stretch.
+            beam longer. If it is 0, the band neglects this stretch.
     """
     longer = stretch / 12 * (THICKNESS / LENGTH) ** 2
     return tuple(
