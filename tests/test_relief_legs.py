@@ -42,6 +42,14 @@ CAR = disc(55, 135, 14) | disc(137, 135, 14) | block(11, 181, 90, 130) | block(3
 BIRD = (
     disc(90, 80, 70, 40) | disc(155, 40, 22) | block(75, 82, 100, 180) | block(100, 107, 100, 176)
 )
+BISON = (
+    disc(90, 88, 72, 30)
+    | disc(125, 78, 45, 36)
+    | disc(165, 88, 18, 26)
+    | block(28, 110, 70, 110)
+    | block(34, 52, 90, 145)
+    | block(120, 138, 90, 145)
+)
 
 
 def test_legs_are_in_pairs_on_both_sides():
@@ -53,6 +61,12 @@ def test_legs_are_in_pairs_on_both_sides():
         along = low[side * low[:, 0] > 0, 1]
         gap = np.diff(np.sort(along)).max()
         assert np.ptp(along) > 0.45 and 0.3 < gap < 0.5  # one foreleg, and one hind leg
+
+
+def test_a_stout_animal_is_no_table():
+    """A round stool covers 0.89 of the outline, which is less than it covers of a table's."""
+    made = relief(picture(BISON), count=5000)
+    assert np.ptp(made.means[:, 0]) < 0.6 * np.ptp(made.means[:, 1])
 
 
 def test_feet_on_both_sides_stand_on_the_same_ground():

@@ -43,7 +43,7 @@ from phy124.generators.relief.solids import (
     make_slab,
 )
 from phy124.generators.relief.surface import VIEW_DISTANCE, Surface, View, spread
-from phy124.generators.relief.table_fit import find_table
+from phy124.generators.relief.table_fit import CLEAR, OVERLAP, find_table
 from phy124.generators.relief.thin import circles_on_ground, find_thin
 from phy124.generators.relief.vessel import vessel_shell
 
@@ -94,6 +94,7 @@ def from_front(
     """
     rgba = work_picture(picture, depth=depth)
     view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)
+    legs = None
     if depth is None and back is None and thickness == 1:
         shell = None
         if shape in ("auto", "upright"):
@@ -103,13 +104,12 @@ def from_front(
         if shell is None and shape == "auto" and (box := find_box(rgba[..., 3] > 0.5, view)):
             shell = _box_shell(box, clean_picture(rgba), count, elevation)
         if shell is None and shape == "auto":
-            shell = _table_shell(rgba, view, count, rng, elevation)
+            legs = _legs_beside(rgba)
+            least = OVERLAP if legs is None else CLEAR
+            shell = _table_shell(rgba, view, count, rng, elevation, least)
         if shell is not None:
             step(1)
             return shell
-    legs = None
-    if depth is None and back is None and thickness == 1 and shape == "auto":
-        legs = _legs_beside(rgba)
     shell = _inflated_shell(
         continue_silhouette(rgba, PADDING) if legs is None else legs.trunk,
         count=count if legs is None else round(count * (1 - legs.share)),
@@ -246,13 +246,20 @@ def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) ->
 
 
 def _table_shell(
-    rgba: Field, view: View, count: int, rng: np.random.Generator, elevation: float | None
+    rgba: Field,
+    view: View,
+    count: int,
+    rng: np.random.Generator,
+    elevation: float | None,
+    least: float,
 ) -> Shell | None:
     """Return the shell of a table, a stool or a chair; None if the image [H,W,4] does not show
     one.
+
+    `least` is the smallest overlap (IoU) of the silhouette with the image of the table.
     """
     middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
-    table = find_table(rgba[..., 3] > 0.5, middle, view.distance, radians)
+    table = find_table(rgba[..., 3] > 0.5, middle, view.distance, radians, least)
     return table and board_shell(table.boards(), rgba, middle, table.camera, count, rng)
 
 

@@ -30,6 +30,9 @@ Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 OVERLAP = 0.85
 """Smallest overlap (IoU) of the silhouette with the image of the table."""
+CLEAR = 0.9
+"""Smallest overlap where the silhouette may also be that of an animal or a vehicle. Tables overlap
+by 0.97, a bison by 0.87."""
 FIRST, MORE = 0.55, 0.05
 """A fit starts only from a coarse drawing whose overlap is at least the first value. The last fit
 is assumed to increase the overlap by at most the second value. Before the fit, a table's silhouette
@@ -90,7 +93,11 @@ INWARD = 0.9
 
 
 def find_table(
-    object_mask: Mask, middle: Field, distance: float, elevation: float | None
+    object_mask: Mask,
+    middle: Field,
+    distance: float,
+    elevation: float | None,
+    least: float = OVERLAP,
 ) -> Table | None:
     """Return the table, stool or chair that a raised camera sees; None if there is none.
 
@@ -100,6 +107,7 @@ def find_table(
         distance: Distance of the camera, pixels.
         elevation: Elevation of the camera [radians]; None: the elevation is estimated from the
             silhouette.
+        least: Smallest overlap (IoU) of the silhouette with the image of the table.
     """
     if not has_legs(object_mask):
         return None
@@ -112,7 +120,7 @@ def find_table(
     for tables in drawn:
         coarse = [goal.fit(table, COARSE, fixed) for table in tables[:TRIED]]
         fits.append(max(coarse, key=goal.overlap))
-    if max(map(goal.overlap, fits)) < OVERLAP - MORE:
+    if max(map(goal.overlap, fits)) < least - MORE:
         return None
     fits = [goal.fit(_without_lip(table), FINE, fixed) for table in fits]
     overlaps = [goal.overlap(table, 1) for table in fits]
@@ -121,7 +129,7 @@ def find_table(
     sizes = fits[best].sizes
     if not fixed and sizes.elevation > HIGHEST:
         return None  # the silhouette does not determine such an elevation
-    return fits[best] if overlaps[best] >= OVERLAP and _is_usual(sizes) else None
+    return fits[best] if overlaps[best] >= least and _is_usual(sizes) else None
 
 
 def has_legs(object_mask: Mask) -> bool:
