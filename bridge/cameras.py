@@ -1,9 +1,9 @@
 """Renders what cameras see in a clip or a running simulation; `camera_messages` encodes the
 pictures.
 
-The pictures equal those of `phy124 render`. In a running simulation, however, later frames are
-unknown. The cameras are therefore at `view.distance` from the object at rest, and the background is
-plain.
+The pictures are the same as those that `phy124 render` makes. In a running simulation, however,
+later frames are unknown. The cameras are therefore at `view.distance` from the object at rest, and
+the background is plain.
 """
 
 from __future__ import annotations

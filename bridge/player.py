@@ -34,7 +34,8 @@ class Tick:
     time: float
     """Time of the frame in the clip [s]."""
     stamp: float
-    """Seconds of the clip played so far, which increase even at loops and seeks."""
+    """Number of seconds of the clip that were played so far. It increases even at loops and
+    seeks."""
 
 
 class Player:
@@ -247,7 +248,9 @@ class Player:
         self._rebase(first, again + missed * period / self.speed)
 
     def _splice(self, time: float) -> None:
-        """After a jump in the clip, make the next time stamp one interval later than the last."""
+        """After a jump in the clip, make the next time stamp one interval later than the last time
+        stamp.
+        """
         if self._stamp is not None:
             self._offset = self._stamp + self.interval - time
         self._shown_at = -math.inf

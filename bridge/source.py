@@ -95,7 +95,9 @@ class LiveRun:
         return self.scene.time.frames
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames when they are computed; after an early end, `stopped` is its reason."""
+        """Yield the frames when they are computed; if the run ends early, `stopped` states the
+        reason.
+        """
         from phy124.simulation import Stopped
 
         try:

@@ -37,7 +37,7 @@ class Photographed(Section):
     """Option to render the object in the photograph that the visitor sent."""
 
     compose: bool = False
-    """Also film the moving object inside its photograph, with its shadow; takes longer."""
+    """Also film the moving object inside its photograph, with its shadow; this takes longer."""
 
 
 NOT_PHOTOGRAPHED = Photographed()

@@ -225,8 +225,8 @@ class Studio:
     def _complete(
         self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
-        """Add the error bound or the measured error of this object to a forecast, and the time and
-        error of each named accuracy.
+        """Complete a forecast by the error bound or the measured error of this object, and by the
+        time and the error of each named accuracy.
         """
         visitor, study, proportions = self.visitors.find(choice.name), None, None
         if order is not None and visitor is not None:

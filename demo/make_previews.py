@@ -188,9 +188,7 @@ def _clear(on_black: NDArray, on_white: NDArray) -> Image.Image:
 
 
 def _telling(images: list[Image.Image]) -> list[Image.Image]:
-    """Reorder the pictures of a loop so that it starts with the one that differs most from the
-    first.
-    """
+    """Reorder the pictures of a loop: begin with the picture that differs most from the first."""
     pixels = np.array([np.asarray(image, np.int16) for image in images])
     changed = np.abs(pixels - pixels[0]).sum(axis=(1, 2, 3))
     start = int(changed.argmax())

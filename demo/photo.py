@@ -90,7 +90,9 @@ def _describe_as_file(component: Any, name: str) -> Any:
 
 
 def refusal(text: str) -> gr.Error:
-    """Create an error for a program; the error is not logged, because the server did not fail."""
+    """Create the error that a program receives; it is not logged, because the server did not
+    fail.
+    """
     return gr.Error(text, print_exception=False)
 
 

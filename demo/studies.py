@@ -51,9 +51,7 @@ class Measurement(BaseModel):
 
     @classmethod
     def of(cls, report: Report) -> Measurement:
-        """Create a measurement from the report of a study; other parts of the report are not
-        stored.
-        """
+        """Create a measurement, which contains only a part of the report of a study."""
         levels = tuple(
             Level(cells=row.cells, seconds=row.seconds, error=row.error, torn=bool(row.torn))
             for row in report.rows

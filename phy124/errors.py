@@ -14,7 +14,7 @@ CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 """Escape sequences for control characters, which could change a terminal's colours or title."""
 DISK_WORDS = ("no space left", "disk quota exceeded", "os error 28", "os error 122")
 SHORT_WRITE = re.compile(r"\d+ requested and \d+ written")
-"""Message of NumPy, which states no error code, if the disk becomes full during `np.save`."""
+"""Pattern of the message (without an error code) that NumPy raises if the disk becomes full."""
 
 
 def is_full_disk(problem: BaseException) -> bool:

@@ -46,7 +46,7 @@ class FoxgloveSink:
 
         Args:
             options: Options that define how frames become messages.
-            duration: Length of the clip [s], for which viewers show play, pause, seek and speed.
+            duration: Length of the clip [s], so that viewers show controls to play, pause and seek.
                 None for a running simulation.
             host: Address to listen on. By default, only this machine can connect.
             port: Port to listen on. If it is 0, a free port is chosen.

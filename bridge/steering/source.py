@@ -30,7 +30,7 @@ class SteeredOptions(LiveOptions):
     live: tyro.conf.Suppress[bool] = True
     scene: str = ""
     """Preset (see `phy124 scenes`) or path of a .toml file. The default is the scene of the clip;
-    without a clip, it is drop."""
+    without a clip, it is the preset drop."""
     threads: int | None = None
     """CPU threads of the simulation. The default is one per free core, or fewer if there is little
     work."""

@@ -42,7 +42,7 @@ ON_LATTICE = ", on a lattice"
 MARGIN = 1.25
 """A property of a scene may exceed the property's largest measured value by at most this factor."""
 NEARBY = 0.02
-"""Maximum difference by which Poisson's ratio may exceed the measured range."""
+"""Maximum amount by which Poisson's ratio may exceed the measured range."""
 HARDER = {
     "violence": "with so fast a motion or so soft a material",
     "yielding": "with so large a plastic deformation",

@@ -242,7 +242,8 @@ class Forecaster:
         Args:
             simulation: The simulation.
             filming: Whether the clip will be rendered to videos.
-            error: Whether this run will estimate its error; the forecaster must have `error` set.
+            error: Whether this run will estimate its error. The forecast includes the time for this
+                only if the forecaster's `error` is also set.
             load: Load by other programs; if None, the load is measured.
         """
         scene = simulation.scene

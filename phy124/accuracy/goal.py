@@ -22,7 +22,8 @@ UNIT: dict[Kind, Callable[[Scene], float]] = {
 }
 """Functions that return the object's size in the goal's unit, by kind of goal."""
 MARGIN = 0.95
-"""Maximum predicted time as a fraction of the goal's maximum time; forecasts are off by a few %."""
+"""Maximum predicted time as a fraction of the goal's maximum time, since forecasts err by a few
+%."""
 
 
 @dataclass(frozen=True)

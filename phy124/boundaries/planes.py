@@ -114,7 +114,7 @@ class Container(Movable):
 
     kind: Literal["container"] = "container"
     inside: Region = Region(lower=(-1.0, -1.0, 0.0), upper=(1.0, 1.0, 2.0))
-    """Space inside the container; a side further than 1e5 m from 0, such as 1e9, is open."""
+    """Space inside the container. A side is open if its coordinate is beyond 1e5 m, such as 1e9."""
 
     @model_validator(mode="after")
     def _square(self) -> Container:

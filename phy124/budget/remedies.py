@@ -125,8 +125,7 @@ def _choose_sounder_law(scene: Scene) -> Remedy | None:
 
 
 def _shorten_substep(scene: Scene) -> Remedy | None:
-    """Return the remedy that divides the substep by four; the run has already failed with half of
-    it.
+    """Return the remedy that divides the substep by four; half the substep has already failed.
 
     On lattices, a quarter of the substep helped in none of three random scenes.
     """

@@ -224,7 +224,8 @@ def stage(
         state: The particles, whose velocities change.
         tracks: The tracks to which the strength is added.
         read: Arrays of the state that the kernel reads.
-        over: Interval over which the track is averaged if its `mean` is false.
+        over: Interval (the kick or the next substep) over which a track whose `mean` is false is
+            averaged.
         limited: Whether the force itself limits the substep, which replaces the limit from the
             values of the track.
     """

@@ -79,9 +79,9 @@ class Fluid(Material):
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
         """Return the law's parameters, with a bulk viscosity zeta and a relaxation that damp sound.
 
-        The relaxation damps slow changes of volume, and zeta damps fast changes. If zeta is a
-        multiple of rho c dx, a substep of the fraction `cfl` is stable if (2 cfl)^2 <= 4 - 2 (12
-        zeta / rho dx^2) dt, as in `beside_elastic`. In regions with J < 1, substeps are shorter
+        The relaxation damps slow changes of volume, and zeta damps fast changes. The value of zeta
+        is proportional to rho c dx. A substep of the fraction `cfl` is stable if (2 cfl)^2 <= 4 - 2
+        (12 zeta / rho dx^2) dt, as in `beside_elastic`. In regions with J < 1, substeps are shorter
         than at rest.
 
         Args:

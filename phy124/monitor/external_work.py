@@ -121,7 +121,7 @@ class ExternalWork(Observer):
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
         """Momentum of the object at the start of the frame [kg m/s], without sums that are not yet
-        collected; initial time of the velocities [s].
+        collected; and the initial time of the velocities [s].
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
@@ -269,8 +269,8 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum of the moment at which the sums were cleared, and the impulses of
-        walls since.
+        """Store the momentum at the time when the sums were cleared, and the walls' impulses since
+        then.
         """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
@@ -281,8 +281,9 @@ class ExternalWork(Observer):
         self._walls_before.assign(np.concatenate([np.zeros(3) + part for part in before]))
 
     def _rows_of_bodies(self) -> list[wp.array]:
-        """Return the sums of the impulses of freely moving solids and of pairs of bodies, and the
-        signs of the pairs; empty arrays unless the solver computes work with mean velocities.
+        """Return the summed impulses of freely moving solids, those of pairs of bodies, and the
+        signs of the pairs. The three arrays are empty unless the solver computes work with mean
+        velocities.
         """
         return [self._zeros(0), self._zeros(0), wp.zeros(0, wp.float64, device=self._model.device)]
 

@@ -161,7 +161,9 @@ class Observer(Kept):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the boundaries with measuring stages; `inner` holds `walls` as wrapped so far."""
+        """Return the boundaries with measuring stages; `inner` is `walls` as wrapped by earlier
+        observers.
+        """
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:

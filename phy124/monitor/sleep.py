@@ -171,7 +171,9 @@ class Sleep(Observer):
         return reach + self._hidden(max(self.speeds)) <= self._far
 
     def _hidden(self, speed: float) -> float:
-        """Return the amplitude [m] of a vibration of this speed [m/s] and one period per frame."""
+        """Return the amplitude [m] of a vibration with this speed [m/s] and one period per
+        frame.
+        """
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:

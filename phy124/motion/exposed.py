@@ -50,7 +50,8 @@ class Exposed:
         """Return the arrays of a frame after setting the centres and sizes of these Gaussians.
 
         Args:
-            row: Arrays of M Gaussians by name; a hidden one has the values of the one above it.
+            row: Arrays of M Gaussians by name. A hidden Gaussian has the values of the Gaussian
+                above it.
             index: Index of the frame.
             grains: For each of the M Gaussians, its index among the G grains; -1 if it is not a
                 grain.

@@ -31,7 +31,7 @@ FAST = 1 << 20
 LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10
-"""Exponent of two for the number of cells of the Hilbert curve along each axis."""
+"""Binary logarithm of the number of cells of the Hilbert curve along each axis."""
 Tensors = dict[str, NDArray]
 Packed = tuple[Tensors, dict[str, Any]]
 """Packed arrays [bytes] by name, and the data for `unpack`."""
@@ -252,7 +252,9 @@ def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]
 
 
 def _pack_exact(name: str, array: NDArray) -> tuple[NDArray[np.uint8], dict[str, Any]]:
-    """Pack an array without loss, by columns; a column equal to the one before takes no bytes."""
+    """Pack an array by columns, without loss; a column that equals the previous column takes no
+    bytes.
+    """
     columns = _columns(array)
     last, chunks = None, []
     for index in _column_order(name, len(columns)):

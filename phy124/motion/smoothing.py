@@ -7,7 +7,7 @@ smooth weights w sum to 1:
 
     u' = sum w_j u_j + (F' - 1) (X - sum w_j X_j),   F' = sum w_j F_j.
 
-Smoothing does not change affine motions, even at the surface, with neighbours on one side.
+Smoothing does not change affine motions, even at the surface, where neighbours are on one side.
 """
 
 from typing import Any

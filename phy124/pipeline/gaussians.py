@@ -274,8 +274,7 @@ def split(image: PathLike | Sequence[PathLike]) -> tuple[PathLike, tuple[PathLik
 
 
 def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
-    """Refuse the further pictures `more` if there are more of them than objects that need a
-    picture.
+    """Refuse further pictures if they outnumber the objects that need a picture.
 
     Raises:
         InputError: There are too many pictures.

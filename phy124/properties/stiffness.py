@@ -57,7 +57,7 @@ class Gradient(_Field):
 
 
 class Picture(_Field):
-    """A fraction of E that a grey image, laid over the object's image, defines; white is stiff."""
+    """A fraction of E that is defined by a grey image over the object's image; white is stiff."""
 
     kind: Literal["picture"] = "picture"
     file: FileName = Field(examples=["stiff.png"])

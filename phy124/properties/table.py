@@ -15,7 +15,7 @@ from phy124.properties.stiffness import MINIMUM
 COLUMNS = ("E", "nu", "density", "damping")
 """Names of the numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""Name of the column with a factor on E; the file may also contain E, except a .npy file."""
+"""Name of the column with a factor on E. All files except .npy files may also contain E."""
 EVERY = (*COLUMNS, FRACTION, "law")
 """Names of all columns."""
 NAMES = {

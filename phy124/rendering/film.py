@@ -110,7 +110,7 @@ def film(
         else:
             paths += [made[name, side] for side in view.sides]
     if shine is not None and shine.seconds:
-        # Threads compute the gloss at the same time, so their sum of seconds is divided.
+        # The threads compute gloss at the same time, so the sum of their times is divided.
         seconds = min(shine.seconds / (context.threads or cores()), watch.seconds["render"])
         watch.seconds["shine"] = watch.seconds.get("shine", 0.0) + seconds
         watch.seconds["render"] -= seconds

@@ -209,8 +209,8 @@ class Liquid:
         `cell` is the cell size of the simulation's grid [m]. The liquid dims light to 1/e over the
         distance `visibility` [m]; None means that it is opaque. The liquid may touch flat walls.
         Without volumes [N], m^3, equal volumes fill the liquid at rest. A `calm` liquid is so
-        viscous that its surface has no ripples, and shows none of the rows of its particles in its
-        gloss.
+        viscous that its surface has no ripples, so the rows of its particles must not be visible in
+        its gloss.
         """
         self._cell, self._visibility, field = cell, visibility, Field(x, cell, planes)
         self._calm = calm

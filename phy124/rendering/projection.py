@@ -17,7 +17,7 @@ FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 
 The first value is added to the screen covariance [px^2]. The second value states whether opacity is
 reduced to compensate for the larger covariance. 3D Gaussian Splatting does not reduce the opacity,
-which thickens thin objects seen from far away. Mip-Splatting reduces the opacity (Yu et al. 2024,
+so thin objects look too thick from far away. Mip-Splatting reduces the opacity (Yu et al. 2024,
 section 4.2).
 """
 NEAR = 0.01

@@ -35,7 +35,7 @@ FOLDERS, HEADERS = "wp_phy124_*_p*_t*", "headers_*/*.tmp"
 PROCESS = re.compile(r"_p(\d+)_t\d+$")
 """Pattern of the process id in the name of a temporary folder."""
 LOCKS = "locks"
-"""Folder of the cache that has an empty file for each hash of a module: the lock of its
+"""Folder in the cache with an empty file for each hash of a module, which is locked during
 compilation."""
 LONGEST_WAIT = 120
 """Longest wait for another process that compiles the same module [s]; it may have been paused."""

@@ -22,7 +22,7 @@ CRASHES = {
     for name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
     if hasattr(signal, name)
 }
-"""Signals that a fault of native code sends to its own process."""
+"""Signals by which a fault of native code ends the process."""
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

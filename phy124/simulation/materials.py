@@ -92,7 +92,7 @@ def assign_materials(
     if static.any():
         seen = assign(means, np.arange(len(means)), scene.parts, crop)
         bound = particles.gaussian >= 0
-        # A Gaussian and its particle must have one material, although filler particles may extend a
+        # A Gaussian and its particle must have the same material. Filler particles may extend a
         # mask.
         part[bound] = seen[particles.gaussian[bound]]
         moves = ~static[seen]

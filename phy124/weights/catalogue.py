@@ -159,7 +159,7 @@ class About:
     work: float = 0.0
     """Measured work for one picture; 0 if it was not measured.
 
-    The unit is an operation of a float32 matrix product that takes the same time on the same cores.
+    The unit is the number of operations of a float32 matrix product that takes equally long.
     """
 
 
