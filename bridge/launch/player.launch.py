@@ -1,8 +1,8 @@
 """Start the player, or a running simulation, and RViz.
 
-The command is `ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`. To simulate
-a picture instead, replace the argument by `source:=/path/photo.png scene:=drop`. Type checkers do
-not find the module launch, which comes with ROS 2 and is in no package index.
+The command is `ros2 launch phy124_bridge player.launch.py clip:=/path/clip.safetensors`. To
+simulate a picture instead, pass `source:=/path/photo.png scene:=drop`. Type checkers do not find
+the module launch, which comes with ROS 2 and is in no package index.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false
