@@ -108,7 +108,7 @@ def test_companion_uses_only_threads_that_pay(run, monkeypatch):
     ("change", "why"),
     [
         ({"omit": "not wanted"}, "not wanted"),
-        ({"affordable": 1e-9}, "of the dynamics"),
+        ({"affordable": 1e-9}, "of the simulation time"),
         ({"cancel": True}, "companion run on D/8 was interrupted"),
         ({"fail": True}, "companion run on D/8 failed"),
     ],
