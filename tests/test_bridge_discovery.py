@@ -54,7 +54,7 @@ def test_subnet_is_the_default_and_stays_on_this_machine(monkeypatch):
     assert interfaces(result) == ["127.0.0.1", "autodetermine"]
     assert result.audience() == (
         "Discovery range SUBNET, domain 0: visible to nodes on this machine; "
-        "there: `export ROS_DOMAIN_ID=0 ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`."
+        "run there `export ROS_DOMAIN_ID=0 ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET`."
     )
 
 

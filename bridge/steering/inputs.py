@@ -107,7 +107,7 @@ class Inputs:
             self._pushes[frame] = message
         else:
             self._remarks.add(
-                f"~/push: wrenches in more than {MOST} frames; those in {frame!r} are ignored."
+                f"~/push: more than {MOST} frames have wrenches at once; {frame!r} is ignored."
             )
 
     def grab(self, message: Any) -> None:
