@@ -324,7 +324,7 @@ def test_cost_is_predicted_from_a_few_clips(balls):
         RunContext(),
     )
     assert answer.clips == answer.tried == 2 and answer.seconds[0] > 0
-    assert "2 clips of" in answer.sentence(workers=4) and answer.bytes == 3 * 70 * 40
+    assert "2 clips, each with" in answer.sentence(workers=4) and answer.bytes == 3 * 70 * 40
 
 
 def test_a_driver_of_many_clips_remembers_little_of_each():

@@ -9,9 +9,10 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Modes of the images to which a profile applies, by the profile's colour space."""
+"""For each colour space of a profile, the modes of the images to which the profile applies."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Mode in which an image is converted, without its alpha, by the profile's colour space."""
+"""For each colour space of a profile, the mode in which an image is converted, without its alpha.
+"""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

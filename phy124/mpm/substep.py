@@ -320,7 +320,7 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the kernel launch that updates a worker's part of a grid, by default with the
+        """Return the kernel launch that updates a worker's part of a grid; the default is the run's
         clock.
         """
         model, grid, slabs = self.model, self.grids[body], self.slabs

@@ -46,8 +46,8 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return the extremes after raising the speed to at least `speed`, and the stiffness to at
-        least the decayed old stiffness.
+        """Return these extremes, but with a speed of at least `speed`, and a stiffness of at least
+        the decayed stiffness of `before`.
 
         Args:
             before: Extremes measured `substeps` earlier.

@@ -51,7 +51,7 @@ _WRITTEN: dict[str, Any] = {
     "alpha": wp.array(dtype=float),  # alpha of each pixel
     "sums": wp.array(dtype=wp.vec3),
     "weights": wp.array(dtype=float),
-    "ranks": Ints,  # positions of the splats in `order`, in the lists of all tiles
+    "ranks": Ints,  # for each entry of the tiles' lists, the splat's position in `order`
 }
 DRAWN = {**_READ, **_WRITTEN, **{f"{name}_out": kind for name, kind in _WRITTEN.items()}}
 """Types of the arguments by name."""

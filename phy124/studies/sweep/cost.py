@@ -117,8 +117,8 @@ class Remaining:
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """Compute the work of a sample of the clips that this run makes (`numbers` are their
-        indices).
+        """Compute the work of a sample of the clips with the indices `numbers`, which this run
+        makes.
 
         The clock returns the current time [s] in the same form as the column `written` of the rows.
         """
@@ -126,7 +126,9 @@ class Remaining:
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)
-        """Sums over finished clips of 1, work, seconds, work squared, and work times seconds."""
+        """Five sums over finished clips: their number, work, seconds, work squared, work times
+        seconds.
+        """
         places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
 
@@ -178,7 +180,7 @@ def fit_line(moments: np.ndarray) -> tuple[float, float]:
 
     Both are non-negative. If all clips have equal work, the data determine only the ratio of
     seconds to work. A small penalty on the intercept makes the fit unique in this case. The moments
-    are sums over clips of 1, work, seconds, work squared, and work times seconds.
+    are five sums over clips: their number, work, seconds, work squared, and work times seconds.
     """
     count, work, seconds, squared, both = moments.tolist()
     normal = [[(1 + ORIGIN) * count, work], [work, squared]]
