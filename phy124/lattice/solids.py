@@ -31,8 +31,8 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""Largest depth in a box at which the normal of a point on a flat body may be used for contact
-[cells].
+"""If a point on a flat body is at most this deep in a box [cells], the contact force may have the
+direction of the normal at this point.
 """
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""

@@ -25,21 +25,21 @@ face. This limit keeps the number of iterations for viscosity below about 200.
 """
 
 RESOLVED = 4.0
-"""Each period of a body's vibration must have at least this number of steps, or each step must have
-at least `AVERAGED` periods.
+"""Each period of a body's vibration must contain at least this number of steps, or each step must
+contain at least `AVERAGED` periods.
 """
 AVERAGED = 1.5
-"""Smallest number of periods in a step, if a period has fewer than `RESOLVED` steps. Between the
-two limits, the last pressure would amplify vibrations.
+"""Smallest number of periods in a step, if a period contains fewer than `RESOLVED` steps. Between
+the two limits, the last pressure would amplify vibrations.
 """
 LIGHT_RESOLVED = 8.0
-"""Each vibration period of a light body must have at least this number of steps, or each step must
-have at least `LIGHT_AVERAGED` periods.
+"""Each vibration period of a light body must contain at least this number of steps, or each step
+must contain at least `LIGHT_AVERAGED` periods.
 """
 LIGHT_AVERAGED = 0.45
-"""Smallest number of periods in a step, if a period has fewer than `LIGHT_RESOLVED` steps. Between
-the two limits, the pressure of a step would deform a light body more than the liquid can follow,
-which would create energy.
+"""Smallest number of periods in a step, if a period contains fewer than `LIGHT_RESOLVED` steps.
+Between the two limits, the pressure of a step would deform a light body more than the liquid can
+follow, which would create energy.
 """
 
 

@@ -96,7 +96,9 @@ class Worker:
     """Measured maxima of speed and velocity gradient [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
-    """Launches by phase: pushes (if any), scatter, one or more of update and walls, gather."""
+    """Launches of each phase. The phases are pushes (if there are any), scatter, one or several
+    phases of grid update and walls, and gather.
+    """
     measures: list[wp.Launch] = field(default_factory=list)
     """Launches that measure the limits of the substep."""
     glances: list[wp.Launch] = field(default_factory=list)
@@ -169,7 +171,9 @@ class Slabs:
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give workers equal numbers of each group's particles, in memory order or `order` [P]."""
+        """Give workers equal numbers of each group's particles, in the order `order` [P] or of the
+        memory.
+        """
         count = len(self.workers)
         order = np.arange(len(self._model)) if order is None else order
         for group in self._model.groups:

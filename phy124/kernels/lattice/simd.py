@@ -32,7 +32,9 @@ APART = 4
 NODES = 256
 """Number of nodes that one thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
-"""Positions of the Gauss points relative to a cell's first node, in this order [8,3], cells."""
+"""Positions of a cell's Gauss points relative to its first node, in the order of the points [8,3],
+cells.
+"""
 ALIGNED = 1e-4
 """A cell is full only if each of its points is at most this far from a Gauss point [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
