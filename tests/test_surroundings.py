@@ -49,7 +49,7 @@ def test_object_without_surroundings_has_no_note(stretched, rng):
     [
         (sky, "surround all others like a sky"),
         (wide_sky, "surround all others like a sky"),
-        (haze, "of the visible area lies"),
+        (haze, "of the visible area, but all Gaussians"),
     ],
 )
 def test_surroundings_are_noted_with_a_crop(around, words, rng, tmp_path):

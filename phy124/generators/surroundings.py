@@ -92,8 +92,8 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
     grown = (AROUND - 1) / 2 * (high - low).max()
     words = (
         f"{far.mean():.0%} of the Gaussians surround all others like a sky, "
-        f"{shell.mean() / reach:.0f} times as far out as most of the others, and are treated as a "
-        "part of the object."
+        f"{shell.mean() / reach:.0f} times as far out as most of the others. They are treated as "
+        "a part of the object."
     )
     return _Around(words, (low - grown, high + grown))
 
@@ -110,8 +110,8 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
         return None
     grown = (AROUND - 1) / 2 * side
     words = (
-        f"{MOST:.0%} of the visible area lies within {side / whole:.0%} of the longest side, but "
-        f"all Gaussians are treated as the object."
+        f"A box with {side / whole:.0%} of the longest side contains {MOST:.0%} of the visible "
+        "area, but all Gaussians are treated as the object."
     )
     return _Around(words, (low - grown, high + grown))
 

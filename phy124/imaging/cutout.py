@@ -153,7 +153,7 @@ class Cutout:
         if self.undecided > UNDECIDED and self.method in NETWORKS:
             yield (
                 f"{self.undecided:.0%} of the cut-out is half transparent away from its outline: "
-                "the network was not sure what belongs to the object."
+                "it is uncertain whether these parts belong to the object."
             )
         if self.alike > ALIKE:
             yield (

@@ -103,7 +103,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Return the distances [H,W] in CIE Lab to the border's colours, scaled to 0..1."""
+    """Return each pixel's distance in CIE Lab from the border's colours, scaled to 0..1 [H,W]."""
     lab = to_lab(rgb)
     # Lightness has less weight, because shadows change the lightness of the background.
     lab[..., 0] *= 0.6

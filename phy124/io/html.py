@@ -80,7 +80,8 @@ def pack(
         camera: The camera for the initial view; its image size is ignored.
         background: Colour behind the Gaussians [3], 0..1.
         stage: The stage that is drawn in place of the background.
-        shine: The reflective Gaussians, if their shapes in the clip were changed for reflections.
+        shine: Data about the reflective Gaussians, whose shapes in the clip are already adapted to
+            reflections; None: nothing reflects.
 
     Raises:
         InputError: If the clip is empty.
@@ -158,7 +159,8 @@ def write_html(
         title: Title of the page.
         background: Colour behind the Gaussians [3], 0..1.
         stage: The stage that is drawn in place of the background.
-        shine: The reflective Gaussians, if their shapes in the clip were changed for reflections.
+        shine: Data about the reflective Gaussians, whose shapes in the clip are already adapted to
+            reflections; None: nothing reflects.
         viewer: Folder that contains the player's scripts.
 
     Raises:

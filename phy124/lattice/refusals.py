@@ -39,7 +39,8 @@ def reason_for_particles(scene: Any) -> str:
         value = getattr(accuracy, name)
         if value != type(accuracy).model_fields[name].default:
             return f"accuracy.{name} is {value}"
-    # The liquid keeps its solver, so that the reason names a feature missing with this solver.
+    # The liquid keeps its solver, so that the reason names a feature that this solver does not
+    # support.
     chosen = {"solver": "lattice", "liquid": "projection" if scene.projects else accuracy.liquid}
     accuracy = accuracy.model_copy(update=chosen)
     scene = scene.model_copy(update={"accuracy": accuracy})

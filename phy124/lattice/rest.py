@@ -242,8 +242,8 @@ class RestLattice:
         return points
 
     def motion_of(self, points: NDArray[np.int64]) -> scipy.sparse.csr_matrix:
-        """Return the weights of nodes with mass in the motion of the integration points `points`
-        [K,N].
+        """Return the weights with which the motion of nodes with mass moves the integration points
+        `points` [K,N].
         """
         weights, shape = _weights(self.offset[points]), (len(points), len(self))
         nodes, starts = self.nodes_of(points // PER_CELL), np.arange(len(points) + 1) * 27

@@ -157,7 +157,7 @@ class ImmersedSolver:
 
     @property
     def nodes(self) -> int:
-        """Number of nodes of the lattices, and of cells in the liquid's window."""
+        """Number of nodes of the lattices, plus number of cells in the liquid's window."""
         return self.lattice.nodes + self.liquid.nodes
 
     @property

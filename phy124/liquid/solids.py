@@ -78,7 +78,8 @@ class Solids:
 
         Args:
             cells: The cells.
-            weights: Relative densities of the liquid in the cells, including forces (`Pushes`).
+            weights: Relative densities of the liquid in the cells, and momenta gained by forces
+                (`Pushes.gains`).
             walls: The walls.
             tracks: Quantities that change over time.
             worker: Index of the worker.

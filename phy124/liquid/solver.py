@@ -139,8 +139,8 @@ class LiquidSolver(Kept):
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
         """Largest mean excess of the liquid's density, and excess at the end of the last frame,
-        relative to the rest density. The largest excess includes only excesses that last for two
-        frames, because an impact compresses the liquid for a moment even if the liquid can expand.
+        relative to the rest density. Only an excess that lasts for two frames counts, because an
+        impact compresses the liquid for a moment even if the liquid can expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""

@@ -194,7 +194,9 @@ class FreeBodies(Kept):
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the largest distance of nodes in contact from the solid's centre [nodes]."""
+        """Return the largest distance from the solid's centre of a node that can be in contact
+        [nodes].
+        """
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)
         return math.ceil(far / self._model.dx + MARGIN)
 

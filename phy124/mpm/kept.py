@@ -23,7 +23,7 @@ class Kept:
         return {name.lstrip("_"): copy_of(getattr(self, name)) for name in self.kept}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the state from a snapshot; attributes that it does not contain are unchanged."""
+        """Restore the attributes that a snapshot contains; do not change other attributes."""
         for name in self.kept:
             key = name.lstrip("_")
             if key in snapshot:

@@ -246,8 +246,8 @@ class Recorder:
     def _clear(self, index: int, *, velocities: bool = False) -> Iterator[Named]:
         """Yield the kernel launches that clear a worker's nodes before the scatter.
 
-        If `velocities` is set, `Grid.nodes` is cleared instead of the momenta, if these are
-        separate arrays.
+        Velocities (`Grid.nodes`) and momenta may be separate arrays. In this case, the velocities
+        are cleared if `velocities` is set, and the momenta if it is not.
         """
         if self.slabs is not None:
             yield "clear", self.slabs.runs[index].zero_

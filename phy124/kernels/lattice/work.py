@@ -20,9 +20,9 @@ STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 points, and two parts of the stress (viscosity and artificial viscosity).
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""For each kind of contact, the index of the first of three sums of work [J]. The kinds are contact
-with walls, of a body with itself, between bodies, and with freely moving rigid solids. In these
-sums, such a solid counts as a wall at rest.
+"""For each kind of contact, the index of the first of three sums of work [J]. The kinds are:
+contact of a body with walls, contact of a body with itself, contact between bodies, and contact
+with freely moving rigid solids. In these sums, such a solid counts as a wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
 """Indices of three sums of work: by the wall's motion, by normal impulses, and by tangential

@@ -24,8 +24,9 @@ uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
 """Indices of three sums: the work of walls from the start of a step up to the drag, the pressure,
-or the end. These sums are computed with the velocities of the walls. At the next index after each,
-the same work is computed with the velocities of the liquid, as in `WallImpulses`.
+or the end. These sums are computed with the velocities of the walls. The sum at the next index (for
+example `AT_DRAG + 1`) is the same work, but computed with the velocities of the liquid, as in
+`WallImpulses`.
 """
 COUNT = 9
 """Number of sums of work."""

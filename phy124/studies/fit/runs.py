@@ -158,7 +158,7 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of all inputs of a prediction, including the code, except the scene."""
+    """Return a digest of the inputs of a prediction: the code and all data, but not the scene."""
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())

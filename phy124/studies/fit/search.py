@@ -106,7 +106,7 @@ SHORTEST = 1e-3
 INFORMATIVE = 0.01
 """A step updates the derivatives if its length is at least this fraction of the range.
 
-The effect of shorter steps is not larger than the random differences between runs.
+Shorter steps change the predictions by no more than the random differences between runs.
 """
 ROUNDS = 6
 HALVES = (1.0, 0.5)

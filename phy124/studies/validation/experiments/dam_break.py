@@ -15,8 +15,8 @@ from phy124.studies.validation.experiments.liquids import fill, solver_of
 
 Line = Sequence[float] | NDArray[np.float64]
 INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
-"""Pairs for an inviscid liquid without a gate: the time t sqrt(2 g / a), and the position of the
-front divided by a.
+"""Pairs for an inviscid liquid without a gate: the time `t sqrt(2 g / a)`, and the position of the
+front divided by the column's width `a`.
 
 The values come from a separate two-dimensional solver (APIC and pressure projection with a
 ghost-fluid surface, 128 cells across a). With 64 cells, the results of this solver are at most 0.01

@@ -20,7 +20,7 @@ SAMPLES = 41
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """Return the exact acceleration on a slope of angle a, `max(0, sin a - mu cos a)` [g]."""
+    """Return the exact acceleration on a slope of the angle a: `max(0, sin a - mu cos a)` [g]."""
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 

@@ -15,8 +15,8 @@ ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
 LUBE = (1.2, 1.9, 2.3)
 """Coefficients (l1, l2, a0) of the run-out law for sand, rice and sugar.
 
-For an aspect ratio a, the run-out relative to the column's width is l1 a if a < a0, and l2 a^(2/3)
-otherwise.
+For an aspect ratio `a`, the run-out relative to the column's width is `l1 a` if `a < a0`, and `l2
+a^(2/3)` otherwise.
 """
 LAJEUNESSE = (1.8, 2.3, 3.0)
 """Coefficients of the run-out law for glass beads, as for `LUBE`."""
