@@ -336,7 +336,7 @@ def write_page(pairs: list[Pair]) -> None:
             each = [pair for pair in group if pair.scene == name]
             lines += [summary(f"lattice, {grids}: {name}", each)] if len(each) > 4 else []
     heads = ["pairs", "pairs (objects)", "held", "held, left out", "stated / true", "worst"]
-    heads += ["before: held", "before: stated / true", "before: worst", "broken promises foreseen"]
+    heads += ["before: held", "before: stated / true", "before: worst", "exceeded before, larger after"]
     days, where = {row["date"] for row in known}, {row["machine"] for row in known}
     parted = sum(pair.until is not None for pair in pairs)
     text = (
