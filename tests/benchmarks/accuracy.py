@@ -224,7 +224,7 @@ def cost_rows(gaussians: Gaussians) -> list[list[str]]:
     base = beginning("press")
     thinned = {n: thin(gaussians, n) for n in (12_500, 25_000)}
     cases = [
-        ("as it is", gaussians, {}),
+        ("no change", gaussians, {}),
         *((f"{n:,} Gaussians", few, {}) for n, few in thinned.items()),
         ("binding lattice", gaussians, {"binding": "lattice"}),
         ("1 view", gaussians, {"view.views": ["front"]}),

@@ -121,7 +121,7 @@ class Figures:
         self.seconds: dict[str, list[float]] = {way: [] for way in WAYS}
         self.warned: dict[str, Counter[tuple[bool, bool]]] = {way: Counter() for way in METHOD}
         self.picked: dict[str, list[float]] = {}
-        self.halo: dict[str, list[float]] = {"as it is": [], "background removed": []}
+        self.halo: dict[str, list[float]] = {"with halo": [], "halo removed": []}
 
     def add(self, known: Known) -> None:
         """Cut a picture out in every way and compare."""
@@ -162,7 +162,7 @@ class Figures:
         sums = {
             "**mean of all**": lambda way: f"**{flat[way].mean():.3f}**",
             "median": lambda way: f"{np.median(flat[way]):.3f}",
-            f"right (over {RIGHT})": lambda way: f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}",
+            f"correct (over {RIGHT})": lambda way: f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}",
             "over 0.95": lambda way: f"{(flat[way] > 0.95).sum()}",
             "error of alpha, median": lambda way: format_median(self.error, way, 100, " %"),
             "processor time, median": lambda way: format_median(self.seconds, way, 1, " s"),
@@ -188,7 +188,7 @@ class Figures:
     def halos(self) -> str:
         """The ground's part in the colours of soft edges."""
         rows = [[name, f"{np.mean(v):.0%}", f"{np.max(v):.0%}"] for name, v in self.halo.items()]
-        return markdown(["colours of the soft edge", "of the ground, mean", "at most"], rows)
+        return markdown(["colours of the soft edge", "fraction of the background, mean", "largest"], rows)
 
 
 def format_median(figures: dict[str, list[float]], way: str, factor: float, unit: str) -> str:

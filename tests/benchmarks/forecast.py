@@ -62,14 +62,14 @@ def measure(
         "predicted s": round(entry["predicted"], 2),
         "spent s": round(entry["spent"], 2),
         "ratio": round(entry["ratio"], 3),
-        "promised": entry["caveat"] is None,
+        "certain": entry["caveat"] is None,
         "own error / simulation": round(seconds.get("companion", 0) / seconds["simulate"], 3),
     }
 
 
 def count_within(rows: list[dict], part: float) -> str:
     """Return how many forecasts without a caveat are met within a part of the time."""
-    ratios = [row["ratio"] for row in rows if row["promised"]]
+    ratios = [row["ratio"] for row in rows if row["certain"]]
     within = sum(1 - part <= ratio <= 1 + part for ratio in ratios)
     ends = f"between {1 - part:.3g} and {1 + part:.3g}"
     return f"{within} of {len(ratios)} ratios of actual to predicted time are {ends}."

@@ -131,7 +131,7 @@ def tabulate_shapes() -> str:
 def tabulate_cutouts() -> str:
     """Return how well each method cuts objects out."""
     rows = read_table("cutouts.md", "<!-- overlap -->")[1:]
-    kinds = {"**mean of all**": "mean overlap", "right (over 0.85)": "overlap above 0.85"}
+    kinds = {"**mean of all**": "mean overlap", "correct (over 0.85)": "overlap above 0.85"}
     columns = {"GrabCut": 1, "`u2netp`, the default": 3, "`u2netp` with `--pick`": 5}
     table = [
         [kinds[row[0]], *(row[i].strip("*") for i in columns.values())]
