@@ -62,7 +62,7 @@ class GeneratorOptions(Section):
 
 
 UNCHANGED = GeneratorOptions()
-"""Options in which nothing is set."""
+"""Options with no value set."""
 
 
 ROUNDS = 2

@@ -212,7 +212,7 @@ class PlyFile:
             return None
         values = parse_numbers(crop, 6)
         if values is None or (values[:3] >= values[3:]).any():
-            limit = "A box must have six numbers, of which the first three are the lower corner."
+            limit = "A box must have six numbers; the first three are the lower corner."
             raise InputError("crop", crop, limit, "Write x,y,z,X,Y,Z, such as -1,-1,-1,1,1,1.")
         return values.reshape(2, 3)
 

@@ -99,9 +99,9 @@ class Cutout:
     undecided: float = 0.0
     """Ratio of the half-transparent area away from the outline to the object's area."""
     frames: int = 1
-    """Number of frames if the file is an animation, of which only the first frame was used."""
+    """Number of frames if the file is an animation; only the first frame was used."""
     objects: int = 1
-    """Number of separate objects in the image, of which only the largest is segmented."""
+    """Number of separate objects in the image; only the largest object is segmented."""
     touching: bool = False
     """Whether the cut-out seems to contain two objects that touch."""
     file: Path | None = None

@@ -22,7 +22,8 @@ ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats in which further images are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
 """Largest allowed number of scans in a JPEG file. Usual files have 1 to 10 scans. A file of 8 MB
-can have 190,000 scans, each of which takes 18 ms to decode."""
+can have 190,000 scans, and the decoding of one scan takes 18 ms.
+"""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 """Modes of 16-bit grey images, whose values Pillow would clip instead of scaling them."""
@@ -72,7 +73,7 @@ class Decoded(NamedTuple):
     size: Size
     """Width and height of the upright image before it was reduced [pixels]."""
     frames: int = 1
-    """Number of frames if the file is an animation, of which only the first frame was decoded."""
+    """Number of frames if the file is an animation; only the first frame was decoded."""
     notes: tuple[str, ...] = ()
     """Sentences about parts of the file that were ignored."""
 

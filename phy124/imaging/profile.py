@@ -9,10 +9,9 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""For each colour space of a profile, the modes of the images to which the profile applies."""
+"""Modes of the images to which a profile applies; the key is the profile's colour space."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""For each colour space of a profile, the mode in which an image is converted, without its alpha.
-"""
+"""Mode of the image, without alpha, that is converted; the key is the profile's colour space."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

@@ -45,8 +45,8 @@ def orientation(
 
     Args:
         up: Direction that points up: "x", "-y", ..., or three numbers such as "0.1,-1,0.2".
-        front: Direction that the object faces, of which only the horizontal component is used;
-            default: the entry of `FRONTS` for `up`.
+        front: Direction that the object faces; only its horizontal component is used. Default: the
+            entry of `FRONTS` for `up`.
         dialect: Key of `DIALECTS` that determines the axes if `up` is None; default: 3dgs.
         rotate: Rotation that is applied to the file first: angles about the fixed axes x, y and z
             [degrees], applied in this order, or a quaternion w,x,y,z.

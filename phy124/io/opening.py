@@ -19,7 +19,8 @@ IN_FOLDERS = {
     "metadata.yaml": RECORDED,
     "clip.safetensors": ("it is the folder of a run, not a file.", "Give {}/clip.safetensors."),
 }
-"""Description of a folder, and remedy, by the name of a file from which the folder is recognised.
+"""Description and remedy for each kind of folder; the key is the name of a file that is in such a
+folder.
 """
 RECORDING = b"\x89MCAP"
 """First bytes of an MCAP file, which is a recording of messages that the bridge writes."""

@@ -54,9 +54,11 @@ class Header:
     row: np.dtype[Any]
     """Data type of one row of `vertex`, without padding, in the file's byte order."""
     start: int
-    """Offset of the first row of `vertex` (binary) or of all data (ascii) [bytes]."""
+    """Offset [bytes] of the first row of `vertex` in a binary file, or of all data in an ascii
+    file.
+    """
     skip_lines: int
-    """Number of lines of other elements before `vertex` (ascii)."""
+    """Number of lines of other elements before `vertex` in an ascii file."""
     elements: tuple[Element, ...]
     """The elements that come before the first element with list properties."""
     comments: tuple[str, ...] = ()

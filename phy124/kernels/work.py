@@ -217,7 +217,9 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Indices of the work [J] of rate-dependent stress and of other stress; number of sums."""
+"""Index of the work [J] of rate-dependent stress, index of the work of other stress, and number of
+sums.
+"""
 
 
 @build_once

@@ -54,7 +54,7 @@ class Works(NamedTuple):
     friction: float
     """Work of the tangential impulses of walls."""
     impacts: float
-    """Work of normal impulses of walls and of clamps, without the part due to motion."""
+    """Work of the normal impulses of walls and clamps, without the part due to their motion."""
     itself: float
     """Work of contact of bodies with themselves."""
     pairs: float
@@ -124,7 +124,7 @@ class Energies(Kept):
             worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:
-        """Return the kernel launches with which a worker sums only the viscous forces."""
+        """Return a worker's kernel launches that sum only the viscous forces."""
         crew, worker = self._crew, self._crew.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
         clock = self._clock.values
@@ -147,7 +147,7 @@ class Energies(Kept):
         return _rename(works)
 
     def _exchange(self, index: int, sums: wp.array) -> list[Named]:
-        """Return the launch with which a worker sums impulse and work of forces on points."""
+        """Return a worker's kernel launch that sums impulse and work of forces on points."""
         crew, row = self._crew, cast("wp.array", sums[index])
         work = crew.push_work(crew.workers[index], self._tracks, row)
         return [(EXTERNAL, launch) for _, launch in work]

@@ -33,7 +33,8 @@ several short substeps squeeze a point as much as one long substep.
 """
 FORGET = 4
 """The clock lets earlier frequencies and closing rates decay. This factor makes the decay faster
-than in the particle solver, because a few points that are squeezed for a short time determine both.
+than in the particle solver, because the frequency and the closing rate depend on a few points that
+are squeezed only for a short time.
 """
 COLLAPSED = 1e-6
 """Smallest valid substep, relative to the substep of the undeformed body."""

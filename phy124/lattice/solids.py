@@ -148,8 +148,7 @@ class Solids(FreeBodies):
     def _list(self, *, turn: bool) -> None:
         """List the points near each solid; if `turn` is set, also update the normals near boxes.
 
-        A run updates the normals only when limits are measured. They are therefore not updated when
-        a run is restored.
+        The normals are updated only when a run measures its limits, and not when a run is restored.
         """
         for touch in self._touches:
             touch.list_near(self._reach_points, LISTED * self._model.dx, turn=turn)

@@ -219,8 +219,9 @@ class LatticeSolver(Kept):
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return the kernel launches with which a worker applies forces on points; if one of the
-        launches cannot be divided, the first worker runs all of them.
+        """Return a worker's kernel launches that apply forces to points.
+
+        The first worker gets all launches if a launch cannot be divided between workers.
         """
 
         def record(stages: Sequence[Stage]) -> list[Any]:

@@ -43,7 +43,7 @@ YIELDED = 0.004
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]
 """Function that maps the duration of a step [s] to the mean velocities [m/s] and velocity gradients
-[1/s] of the particles. It assumes that the last pressure acts in the step.
+[1/s] of the particles, for a step in which the pressure of the last step acts.
 """
 
 
@@ -116,8 +116,8 @@ class Bodies(Kept):
         self._films = np.zeros((every, 2, 3))
         """Impulses and moments of films in the last step; `impulses` includes them."""
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
-        """Centre of mass of each solid and body [m]; force [N] and torque [N m] in the last step,
-        without those of the liquid and of the weight.
+        """Centre of mass of each solid and body [m]; mean force [N] and torque [N m] on it in the
+        last step, without those of the liquid and of the weight.
         """
         self._impulses = np.zeros((every, 2, 3))
         """Impulse of the liquid on each solid and body in the last step, and its moment."""
@@ -309,8 +309,7 @@ class Bodies(Kept):
         return other, turn
 
     def yields(self, cells: Cells, clock: wp.array, worker: int, real: Any) -> Repeatable | None:
-        """Return the kernel launch with which a worker adds the bodies' surfaces to the pressure
-        equation.
+        """Return a worker's kernel launch that adds the bodies' surfaces to the pressure equation.
 
         Args:
             cells: The cells.

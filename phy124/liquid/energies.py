@@ -84,9 +84,7 @@ class Energies(Kept):
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return the kernel launches with which a worker stores velocities and sums the drag of
-        walls.
-        """
+        """Return a worker's kernel launches that store velocities and sum the drag of walls."""
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -94,7 +92,7 @@ class Energies(Kept):
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return the launch with which a worker sums the work of walls since the step began."""
+        """Return a worker's kernel launch that sums the work of walls since the step began."""
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._fixed, self._walls.motions, self._impulses.rows(worker)]
@@ -102,8 +100,8 @@ class Energies(Kept):
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int, viscosity: float) -> list[Recorded]:
-        """Return the kernel launch with which a worker sums the work on faces, after their
-        velocities are known. `viscosity` is 0 if no liquid is viscous.
+        """Return a worker's kernel launch that sums the work on faces, after their velocities are
+        known. `viscosity` is 0 if no liquid is viscous.
         """
         if not self.on:
             return []
@@ -116,8 +114,8 @@ class Energies(Kept):
         return [(STAGE, cells.record(worker, kernel, inputs, [self._row(worker)]))]
 
     def of_shifts(self, worker: int, run: slice, sign: float) -> list[Recorded]:
-        """Return the kernel launch in which a worker sums the work done by displacements. `sign` is
-        -1 before the particles are displaced, and 1 afterwards.
+        """Return a worker's kernel launch that sums the work done by displacements. `sign` is -1
+        before the particles are displaced, and 1 afterwards.
         """
         if not self.on:
             return []

@@ -265,7 +265,7 @@ class Phases:
         return name, self._cells.record(worker, kernel, inputs, outputs)
 
     def _push(self, stages: Sequence[Stage], worker: int, grid: Grid) -> list[Named]:
-        """Return the kernel launches with which a worker applies forces to particles.
+        """Return a worker's kernel launches that apply forces to particles.
 
         The first worker gets all launches if a launch cannot be divided between workers.
         """
@@ -282,9 +282,7 @@ class Phases:
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
     def _activate(self, worker: int) -> list[list[Recorded]]:
-        """Return the kernel launches with which a worker finds, counts and then lists the active
-        cells.
-        """
+        """Return a worker's kernel launches that find, count and then list the active cells."""
         cells, launch = self._cells, self._model.launch
         part, parts = self._projection.part(worker)
         counts = self._projection.counts
@@ -445,8 +443,8 @@ class Phases:
         return [*out, *walls.push_out(cells, run, s, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
-        """Return the kernel launches with which a worker sums its particles' volumes [m^3] over
-        cells.
+        """Return a worker's kernel launches that sum the volumes of the worker's particles in each
+        cell [m^3].
         """
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)

@@ -57,7 +57,7 @@ class Projection:
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
-        """Return the launches with which a worker counts and then lists the cells of liquid."""
+        """Return a worker's kernel launches that count and then list the cells of liquid."""
         launch, (part, parts) = self._model.launch, self.part(worker)
         inputs = [part, cells.active, cells.ends, cells.liquid]
         count = launch(count_liquid, parts, inputs, [self.counts])
@@ -117,9 +117,7 @@ class Projection:
         return phases
 
     def project(self, cells: Cells, x: wp.array, worker: int) -> list[Recorded]:
-        """Return the kernel launch with which a worker sums the impulse of the pressure on each
-        solid.
-        """
+        """Return a worker's kernel launch that sums the impulse of the pressure on each solid."""
         part, parts = self.part(worker)
         inputs = [part, self.solids, self.counts, cells.listed, cells.which]
         inputs += [cells.jumps, cells.turns, x]

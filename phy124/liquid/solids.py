@@ -102,7 +102,7 @@ class Solids:
         return [[(STAGE, lift)], [(STAGE, predict)]]
 
     def jumps(self, cells: Cells, walls: Walls, worker: int) -> Recorded:
-        """Return the kernel launch with which a worker writes the rows of J
+        """Return a worker's kernel launch that writes the rows of J
         (phy124/kernels/liquid/solids.py).
 
         Args:

@@ -152,8 +152,7 @@ class Walls:
     def describe(
         self, cells: Cells, worker: int, workers: int, *, move: bool
     ) -> list[list[Recorded]]:
-        """Return the kernel launches with which a worker writes the geometry of the walls into the
-        cells.
+        """Return a worker's kernel launches that write the geometry of the walls into the cells.
 
         Args:
             cells: The cells, which the launches write.
@@ -177,8 +176,8 @@ class Walls:
     def _describe_group(
         self, cells: Cells, group: Group, worker: int, workers: int
     ) -> tuple[Recorded, list[Recorded]]:
-        """Return the kernel launches with which a worker adds a group of walls to the geometry in
-        the cells: for the distances, and then for the open parts of faces and cells.
+        """Return a worker's kernel launches that add a group of walls to the geometry in the cells:
+        one launch for the distances, and a list of launches for the open parts of faces and cells.
         """
         model, region = self._model, self._region(cells, group)
         shape = [group.numbers, group.geometries, self.slots, cells.lattice, cells.window]

@@ -51,7 +51,7 @@ def copy_of(value: Any) -> Any:
 
 
 def put_back(now: Any, copy: Any) -> Any:
-    """Return the value of which `copy_of` made a copy.
+    """Restore a value from a copy that `copy_of` made, and return the value.
 
     Args:
         now: The current value; objects, lists of objects, and arrays on the device are changed and

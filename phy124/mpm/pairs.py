@@ -24,7 +24,9 @@ from phy124.mpm.stage import Recorded
 STAGE = "pairs"
 """Name of the stages of contact between bodies."""
 ROOM = 16
-"""Length of the array of sums of a pair and a worker; no two workers write to one cache line."""
+"""Length of the array in which a worker sums the contact of a pair. With this length, no two
+workers write to the same cache line.
+"""
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 

@@ -169,7 +169,7 @@ class Recorder:
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
-        """Return the kernel launches with which a worker applies forces to particles.
+        """Return a worker's kernel launches that apply forces to particles.
 
         The first worker gets all launches if a force cannot be divided between workers.
         """

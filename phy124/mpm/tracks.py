@@ -261,9 +261,9 @@ class Tracks:
             track: The track.
             limited: Whether the stage that uses the track has its own limit, which replaces the
                 limit from the track's values.
-            over: For a track with `mean` false: the interval (the kick or the substep ahead) over
-                which the value is averaged, even beyond the track's active time. If empty, the
-                current value is used.
+            over: For a track with `mean` false: the interval of the substep over which the value is
+                averaged, "kick" or "drift". The interval may include times at which the track is
+                not active. If `over` is empty, the current value is used.
         """
         averaged = MEAN if track.mean else OVER[over]
         return self._append(track, averaged | (LIMITED if limited else 0))

@@ -21,10 +21,11 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
-"""Viscosity acts on a mean of the present velocity, with this weight, and of the velocity one
-substep earlier. A vibration whose sign changes in every substep is then damped half as much, so
-viscosity shortens the longest stable substep half as much. With a smaller weight, vibrations whose
-sign changes every second substep would grow.
+"""Viscosity acts on a weighted mean of two velocities: the present velocity, with this weight, and
+the velocity one substep earlier. A vibration whose sign changes in every substep is therefore
+damped only half as much as by the present velocity alone, and the longest stable substep is
+shortened only half as much. With a smaller weight, vibrations whose sign changes every second
+substep would grow.
 """
 
 

@@ -105,7 +105,7 @@ def make_outlook(
 
     Args:
         gaussians: The object.
-        scenes: One scene per grid, in which all values are in the middle of their ranges.
+        scenes: One scene per grid; all values are in the middle of their ranges.
         values: Number of values to fit.
         workers: Number of worker processes.
         crop: Rectangle of the picture that contains the object.

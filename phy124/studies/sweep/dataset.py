@@ -73,7 +73,7 @@ def pack(storage: Storage, per_file: int) -> int:
     """Write all complete clips to tar files, in the order of the clips' indices.
 
     Each clip is stored as two files: KEY.clip.safetensors, and KEY.json with its row of the
-    manifest. Return the number of tar files, each of which holds at most `per_file` clips.
+    manifest. Return the number of tar files. A tar file contains at most `per_file` clips.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]

@@ -91,7 +91,7 @@ def _part(state: float, gpu_memory: float) -> float:
 Row = dict[str, Any]
 """A row of the manifest: the data of one clip."""
 FAILED = ".failed.json"
-"""Ending of the names of the row files of failed clips. The next run makes these clips again."""
+"""Ending of the name of a failed clip's row file. The next run makes the clip again."""
 THUMBNAIL = 96
 """Width and height of a clip's thumbnail in the report [pixels]."""
 

@@ -204,8 +204,8 @@ class Lgm:
 def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Centre the segmented image [H,W,4] in a square [S,S,4], as LGM's program does.
 
-    LGM's program multiplies colours by alpha twice, which darkens soft edges. This function does so
-    too, because the published results of the network were made in this way.
+    LGM's program multiplies colours by alpha twice, which darkens soft edges. This function also
+    multiplies twice, because the published results of the network were made in this way.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.

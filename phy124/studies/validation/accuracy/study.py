@@ -213,8 +213,8 @@ class Study:
     def _forecast(self, simulation: Simulation) -> float:
         """Forecast the time to simulate and to deform the Gaussians [s].
 
-        The time to split the energy loss by cause is not included, because users' runs of the scene
-        do not do this.
+        The forecast does not include the time to split the energy loss by cause, because a user's
+        run of the scene does not split it.
         """
         scene = simulation.scene
         if scene.checks.energy:

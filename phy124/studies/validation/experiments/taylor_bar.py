@@ -38,7 +38,7 @@ def strike(cells: int, copper: Metal) -> Values:
     solver = make_solver(x, volume, [copper], v=v, dx=dx, threads=1, **world)
     solver.advance(DURATION)
     end, F = host(solver.state.x), host(solver.state.deformation)
-    # The volume of a particle is a deformed cube, which extends half its edge beyond the centre.
+    # The volume of a particle is a deformed cube around its centre.
     half = dx / 4
     last = x[:, 2] > LENGTH - 0.4 * dx
     length = end[last, 2].mean() + half
