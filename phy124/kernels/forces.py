@@ -66,11 +66,11 @@ def make_zone(real: Any):
 def make_drag(real: Any):
     """Kernel: solves dv/dt = rate (u - v) exactly, so that v never overshoots the wind u.
 
-    The uniform acceleration `a` acts after the drag, on the grid, and adds kick * `a`. If drag and
+    The uniform acceleration `a` acts after the drag, on the grid, and adds `kick * a`. If drag and
     acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick)).
     This kernel makes this change without the part kick * a. If drag and acceleration acted one
     after the other, an object's terminal velocity in a stream would be too high by the fraction
-    rate kick / 2.
+    `rate * kick / 2`.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)

@@ -174,9 +174,10 @@ class Meeting:
         """Return the stages that apply, correct and sum the impulses.
 
         Args:
-            work: Records the launch that sums the work of the impulses; None if it is not summed.
-            passed: Records launches that transfer impulses on clamped nodes to clamps; None if
-                there are no clamps.
+            work: Object that records the launch that sums the work of the impulses; None if the
+                work is not summed.
+            passed: Object that records launches that transfer impulses on clamped nodes to clamps;
+                None if there are no clamps.
         """
         # Pairs of a body with itself never use nodes in clamps.
         passed = passed if self._between else None

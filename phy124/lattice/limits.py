@@ -58,8 +58,8 @@ class Limits(Kept):
             model: The constants of the run.
             clock: The clock, whose substeps are limited.
             crew: The workers, which measure the motion of the points.
-            runner: Runs the workers.
-            spectrum: Measures the largest frequency.
+            runner: Object that runs the workers.
+            spectrum: Object that measures the largest frequency.
             free: Freely moving rigid solids.
         """
         self._dx, self._clock, self._crew, self._runner = model.dx, clock, crew, runner

@@ -54,10 +54,12 @@ class Meetings(Kept):
             tracks: The tracks of the run, with the clock.
             pairs: Friction of pairs of bodies, and the sums of their impulses.
             restore: Gain of the speed at which penetration is reduced [1/s].
-            division: Divides kernels among all workers.
+            division: Object that divides kernels among all workers.
         """
         self.work: ContactWork | None = None
-        """Records kernel launches that sum the work of contact; None if the work is not summed."""
+        """Object that records kernel launches that sum the work of contact; None if the work is not
+        summed.
+        """
         self.way = math.inf
         """Upper bound of all points' displacements since sampled points were last compared [m]."""
         self._slack = 0.0

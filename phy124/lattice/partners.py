@@ -43,7 +43,7 @@ class Partners:
             surface: Points that may touch.
             model: The constants of the run.
             nodes: Arrays of the nodes.
-            division: Divides kernels among all workers.
+            division: Object that divides kernels among all workers.
         """
         self._surface, self._model, self._nodes = surface, model, nodes
         self._division = division

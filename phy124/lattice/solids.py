@@ -59,7 +59,9 @@ class Solids(FreeBodies):
         """
         self._nodes, self._surface = nodes, surface
         self.work: ContactWork | None = None
-        """Records kernel launches that sum the work of contact; None if the work is not summed."""
+        """Object that records kernel launches that sum the work of contact; None if the work is not
+        summed.
+        """
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         """Sums of the impulses of each solid on each body [F,bodies,16]; layout as for walls."""

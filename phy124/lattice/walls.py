@@ -124,7 +124,7 @@ class Walls:
             nodes: Arrays of the nodes.
             tracks: The tracks of the run, to which displacements of walls are added.
             substep: Length of a substep at rest [s].
-            division: Divides kernels among all workers.
+            division: Object that divides kernels among all workers.
 
         Raises:
             InputError: A clamp fixes only some directions, which is not possible on lattices.
@@ -135,7 +135,9 @@ class Walls:
         self.impulses: Impulses | None = None
         """Sums per surface point and node; None unless `keep_impulses` was called."""
         self.work: ContactWork | None = None
-        """Records kernel launches that sum the work of contact; None if the work is not summed."""
+        """Object that records kernel launches that sum the work of contact; None if the work is not
+        summed.
+        """
         self.holding = [number for number, (holds, _) in enumerate(simple) if holds]
         """Rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0

@@ -78,8 +78,9 @@ class Bodies(Kept):
             state: State of the particles.
             grids: Grid of each body; the grid's window covers the body.
             free: Freely moving rigid solids; they are numbered before the bodies.
-            work: Sums the work of the pressure on the bodies.
-            expect: Predicts the mean motion of the particles in a step; None: the present motion.
+            work: Object that sums the work of the pressure on the bodies.
+            expect: Function that predicts the mean motion of the particles in a step; None: the
+                present motion.
         """
         self._model, self._state, self._grids = model, state, grids
         self._expect, self._motion, self.work = expect, (state.v, state.C), work

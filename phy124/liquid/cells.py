@@ -41,8 +41,8 @@ def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
 
 
 def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]:
-    """Return the corners [3], [3] of a box [m] whose window has at most `most` cells, and the
-    number of particles outside this window.
+    """Return the lower and upper corner [3], [3] of a box [m], and the number of particles outside
+    the box's window. This window has at most `most` cells.
 
     The longest sides of the particles' bounding box are shortened to a common length.
 

@@ -68,7 +68,7 @@ class Phases:
             model: The particles.
             state: Positions and velocities of the particles.
             cells: The window of the grid.
-            projection: Solves the equations for pressure and density.
+            projection: Object that solves the equations for pressure and density.
             workers: The workers, whose phases are recorded.
             free: Rigid solids that move freely.
             bodies: Bodies of other materials.

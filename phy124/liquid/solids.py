@@ -32,7 +32,8 @@ class Solids:
             model: The particles of the liquid.
             bodies: The freely moving rigid solids, which come first.
             density: Density of the liquid [kg/m^3].
-            projection: Solves the pressure equation; the launches write its sums and mobilities.
+            projection: Object that solves the pressure equation; the launches write its sums and
+                mobilities.
         """
         self._model, self.bodies, self._projection = model, bodies, projection
         self.scale = density * model.dx**3

@@ -80,8 +80,8 @@ class Graph:
 
         Args:
             until: The time [s].
-            rejection: Decides whether a substep may be too long.
-            launches: Returns the launches of one substep, in order.
+            rejection: Object that decides whether a substep may be too long.
+            launches: Function that returns the launches of one substep, in order.
             apart: Whether particles have left the grid, so that only the host can measure them.
 
         Returns:

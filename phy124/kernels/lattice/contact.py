@@ -36,8 +36,8 @@ from phy124.kernels.work import EXCHANGE, add_exchange
 
 LOOSE = wp.constant(0.5)
 """Walls act on a point only if clamps leave at least this fraction of the point's mobility. Two
-bodies touch at a pair of points only if clamps leave this fraction of its mobility to at least one
-of the points.
+bodies touch at a pair of points only if at least one of the points keeps this fraction of its
+mobility in spite of clamps.
 """
 NODES = 27
 """Largest number of nodes that carry a surface point."""

@@ -11,14 +11,14 @@ from phy124.kernels.splat.screen import View
 BEFORE = wp.constant(0)
 """Rank of glass in front of all Gaussians."""
 AMONG = wp.constant(1)
-"""Rank of glass that may be among the Gaussians."""
+"""Rank of glass that may have Gaussians both in front of it and behind it."""
 BEHIND = wp.constant(2)
 """Rank of glass that is behind all Gaussians."""
 THIN = wp.constant(0.2)
 """A box counts as a plate if its thickness is less than this fraction of its width."""
 GIVE = wp.constant(0.3)
-"""Plates are treated as thinner by this fraction. An object that barely enters a plate is then
-outside the plate.
+"""The thickness of a plate is reduced by this fraction, so that an object that barely enters the
+plate counts as outside the plate.
 """
 
 

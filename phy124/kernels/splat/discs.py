@@ -58,20 +58,20 @@ CLOSED = wp.constant(0.5)
 TOUCH = wp.constant(0.75)
 """Largest distance from a wall at which Gaussians are drawn on the wall."""
 FILM = wp.constant(wp.vec2(1.5, 2.5))
-"""Two thicknesses of a film on a wall: the film's face on the wall begins to appear at the first,
-and is complete at the second.
+"""Two thicknesses of a film on a wall. The film's face on the wall begins to appear at the first
+thickness, and is complete at the second thickness.
 """
 EDGE = wp.constant(0.5)
 """Smallest depth below the free surface at which Gaussians are drawn on a wall."""
 WETTED = wp.constant(0.6)
 """Smallest value of phi at which a liquid touches a wall."""
 WET = wp.constant(0.03)
-"""A cell belongs to a length of liquid if its phi exceeds this value."""
+"""Adjacent cells along an axis form an interval of liquid if their phi exceeds this value."""
 LEAST_LENGTH = wp.constant(0.1)
-"""Lower bound of the length of liquid along an axis."""
+"""Lower bound of the length of such an interval [cells]."""
 LONG = wp.constant(3.0)
-"""Upper bound of the liquid's thickness at a disc, relative to the smallest length of liquid there
-along the three axes.
+"""Upper bound of the liquid's thickness at a disc, relative to the shortest of the three intervals
+of liquid there (one along each axis).
 """
 RIM = wp.constant(0.3)
 """Length of the normals of discs at the rim of a liquid on a wall.

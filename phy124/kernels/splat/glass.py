@@ -16,8 +16,8 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and width of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""A face counts as lying on the surface behind it, and is not drawn, if its distance along a ray is
-more than this fraction of the distance to the surface.
+"""A ray omits a face that almost coincides with the surface behind the face. The distance to the
+face is then more than this fraction of the distance to the surface.
 """
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""

@@ -106,8 +106,8 @@ def find_unexplained(
 
     The model of a misfit m is `m^2 = a^2 + (c h)^2`. The error of the measurements, `a`, is the
     same on all grids. The error of the grid, `c h`, is proportional to the spacing `h`. For each
-    kind, `c` follows from the RMS misfits on the two finest `grids`: `coarse` and `fine`, each with
-    one value per kind.
+    kind, `c` follows from the RMS misfits on the two finest `grids`. `coarse` and `fine` contain
+    these misfits, one value per kind.
     """
     more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
     return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))

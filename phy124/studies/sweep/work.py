@@ -144,7 +144,7 @@ class Made(NamedTuple):
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians as plain data; None means the scene of the order."""
+    """The scene for these Gaussians as plain data; None: the scene in the `Order`."""
     seconds: float
     refusal: str | None = None
 

@@ -165,7 +165,7 @@ def fit(
 
     Args:
         splats: The Gaussians.
-        guidance: Computes the loss of new views.
+        guidance: Function that computes the loss of new views.
         settings: Steps, rates and weights.
         draw: Random number generator for normal samples.
         known: The front view: image over white [3,S,S] and its alpha [S,S].

@@ -171,8 +171,9 @@ class Study:
         """Run the scene with one setting.
 
         Returns:
-            The row, which is None if the run stopped early; and a text that says why there is no
-            row or why the row is torn. The text is empty if there is a row that is not torn.
+            The row of the table, and a text. The row is None if the run stopped early; the text
+            then states the reason. If the object tore, the text says so. Otherwise, the text is
+            empty.
         """
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
