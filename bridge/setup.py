@@ -24,7 +24,7 @@ EXECUTABLES = {
     "live": (f"{NAME}.start", "live", 130),
     "bridge": (f"{NAME}.__main__", "main", 130),
 }
-"""Module, function, and exit status after Ctrl-C of each script."""
+"""For each script: its module, its function, and its exit status after Ctrl-C."""
 SCRIPT = """{interpreter}
 try:
     from {module} import {function}

@@ -370,7 +370,9 @@ class Studio:
                 close_now(events)
                 visitor.trim(self.visitors.room)
         if done is not None:
-            job.tell(done)  # Until `writing` ends, the visitor cannot request files.
+            # The visitor learns of the end only after `writing`, because the visitor may then
+            # request several files at the same time.
+            job.tell(done)
             visitor.proportions[str(made_gaussians(order))] = Proportions.of_report(done.report)
             if "simulate" not in job.progress.reused:
                 self.forecaster.learn(done.report, order.scene, load)

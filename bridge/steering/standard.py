@@ -39,7 +39,7 @@ class Feature(IntEnum):
 
 
 SCOPE_TIME, SCOPE_STATE = 1, 2
-"""Bits of the scope of ResetSimulation."""
+"""Bits of the field `scope` of a request to ResetSimulation."""
 EVERYTHING = (0, 255)
 """Scopes that reset both the time and the state: SCOPE_DEFAULT and SCOPE_ALL."""
 

@@ -168,7 +168,7 @@ class Generate:
         )
 
     def _options(self, bars: Bars) -> dict[str, Any]:
-        """Return the options for making Gaussians, with callbacks that print messages."""
+        """Return the options for making Gaussians, including callbacks that print messages."""
         calls = {"on_cutout": self._look, "on_estimate": self._announce}
         bound = {name: partial(call, bars) for name, call in calls.items()}
         return {**self.making.arguments(), **bound}

@@ -456,7 +456,7 @@ class Live:
                 return self._run.step()
             except Stopped:
                 continue
-        self._note("The run failed again from each earlier state, so it starts again.")
+        self._note("The run also failed from each earlier state, so it starts again.")
         self.reset()
         return self._run.step()
 

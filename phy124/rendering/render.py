@@ -358,7 +358,9 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """Return the splats of tiles `first` to `last`: starts and ends [tiles], and the lists."""
+        """Return the lists of splats for tiles `first` to `last`, after each list's start and end
+        [tiles].
+        """
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])

@@ -57,7 +57,7 @@ class Section(BaseModel):
 
 
 def omit_default(default: Any, **limits: Any) -> Any:
-    """Return a field with limits, as `pydantic.Field`, that files omit if it has its default."""
+    """Return a `pydantic.Field` with limits. Files omit the field if its value is the default."""
     return Field(default=default, exclude_if=lambda value: value == default, **limits)
 
 
