@@ -259,8 +259,7 @@ class Crew:
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
 
     def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
-        """Return the kernel launch that sums impulse and work of forces on points over a worker's
-        nodes.
+        """Return a worker's kernel launch that sums the impulse and the work of forces on points.
 
         Args:
             worker: The worker.

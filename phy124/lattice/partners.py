@@ -53,7 +53,8 @@ class Partners:
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
     ) -> Callable[[NDArray], NDArray[np.bool_]]:
-        """Return a function from positions [K,3], m, of samples to flags [K] of possible contact.
+        """Return a function that maps positions of samples [K,3], m, to flags [K]: whether contact
+        is possible.
 
         `sample` [K] contains indices of surface points. `between` is true if the other part belongs
         to another body.

@@ -18,8 +18,8 @@ from phy124.mpm.stage import Repeatable
 MARGIN = 10
 """Margin around the particles in a new window [cells]."""
 LEAST = 5
-"""Margin around the particles [cells] below which the window is renewed. A step moves particles by
-up to two cells, and the B-splines around each particle reach two cells further.
+"""The window is renewed if the margin around the particles is smaller than this [cells]. A step
+moves particles by up to two cells, and the B-splines around each particle reach two cells further.
 """
 LARGEST = 32
 """Margin around the particles [cells] above which the window is renewed."""

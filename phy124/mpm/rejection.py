@@ -184,7 +184,7 @@ class StepRejection:
 def _max_acceleration(
     model: Model, tracks: Tracks, pushes: Sequence[Stage], start: float, end: float
 ) -> float:
-    """Return a bound [m/s^2] of the acceleration of particles by forces in a time interval."""
+    """Return an upper bound [m/s^2] of the acceleration that forces cause in a time interval."""
     joined, alone = 0.0, 0.0
     for track, flag in zip(tracks.tracks, tracks.flags, strict=True):
         value = 0.0 if flag & LIMITED else track.largest(start, end)

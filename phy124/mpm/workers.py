@@ -79,7 +79,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return those of the `indices` that are indices of the part's particles."""
+        """Return the `indices` that belong to particles of the part."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
