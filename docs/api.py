@@ -1,10 +1,10 @@
-"""The API reference, written from the docstrings before Sphinx reads the pages.
+"""Write the API reference from the docstrings before Sphinx reads the pages.
 
-There is a page for each module and folder right under phy124, one for the web page and one for the
+Each module and each folder directly in `phy124/` has a page, and so have the web page and the
 bridge. griffe reads the sources without importing them, so that neither torch nor Warp is needed.
-Names that begin with an underscore are left out, and so are the modules in `LEFT_OUT`. A page is a
-hundred times cheaper this way than as objects of Sphinx's Python domain, which resolves every
-annotation of every signature.
+Names that begin with an underscore and the modules in `LEFT_OUT` are omitted. Sphinx's Python
+domain is not used, since it resolves every annotation of every signature and takes a hundred times
+as long.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ LEFT_OUT = {
 }
 """Modules without a page: the command line, and modules that only phy124 itself uses."""
 PROGRAMS = ("demo", "bridge")
-"""Further packages, which have a page each."""
+"""Further packages; each of them has a page."""
 WIDTH = 90
-"""Letters of a signature's longest line."""
+"""Maximum number of characters in a line of a signature."""
 CODE = re.compile(r"(`[^`]*`)")
 SPECIAL = re.compile(r"([*_<>\[\]])")
 
 
 class _Warnings(Handler):
-    """Passes griffe's complaints about docstrings to Sphinx as warnings."""
+    """Passes griffe's messages about wrong docstrings to Sphinx as warnings."""
 
     def emit(self, record: LogRecord) -> None:
         logging.getLogger(__name__).warning(record.getMessage())
@@ -55,7 +55,7 @@ def write_pages(app: Sphinx | None = None) -> None:
 
 
 def _read(package: str) -> griffe.Module:
-    """Return a package as loaded by griffe."""
+    """Load a package with griffe and return it."""
     return griffe.load(
         package, search_paths=[HERE.parent], docstring_parser="google", allow_inspection=False
     )
@@ -83,14 +83,14 @@ def _module(module: griffe.Module, level: str) -> Iterator[str]:
 
 
 def _inside(module: griffe.Module) -> list[griffe.Module]:
-    """Return the public modules right under a module, by name, without imported ones."""
+    """Return the public submodules of a module by name, without modules that it imports."""
     modules = [inner for inner in module.modules.values() if not inner.is_alias]
     public = [m for m in modules if not m.name.startswith("_") and m.path not in LEFT_OUT]
     return sorted(public, key=lambda inner: inner.name)
 
 
 def _public(owner: griffe.Module | griffe.Class) -> list[griffe.Object]:
-    """Return the documented public members in the order of the source, values first."""
+    """Return the public members with docstrings in the order of the source, values first."""
     members = [member for member in owner.members.values() if not member.is_alias]
     public = [m for m in members if not m.name.startswith("_") and not m.is_module]
     documented = [member for member in public if member.has_docstring]
@@ -129,7 +129,7 @@ def _signature(member: griffe.Object) -> str:
 
 
 def _summary(documented: griffe.Object | griffe.Alias) -> str:
-    """Return the first paragraph in one line, for a cell of a table."""
+    """Return the first paragraph of a docstring as a single line, for a cell of a table."""
     return _text(documented).split("\n\n")[0].replace("\n", " ").replace("|", r"\|")
 
 
@@ -153,7 +153,7 @@ def _section(section: griffe.DocstringSection) -> str:
 
 
 def _escape(text: str) -> str:
-    """Escape the letters that are markup in Markdown, except in `code` and indented formulae."""
+    """Escape the characters that are markup in Markdown, except in `code` and indented formulae."""
     lines = []
     for line in text.splitlines():
         parts = CODE.split(line)
@@ -164,6 +164,6 @@ def _escape(text: str) -> str:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Let Sphinx write the pages when it begins."""
+    """Register `write_pages`, which Sphinx calls when it starts."""
     app.connect("builder-inited", write_pages)
     return {"parallel_read_safe": True}

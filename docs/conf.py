@@ -1,4 +1,4 @@
-"""How Sphinx builds the documentation: `make docs`, every warning an error."""
+"""Configuration of Sphinx, which `make docs` runs; every warning is an error."""
 
 import sys
 from pathlib import Path
@@ -15,12 +15,12 @@ exclude_patterns = ["reference/generated/report.md"]
 
 
 def setup(app):
-    """Connect what this file adds to Sphinx."""
+    """Connect the functions of this file to Sphinx."""
     app.connect("html-page-context", fold_navigation, priority=400)  # before the theme at 500
 
 
 def fold_navigation(app, pagename, templatename, context, doctree):
-    """List in the sidebar the parents and neighbours of a page; all pages would double the time."""
+    """List only the parents and neighbours of a page in the sidebar, which halves the build time."""
     toctree = context.get("toctree")
     if toctree is not None:
         context["toctree"] = lambda **options: toctree(**(options | {"collapse": True}))

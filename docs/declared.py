@@ -1,7 +1,7 @@
-"""Pages of the reference written from declarations before Sphinx reads the pages.
+"""Write pages of the reference from declarations in the code before Sphinx reads the pages.
 
-The scene comes from its pydantic models, the commands from their classes, and report.json from the
-typed dictionary of its keys.
+The pages of the scene are written from its pydantic models, the pages of the commands from their
+classes, and the page of report.json from the typed dictionary of its keys.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sphinx.application import Sphinx
 HERE = Path(__file__).parent
 PAGES = HERE / "reference/generated"
 COLUMNS = "100"
-"""Width of the help of a command."""
+"""Width of a command's help text [characters]."""
 
 
 def write_pages(app: Sphinx | None = None) -> None:
@@ -94,6 +94,6 @@ def _escape(kind: str) -> str:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Let Sphinx write the pages when it begins."""
+    """Register `write_pages`, which Sphinx calls when it starts."""
     app.connect("builder-inited", write_pages)
     return {"parallel_read_safe": True}

@@ -1,4 +1,4 @@
-"""Heights: run a simulation frame by frame, measure the heights, and film the clip."""
+"""Heights: run a simulation frame by frame, measure heights, and make videos of the clip."""
 
 import phy124
 from phy124.pipeline import make_gaussians

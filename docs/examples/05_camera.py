@@ -1,4 +1,4 @@
-"""Camera: from behind and above, without a background, and in portrait format."""
+"""Camera: videos of a clip from behind and above, without a background, and in portrait format."""
 
 import phy124
 from phy124.pipeline import make_gaussians

@@ -10,7 +10,7 @@ from phy124.pipeline import make_gaussians
 
 
 class Rubber(NeoHookean):
-    """Rubber with Young's modulus from its hardness (Gent 1958: E of Shore A)."""
+    """Rubber whose Young's modulus is computed from its Shore A hardness (Gent 1958)."""
 
     law: Literal["rubber"] = "rubber"
     nu: float = Field(default=0.45, ge=0, le=0.4999, description="Poisson's ratio.")

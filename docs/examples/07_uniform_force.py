@@ -10,13 +10,13 @@ from phy124.pipeline import make_gaussians
 
 
 class Quake(Force):
-    """A uniform acceleration along y, from a table in time."""
+    """A uniform acceleration along y that is interpolated from a table over time."""
 
     kind: Literal["quake"] = "quake"
     strength: float = 20.0
 
     def attach(self, model, state, tracks):
-        """Add the acceleration to the run, without a separate kernel."""
+        """Add the acceleration to the grid update of the run, without a separate kernel."""
         times = [k / 100 for k in range(151)]
         keys = tuple((t, (0.0, self.strength * math.sin(12 * t * t), 0.0)) for t in times)
         tracks.accelerate(Track(keys, mean=True))

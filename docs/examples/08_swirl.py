@@ -14,7 +14,7 @@ from phy124.pipeline import make_gaussians
 
 @cache
 def make_swirl(real: Any):
-    """Kernel: v += kick a (z x r), where z is up and r the position."""
+    """Make the kernel v += dt s (z x r); z is the up axis, r the position, s the strength."""
 
     @kernel(f"swirl_{real.__name__}", real)
     def swirl(chosen, slot, clock, values, x, v_out):
@@ -26,7 +26,7 @@ def make_swirl(real: Any):
 
 
 class Swirl(Force):
-    """Acceleration about the z axis that grows with the distance from it."""
+    """Acceleration around the z axis, proportional to the distance from this axis."""
 
     kind: Literal["swirl"] = "swirl"
     strength: float = 20.0  # acceleration at 1 m from the axis [m/s^2]
@@ -43,4 +43,4 @@ if __name__ == "__main__":
     )
     scene = scene.model_copy(update={"forces": (*scene.forces, Swirl(end=0.5))})
     cupcake = make_gaussians("demo/examples/cupcake.png").gaussians
-    phy124.simulate(cupcake, scene, "out/swirl")  # films, clip and report
+    phy124.simulate(cupcake, scene, "out/swirl")  # writes videos, clip and report

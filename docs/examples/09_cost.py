@@ -1,4 +1,4 @@
-"""What accuracy costs: predicted time and error bound of the three named accuracies.
+"""What accuracy costs: predicted time and error bound of `draft`, `standard` and `fine`.
 
 Install with `.venv/bin/pip install --editable '.[plots]'`.
 """

@@ -1,4 +1,4 @@
-"""A live run: your program lifts the object by its head, lets go, and pushes it."""
+"""A live run: your program lifts the object by its head, releases it, and pushes it."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ from phy124.pipeline import make_gaussians
 
 duck = make_gaussians("demo/examples/duck.png").gaussians
 chosen = held_rate(duck, phy124.Scene.named("drop"), rate=1.0)
-print(chosen.sentence)  # names the finest grid that runs in real time
+print(chosen.sentence)  # states the finest grid that runs in real time
 
 live = phy124.Live(duck, chosen.scene)
 live.step()

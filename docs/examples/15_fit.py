@@ -15,7 +15,7 @@ phy124.generate("demo/examples/duck.png", scene, "out/fit/target", count=2000)
 
 declared = Fit.from_data(
     {
-        "target": "out/fit/target",  # a clip; a film or a table of tracked points also works
+        "target": "out/fit/target",  # a clip; a video or a table of tracked points is also possible
         "find": {"material.E": "1e4..2e5"},
         "gaussians": 500,
         "grids": [8, 12],

@@ -17,11 +17,11 @@ scene = phy124.Scene.named("press").replaced(
 )
 run = phy124.Simulation(phy124.prepare(duck, scene))
 
-# Uses rclpy on a machine with ROS 2, otherwise DDS, which ROS 2 nodes also receive.
+# Uses rclpy on a machine with ROS 2, and DDS on others. ROS 2 nodes receive both.
 with open_sink(choose("auto"), Options()) as sink:
     started = time.monotonic()
     for frame in run:
         sink.write(frame)  # on the topic /phy124/points
         time.sleep(max(0.0, started + frame.time - time.monotonic()))
     print(sink.audience())
-phy124.film(run.run(), scene.view, "out/publish")  # films the frames that were sent
+phy124.film(run.run(), scene.view, "out/publish")  # makes videos of the frames that were sent

@@ -1,4 +1,4 @@
-"""A generator of your own: any function that returns Gaussians can be the first stage."""
+"""A generator of your own: any function that returns Gaussians can replace the built-in ones."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Push an object along a square: a controller in a separate process, over DDS, without ROS 2.
+"""Push an object along a square: a controller in a separate process that uses DDS, without ROS 2.
 
     python -m bridge live demo/examples/duck.png --set forces=[] boundaries=[]
     python docs/guide/push_square.py --plot square.png
@@ -119,7 +119,7 @@ class WrenchStamped(IdlStruct, typename="geometry_msgs::msg::dds_::WrenchStamped
 
 
 def corner(seconds: float, side: float, each: float) -> np.ndarray:
-    """Return the target of the centre on the square [m, m]; a side takes `each` seconds."""
+    """Return the target of the object's centre on the square [m, m]; a side takes `each` [s]."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)], float) * side
     lap = seconds / each % 4
     index = int(lap)
@@ -137,7 +137,7 @@ class Controller:
         self.rows: list[tuple[float, ...]] = []
 
     def force(self, now: float, place: np.ndarray) -> np.ndarray:
-        """Return the force [N] for a position [m] at a time [s]."""
+        """Return the force [N] for the object's position [m] at the time `now` [s]."""
         if self.start is None or self.last is None or now <= self.last[0]:
             self.start, self.last = (now, place), (now, np.zeros(3))
         begun, origin = self.start
@@ -151,7 +151,7 @@ class Controller:
 
 
 def plot(rows: list[tuple[float, ...]], path: str) -> None:
-    """Draw the path and the error over time."""
+    """Draw the path of the object and its error over time."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -172,13 +172,13 @@ def plot(rows: list[tuple[float, ...]], path: str) -> None:
 def main() -> None:
     """Push the object along the square for some laps."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--mass", type=float, default=200.0, help="of the object [kg]")
-    parser.add_argument("--hertz", type=float, default=1.0, help="how stiff the control is [Hz]")
-    parser.add_argument("--side", type=float, default=0.6, help="of the square [m]")
+    parser.add_argument("--mass", type=float, default=200.0, help="mass of the object [kg]")
+    parser.add_argument("--hertz", type=float, default=1.0, help="frequency of the control [Hz]")
+    parser.add_argument("--side", type=float, default=0.6, help="side of the square [m]")
     parser.add_argument("--each", type=float, default=2.0, help="time for a side [s]")
     parser.add_argument("--laps", type=float, default=1.0)
-    parser.add_argument("--csv", help="write time, place, target and error there")
-    parser.add_argument("--plot", help="draw a picture there")
+    parser.add_argument("--csv", help="CSV file for time, position, target and error")
+    parser.add_argument("--plot", help="file for a plot of path and error")
     args = parser.parse_args()
 
     domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))

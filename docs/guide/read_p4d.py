@@ -1,4 +1,4 @@
-"""Read a .p4d file of phy124: `python read_p4d.py FILE`; needs numpy and Pillow only."""
+"""Read a .p4d file of phy124: `python read_p4d.py FILE`. Only numpy and Pillow are needed."""
 
 import io
 import json
@@ -12,7 +12,7 @@ from PIL import Image
 
 
 class P4D:
-    """A .p4d file; `read(offset, length)` may be an HTTP request of a range of bytes."""
+    """A .p4d file; `read(offset, length)` reads bytes of it, for example by HTTP range requests."""
 
     def __init__(self, read: Callable[[int, int], bytes]) -> None:
         """Read the header and the lattice."""
@@ -61,7 +61,7 @@ class P4D:
         self.near = np.minimum(np.searchsorted(self.nodes, whole), len(self.nodes) - 1)
 
     def frame(self, index: int) -> np.ndarray:
-        """Return the centres of the Gaussians in a frame [N,3], m."""
+        """Return the centres of all Gaussians in a frame, [N,3] in metres."""
         data = self.read(*self.about["frames"][index])
         changes = np.frombuffer(zlib.decompress(data[4:]), "<i2").reshape(3, -1)
         shifts = np.cumsum(changes, axis=1, dtype=np.int16).T * np.frombuffer(data[:4], "<f4")
@@ -70,13 +70,13 @@ class P4D:
         return self.means + moved
 
     def errors(self) -> np.ndarray:
-        """Return the largest error of the centre of each Gaussian [N], m."""
+        """Return the largest error of each Gaussian's centre, [N] in metres."""
         steps = np.frombuffer(zlib.decompress(self.read(*self.about["errors"])), np.uint8)
         return steps * self.about["error"]["max"] / 255
 
 
 def _unpack(others: np.ndarray, largest: np.ndarray) -> np.ndarray:
-    """Return unit quaternions wxyz [N,4] from three components and the index of the fourth."""
+    """Compute unit quaternions wxyz [N,4] from three components and the index of the fourth."""
     others = others / np.sqrt(2)
     quats = np.empty((len(others), 4))
     for index in range(4):

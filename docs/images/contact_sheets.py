@@ -1,9 +1,9 @@
-"""Make sheets/*.jpg and duck-press.webp beside this file: every preset on the example pictures.
+"""Make sheets/*.jpg and duck-press.webp in this folder: every preset with the example pictures.
 
-Rows are presets, columns seven instants of each, from the front; the last row of each sheet shows
-the orbit of the first preset. sheets/substances.jpg has the presets that are about a substance,
-each on a picture that suits it, at draft. Run `python docs/images/contact_sheets.py [PICTURE ...]`;
-the word `substances` makes that one alone.
+Each row of a sheet shows a preset at seven instants from the front. The last row shows the first
+preset in the view `orbit`. sheets/substances.jpg shows the presets for substances, at draft. Each
+of them has a picture that suits it. Run `python docs/images/contact_sheets.py [PICTURE ...]`. With
+the argument `substances`, only sheets/substances.jpg is made.
 """
 
 import sys
@@ -35,12 +35,12 @@ SUBSTANCES = {
     "metal": "duck",
     "wind": "potted_plant",
 }
-"""Presets about a substance, and a picture for each."""
+"""Presets for substances, each with the name of its picture."""
 SIZE, COLUMNS = 160, 7
 
 
 def filmed(clip: Clip, view: View, side: str, index: list[int]) -> list[np.ndarray]:
-    """These frames from one side, as the page and `make demo` show them: on a stage, with shine."""
+    """Draw some frames of a clip from a side, on a stage and with shine, as the page shows them."""
     view = view.model_copy(update={"stage": "studio"})
     seen, stage, shine = (
         pipeline.cameras(clip, view, side),
@@ -55,14 +55,14 @@ def filmed(clip: Clip, view: View, side: str, index: list[int]) -> list[np.ndarr
 
 
 def row(clip: Clip, scene: Scene, side: str) -> np.ndarray:
-    """Seven instants from the first frame to the last, side by side."""
+    """Return the pictures of seven instants of a clip, from first to last, in a row."""
     small = scene.view.model_copy(update={"size": (SIZE, SIZE)})
     index = [round(i) for i in np.linspace(0, len(clip) - 1, COLUMNS)]
     return np.concatenate(filmed(clip, small, side, index), axis=1)
 
 
 def sheet(picture: Path, names: list[str]) -> np.ndarray:
-    """All presets of one picture."""
+    """Return the sheet that shows all presets for a picture."""
     gaussians = made_of(picture)
     clips = [(name, moved(gaussians, name)) for name in names]
     rows = [row(clip, Scene.named(name), "front") for name, clip in clips]
@@ -71,7 +71,7 @@ def sheet(picture: Path, names: list[str]) -> np.ndarray:
 
 
 def substances() -> np.ndarray:
-    """The presets about a substance."""
+    """Return the sheet that shows the presets for substances."""
     rows = []
     for name, picture in SUBSTANCES.items():
         clip = moved(made_of(example(picture)), name, accuracy="draft")
@@ -80,18 +80,18 @@ def substances() -> np.ndarray:
 
 
 def example(name: str) -> Path:
-    """An example picture."""
+    """Return the path of an example picture."""
     return HERE.parents[1] / f"demo/examples/{name}.png"
 
 
 def made_of(picture: Path) -> Gaussians:
-    """What `relief` makes of a picture."""
+    """Return the Gaussians that `relief` makes from a picture."""
     cutout = cut_out(picture).picture
     return make("relief")(cutout, seed=0, progress=lambda *_: None)
 
 
 def moved(gaussians: Gaussians, name: str, *, accuracy: str = "standard") -> Clip:
-    """A preset's clip."""
+    """Simulate a preset and return its clip."""
     changes = {"accuracy": accuracy, "view.views": ["front"], "view.size": 16}
     scene = Scene.named(name).replaced(changes)
     with tempfile.TemporaryDirectory() as folder:
@@ -100,7 +100,7 @@ def moved(gaussians: Gaussians, name: str, *, accuracy: str = "standard") -> Cli
 
 
 def banner(path: Path) -> None:
-    """The README's picture: the duck pressed, four views and the orbit side by side."""
+    """Make the README's picture: four views and the orbit of the pressed duck, side by side."""
     scene = Scene.named("press").replaced({"view.size": 200})
     clip = moved(made_of(example("duck")), "press")
     views = [

@@ -1,7 +1,8 @@
-"""Make the pictures beside the examples: docs/examples/NAME.webp of each docs/examples/NAME.py.
+"""Make the pictures of the examples: docs/examples/NAME.webp for each docs/examples/NAME.py.
 
-Each program runs in an empty folder. Its picture is a row of instants of each film that it makes,
-or its chart if it makes no film. Run `python docs/images/examples.py [NUMBER ...]`.
+Each program runs in an empty folder. Its picture has a row for each video that the program makes,
+with several instants of this video. If the program makes no video, its picture is its chart. Run
+`python docs/images/examples.py [NUMBER ...]`.
 """
 
 import subprocess
@@ -16,13 +17,13 @@ from PIL import Image
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs/examples"
 COLUMNS, HEIGHT, LOWEST = 6, 160, 96
-"""Instants per film, and the height of a row [pixels] with up to three films and with more."""
+"""Number of instants per video; height of a row [pixels] for up to three and for more videos."""
 CHART = 640
 """Largest width of a chart [pixels]."""
 
 
 def picture(program: Path) -> Image.Image:
-    """Run a program and return the picture of what it made."""
+    """Run a program and return the picture of its results."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "demo").symlink_to(ROOT / "demo")
         subprocess.run([sys.executable, program], cwd=folder, check=True)
@@ -37,14 +38,14 @@ def picture(program: Path) -> Image.Image:
 
 
 def find_films(folder: Path) -> list[Path]:
-    """Return the films in a folder, or only the one in a photograph."""
+    """Return the videos in a folder, or only the video of an object in its photograph."""
     files = [path for ending in ("mp4", "webp") for path in sorted(folder.rglob(f"*.{ending}"))]
     films = [file for file in files if len(imageio.imread(file, index=...)) > 1]
     return [film for film in films if film.stem == "composed"] or films
 
 
 def row(film: Path, height: int) -> Image.Image:
-    """Return instants of a film, evenly spaced from the first to the last, side by side."""
+    """Return several instants of a video, evenly spaced from first to last, side by side."""
     frames = imageio.imread(film, index=...)
     chosen = frames[np.linspace(0, len(frames) - 1, COLUMNS).round().astype(int)]
     images = []
@@ -57,7 +58,7 @@ def row(film: Path, height: int) -> Image.Image:
 
 
 def stacked(rows: list[Image.Image]) -> Image.Image:
-    """Return rows one below the other, on white."""
+    """Return a picture with the rows below each other, on white."""
     whole = Image.new("RGB", (max(r.width for r in rows), sum(r.height for r in rows)), "white")
     top = 0
     for image in rows:
@@ -67,7 +68,7 @@ def stacked(rows: list[Image.Image]) -> Image.Image:
 
 
 def main() -> None:
-    """Make the pictures of the programs with these numbers; of all without a number."""
+    """Make the pictures of the programs whose numbers are arguments, or of all programs."""
     numbers = sys.argv[1:] or [path.name[:2] for path in sorted(EXAMPLES.glob("[0-9]*.py"))]
     for number in numbers:
         (program,) = EXAMPLES.glob(f"{number}_*.py")

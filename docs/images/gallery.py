@@ -1,13 +1,16 @@
-"""Make gallery/*.webp beside this file: all presets, and eight of them with every law.
+"""Make gallery/*.webp in this folder: all presets, and eight presets with every law.
 
-The sheet `presets` shows every preset with its own material. Each other sheet shows one preset: a
-row for each law, and of each picture the middle and the last frame. A run that stops is shown with
-its last good frame and named on the standard output. Objects have fewer Gaussians than usual and
-the accuracy is draft. The sheet `objects` shows real objects, credited in docs/gallery.md, in
-several scenes, a row for each object; their files are no part of the repository: they are read from
-$PHY124_OBJECTS or ../shared/objects, and without them the sheet is not made. Run
-`python docs/images/gallery.py [presets, water, materials, PRESET or objects]`; `water` is the duck
-as water, `materials` shows sand, snow, plasticine and metal.
+The sheet `presets` shows every preset with its default material. The sheet of a single preset has a
+row for each law, which shows the middle and the last frame for each picture. If a run stops early,
+its last good frame is shown, and the standard output names the run. Objects have fewer Gaussians
+than usual, and the accuracy is draft.
+
+The sheet `objects` has a row for each real object, in several scenes. docs/gallery.md names the
+authors. The files of these objects are not part of the repository. They are read from
+$PHY124_OBJECTS or ../shared/objects. Without them the sheet is not made.
+
+Run `python docs/images/gallery.py [presets, water, materials, PRESET or objects]`. `water` shows
+the duck as water. `materials` shows sand, snow, plasticine and metal.
 """
 
 import os
@@ -37,11 +40,11 @@ from phy124.simulation import Simulation, prepare
 
 HERE = Path(__file__).parent
 COLUMNS = 3
-"""Presets in a row of the sheet of all presets."""
+"""Number of presets in a row of the sheet that shows all presets."""
 PRESETS = ("bounce", "drop", "press", "push_away", "push_right", "spin", "sway", "wind")
 PICTURES = ("duck", "teddy", "sunflower")
 EASED = {"rigid": {"material.E": 1e7}}
-"""Changes to a law that takes minutes with its defaults."""
+"""Changed values of a law that would take minutes with its default values."""
 SUBSTANCES = (
     ("sand", "sand", "duck", {}),
     ("snow", "snow", "teddy", {}),
@@ -56,13 +59,13 @@ REAL = (
     "sword", "koala", "wingnut", "goathead",
 )  # fmt: skip
 SCENES = ("sway", "press", "drop", "spin", "jelly", "snow", "sand", "water", "metal", "bury")
-"""What happens to them, a column each."""
+"""Presets in which the real objects are shown; each is a column of the sheet."""
 SMALL = 96
-"""Side of a picture of them [pixels]."""
+"""Width and height of a picture of a real object [pixels]."""
 
 
 def made_of(name: str) -> Gaussians:
-    """What `relief` makes of an example."""
+    """Return the Gaussians that `relief` makes from an example picture."""
     cutout = cut_out(HERE.parents[1] / f"demo/examples/{name}.png").picture
     return relief(cutout, count=GAUSSIANS)
 
@@ -70,7 +73,7 @@ def made_of(name: str) -> Gaussians:
 def shown(
     clip: Clip, scene: Scene, size: int = SIZE, index: Sequence[int] = ()
 ) -> list[np.ndarray]:
-    """Some frames on a stage; by default the middle one and the last one."""
+    """Draw some frames of a clip on a stage: by default the middle frame and the last frame."""
     view = scene.view.model_copy(update={"size": (size, size), "stage": "studio"})
     seen = pipeline.cameras(clip, view, "front")
     index = index or (len(clip) // 2, len(clip) - 1)
@@ -89,7 +92,7 @@ def shown(
 
 
 def row(preset: str, law: str, objects: list[Gaussians]) -> np.ndarray:
-    """One law on all pictures, with its name in front."""
+    """Return the row of a law: its name, then the frames for each picture."""
     changes = {"material.law": law, **EASED.get(law, {})}
     scene = Scene.named(preset).replaced({"accuracy": "draft", "time.budget": 30.0, **changes})
     cells = [labelled(law)]
@@ -107,14 +110,14 @@ def row(preset: str, law: str, objects: list[Gaussians]) -> np.ndarray:
 
 
 def all_presets() -> list[np.ndarray]:
-    """Return the rows of the sheet of all presets, each with its own material."""
+    """Return the rows of the sheet that shows all presets, each with its default material."""
     cells = [preset_cell(name) for name in preset_names()]
     cells += [np.full_like(cells[0], 255)] * (-len(cells) % COLUMNS)
     return [np.concatenate(cells[i : i + COLUMNS], 1) for i in range(0, len(cells), COLUMNS)]
 
 
 def preset_cell(name: str) -> np.ndarray:
-    """Return the middle and the last frame of a preset below its name."""
+    """Return a cell with a preset's name above the middle and the last frame."""
     scene = Scene.named(name).replaced({"accuracy": "draft"})
     clip = Simulation(prepare(made_of(PICTURE_OF.get(name, "duck")), scene)).run()
     print(name, flush=True)
@@ -123,7 +126,7 @@ def preset_cell(name: str) -> np.ndarray:
 
 
 def labelled(words: str, width: int = LABEL, height: int = SIZE) -> np.ndarray:
-    """A white cell with a word on it."""
+    """Return a white cell with a word on it."""
     cell = Image.new("RGB", (width, height), "white")
     ImageDraw.Draw(cell).text((4, height // 2 - 6), words, fill="black")
     return np.asarray(cell)
@@ -139,7 +142,7 @@ def water() -> list[np.ndarray]:
 
 
 def materials() -> list[np.ndarray]:
-    """Return six instants of sand, snow, plasticine and metal, at standard accuracy, a row each."""
+    """Return rows of six instants for sand, snow, plasticine and metal, at standard accuracy."""
     rows = []
     for label, preset, picture, changes in SUBSTANCES:
         scene = Scene.named(preset).replaced({"accuracy": "standard", **changes})
@@ -152,7 +155,7 @@ def materials() -> list[np.ndarray]:
 
 
 def real(name: str) -> np.ndarray:
-    """The middle frame of a real object in each scene, with its name in front."""
+    """Return the row of a real object: its name, then the middle frame of each scene."""
     cells = [labelled(name, height=SMALL)]
     for preset in SCENES:
         scene = Scene.named(preset).replaced({"accuracy": "draft"})
@@ -164,13 +167,13 @@ def real(name: str) -> np.ndarray:
 
 
 def real_objects() -> list[np.ndarray]:
-    """The rows of the sheet of real objects."""
+    """Return the rows of the sheet that shows real objects."""
     heads = [labelled("", height=16), *(labelled(scene, SMALL, 16) for scene in SCENES)]
     return [np.concatenate(heads, axis=1), *(real(name) for name in REAL)]
 
 
 def sheet(preset: str) -> str:
-    """Make a sheet: of all presets, of one preset, or of real objects; returns its name."""
+    """Make a sheet of all presets, of a single preset or of real objects, and return its name."""
     if preset == "objects" and not OBJECTS.is_dir():
         return f"objects: left as it is, there is no {OBJECTS}"
     if preset == "objects":

@@ -1,7 +1,8 @@
-"""Draws the house from its imports, and prints its measures: python docs/images/house.py [FILE.svg]
+"""Draw the packages and their imports, and print statistics: python docs/images/house.py [FILE.svg]
 
-A box is a room of `phy124/` (or a module at its root), the page or the bridge. It stands above all
-that it imports; an arrow from a room to one below is left out where another way down leads there.
+A box stands for a package of `phy124/`, a module at the root of `phy124/`, the page or the bridge.
+Each box is above all boxes that it imports. An arrow is left out if a path of other arrows leads to
+the same box.
 """
 
 import ast
@@ -19,12 +20,12 @@ Arrows = set[tuple[str, str]]
 
 
 def room(module: str) -> str:
-    """The room that a module lies in: its package, or the file at the root."""
+    """Return the box to which a module belongs: its package, or the module at the root."""
     return ".".join(module.split(".")[: 2 if module.startswith("phy124") else 1])
 
 
 def arrows() -> Arrows:
-    """Which room imports which, imports for type checkers included."""
+    """Return all pairs of boxes of which the first imports the second, also for type checkers."""
     sys.path.insert(0, str(ROOT))  # the page and the bridge are installed under other names
     graph = grimp.build_graph(
         "phy124", "demo", "bridge", exclude_type_checking_imports=False, cache_dir=None
@@ -38,7 +39,7 @@ def arrows() -> Arrows:
 
 
 def heights(found: Arrows) -> dict[str, int]:
-    """For each room how many rooms stand one on another below it."""
+    """Return the level of each box: the length of the longest chain of imports below it."""
     height = dict.fromkeys({name for pair in found for name in pair}, 0)
     for _ in height:
         for above, below in found:
@@ -47,7 +48,7 @@ def heights(found: Arrows) -> dict[str, int]:
 
 
 def shortest(found: Arrows) -> Arrows:
-    """Without the arrows that a longer way makes needless."""
+    """Return the arrows without those that a path of several arrows can replace."""
     below: dict[str, set[str]] = {}
     for a, b in found:
         below.setdefault(a, set()).add(b)
@@ -60,7 +61,7 @@ def shortest(found: Arrows) -> Arrows:
 
 
 def draw(found: Arrows, path: Path) -> None:
-    """One row for each height, names in boxes, lines between them."""
+    """Draw a row of named boxes for each level, and lines between the boxes."""
     height, place = heights(found), {}
     rows = sorted(height, key=lambda name: (height[name], name))
     figure, axes = plt.subplots(figsize=(13, 10))
@@ -80,7 +81,7 @@ def draw(found: Arrows, path: Path) -> None:
 
 
 def functions() -> Iterator[tuple[int, str]]:
-    """Lines and name of every function."""
+    """Yield the number of lines and the name of every function."""
     for folder in ("phy124", "demo", "bridge"):
         for path in (ROOT / folder).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -89,7 +90,7 @@ def functions() -> Iterator[tuple[int, str]]:
 
 
 def main() -> None:
-    """Print the measures and draw."""
+    """Print the statistics and draw the picture."""
     found, long = arrows(), sorted(functions())
     print("files at the root of phy124/:", len(list((ROOT / "phy124").glob("*.py"))))
     print("rooms and root modules:", len(heights(found)), "arrows:", len(found))

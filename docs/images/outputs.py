@@ -1,4 +1,4 @@
-"""Draws docs/images/outputs.webp: the outputs of a pressed duck, a row for each instant.
+"""Draw docs/images/outputs.webp: the outputs of a pressed duck, with a row for each instant.
 
 python docs/images/outputs.py    (simulates at draft; half a minute)
 """
@@ -48,7 +48,10 @@ def row(made: Path, told: dict, index: int) -> np.ndarray:
 
 
 def shown(name: str, value: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Near is bright; vectors as colours around grey; force up red, down blue."""
+    """Return an output as a picture.
+
+    Small depths are bright. Vectors are colours around grey. Upward force is red, downward blue.
+    """
     image = np.full((*covered.shape, 3), 1.0)
     if name == "depth":
         near, far = value[covered].min(), value[covered].max()

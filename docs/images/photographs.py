@@ -1,8 +1,8 @@
-"""Make gallery/photographs.webp beside this file: what `relief` makes of real photographs.
+"""Make gallery/photographs.webp in this folder: the objects that `relief` makes from photographs.
 
-A row shows two photographs: each with its cut-out and the object from front, left, back and right.
-The photographs are those of scikit-image and of the folder `examples` of Debian's package
-opencv-doc, which $PHY124_OPENCV names. Run `python docs/images/photographs.py`.
+A row shows two photographs, each with its cut-out and the object from front, left, back and right.
+The photographs are those of scikit-image and those in the folder `examples` of Debian's package
+opencv-doc. $PHY124_OPENCV is the path of this folder. Run `python docs/images/photographs.py`.
 """
 
 import os
@@ -45,7 +45,7 @@ def photographs() -> list[Path]:
 
 
 def row(path: Path, renderer: Renderer) -> np.ndarray:
-    """Return the photograph, its cut-out and four sides of the object, side by side."""
+    """Return a row with the photograph, its cut-out and four sides of the object."""
     cutout = cut_out(path).picture
     made = relief(cutout)
     middle = (made.means[:, 0].min() + made.means[:, 0].max()) / 2

@@ -1,9 +1,9 @@
-"""Makes the pictures of the page in docs/: first screen, light, dark and phone after a run of the
-teddy, and the orientations of a file of Gaussians.
+"""Make the screenshots of the page in docs/: the first screen, and the orientations of a file of
+Gaussians; after a run of the teddy also the page in light, in dark and on a phone.
 
     make test && .venv/bin/python docs/images/screenshots.py
 
-Needs Debian's chromium-headless-shell, and what the tests need.
+The program needs Debian's chromium-headless-shell and the packages that the tests need.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SECONDS = 300_000
 
 
 def main() -> None:
-    """Take all of them."""
+    """Make all screenshots."""
     with (
         tempfile.TemporaryDirectory() as folder,
         serving(Path(folder)) as server,
@@ -79,7 +79,7 @@ def _take(browser: Browser, url: str, name: str, look: dict) -> None:
 
 
 def _ways(browser: Browser, url: str, file: Path) -> None:
-    """The panel of a file of Gaussians that does not say which way is up."""
+    """Make the screenshot of the panel for a file of Gaussians whose up axis is unknown."""
     with Image.open(ROOT / "demo/examples/duck.png") as duck:
         write_gaussians(file, relief(duck, seed=0, progress=silent))
     context = browser.new_context(**LOOKS["light"], reduced_motion="reduce")

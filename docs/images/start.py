@@ -1,4 +1,4 @@
-"""Make the pictures of docs/start: run the commands of its page, and put their films in rows.
+"""Make the pictures of docs/start: run the commands on its page, and put their videos in rows.
 
 `blender.webp` needs the package `bpy` for the same Python; without it, the file is not changed. The
 picture of the web page is made by screenshots.py. Run `python docs/images/start.py`.
@@ -26,7 +26,7 @@ FILMS = {
     "views": ["behind/azimuth-150.mp4", "portrait/front.mp4", "transparent/front.webp"],
     "collide": ["duck-collide/front.mp4"],
 }
-"""Picture of the page -> films in out/, a row each."""
+"""For each picture on the page, the videos in out/ that are its rows."""
 
 
 def main() -> None:
@@ -63,7 +63,7 @@ def save(image: Image.Image, name: str) -> None:
 
 
 def points(bag: Path, count: int = 6) -> Image.Image:
-    """The point clouds of a bag at six instants, seen from the front."""
+    """Draw the point clouds in a bag at six instants, seen from the front."""
     from matplotlib import pyplot as plt
     from rosbags.highlevel import AnyReader
 

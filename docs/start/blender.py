@@ -1,4 +1,4 @@
-"""Show a folder of PLY frames in Blender: each Gaussian is an ellipsoid, each file a frame.
+"""Show a folder of PLY files in Blender: each Gaussian is an ellipsoid, and each file a frame.
 
     blender --python docs/start/blender.py -- out/duck-frames
 
@@ -30,13 +30,13 @@ def read_columns(mesh, name, count):
 
 
 def add(mesh, name, kind, member, values):
-    """Add an attribute that the nodes read."""
+    """Add an attribute to a mesh for the geometry nodes to read."""
     attribute = mesh.attributes.new(name, kind, "POINT")
     attribute.data.foreach_set(member, np.ascontiguousarray(values, np.float32).ravel())
 
 
 def import_frame(path, nodes, frame):
-    """Import a file as an object that is visible in one frame only; returns the object."""
+    """Import a file as an object that is visible only in a single frame, and return the object."""
     bpy.ops.wm.ply_import(filepath=str(path), forward_axis="Z", up_axis="NEGATIVE_Y")
     shown, mesh = bpy.context.object, bpy.context.object.data
     quats = read_columns(mesh, "rot", 4)
@@ -54,7 +54,7 @@ def import_frame(path, nodes, frame):
 
 
 def make_material():
-    """Return a material with the colour of each instance."""
+    """Return a material that shows the colour attribute of each instance."""
     material = bpy.data.materials.new("gaussians")
     if bpy.app.version < (5, 0):  # later materials always have nodes
         material.use_nodes = True
