@@ -58,7 +58,7 @@ class McapSink:
             compression: Compression of the chunks. Compression hardly makes files with moving
                 Gaussians smaller, and `none` is fastest.
             scene: The complete scene as plain data, to be stored in the file.
-            report: Function that is called at the end, and whose result is stored in the file.
+            report: Function that is called at the end; its result is stored in the file.
             overwrite: Whether to replace an existing bag.
             topics: Additional topics, whose messages are passed to `send`.
             node: Node to which the names of topics are relative.

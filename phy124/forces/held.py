@@ -51,8 +51,8 @@ class Part(NamedTuple):
     mass: float
     """Weighted mass of the part, sum(w m) [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: a force divided by its acceleration of the
-    centre X."""
+    """Effective mass of the part at the start [kg]: a force on the part, divided by the resulting
+    acceleration of the centre X."""
     reach: float
     """Distance between the centre X and the part's farthest particle at rest [m]."""
     inertia: float

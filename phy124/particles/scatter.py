@@ -26,7 +26,7 @@ def scatter(
     spacing: float,
     seed: int,
 ) -> Particles:
-    """Shift the particles of materials that spread in thin layers by random distances.
+    """Shift particles by random distances if their material spreads in thin layers.
 
     A particle that would leave the object is not moved.
 

@@ -149,7 +149,7 @@ def _lattice_with_gaussians(
 
 
 def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the points that lie in cells of side `side` without a lattice point."""
+    """Return the points in those cells (of side `side`) that contain no lattice point."""
     place = np.floor(lattice / side).astype(np.int64)
     low = place.min(axis=0)
     shape = place.max(axis=0) - low + 1

@@ -221,8 +221,9 @@ def place_along(
 ) -> tuple[Values, Values]:
     """Place cameras that move in and out smoothly and show the object in every frame.
 
-    The camera positions from which a point is in the picture form a convex set. If the whole frame
-    is in view from several camera positions, it is therefore also in view from their mean position.
+    The camera positions from which a point is in the picture form a convex set. If all points of a
+    frame are in view from several camera positions, they are therefore also in view from the mean
+    of these positions.
 
     Args:
         sample: The object in motion.

@@ -358,8 +358,8 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """Return the lists of splats for tiles `first` to `last`, after each list's start and end
-        [tiles].
+        """Return the starts and the ends [tiles] of the lists of tiles `first` to `last`, and the
+        lists of splats.
         """
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()

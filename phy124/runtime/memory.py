@@ -29,7 +29,8 @@ HEAPS = "MALLOC_ARENA_MAX"
 def release(array: object) -> None:
     """Return the memory of a memory-mapped array to the system after the array has been read.
 
-    If the memory is not returned, a long run that reads all frames seems to need memory for all.
+    If the memory is not returned, a long run that reads all frames seems to need memory for all
+    frames at once.
     """
     mapped: Any = getattr(array, "_mmap", None)
     if hasattr(mapped, "madvise") and hasattr(mmap, "MADV_DONTNEED"):

@@ -108,7 +108,7 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: dict[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the path and the table of a section, then of inner sections that are new.
+    """Yield the path and the table of a section, and of inner sections that have no table yet.
 
     `written` maps the sections that have a table to the table's heading.
     """
