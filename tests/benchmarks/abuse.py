@@ -1,6 +1,6 @@
 """Runs the hard cases with which PhysGaussian's solver was tested (docs/lab/stability.md).
 
-Run `python tests/benchmarks/abuse.py`; it prints one line per case and takes a minute. Bodies are
+`python tests/benchmarks/abuse.py` prints one line per case, and takes a minute. The bodies are
 those of the table: a cube of 512 particles (1,728 in impacts) with E = 1e5 Pa.
 """
 

@@ -1,8 +1,9 @@
 """Makes the measurements of docs/lab/accuracy.md: exact solutions, studies, goals, costs of parts.
 
-With `--docs` its tables and plots are renewed (`make accuracy`). About a quarter of an hour, most
-of it for the goals and the finer runs that check them; parts by name (verify, duck-press,
-sunflower-push, sand-collapse, ball-bounce, damping, costs, times, goals) do only those.
+With `--docs` (`make accuracy`), the program updates the tables and plots of the page. It takes
+about a quarter of an hour, mostly for the goals and for the finer runs that check them. To run only
+some parts, pass their names: verify, duck-press, sunflower-push, sand-collapse, ball-bounce,
+damping, costs, times, goals.
 """
 
 import json

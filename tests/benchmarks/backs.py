@@ -1,11 +1,12 @@
 """Measures the unseen sides of `relief`'s objects: `python tests/benchmarks/backs.py --json FILE`.
 
-Each of the 38 solids (`support.truths`), and each real object in $PHY124_OBJECTS or
-../shared/objects, is drawn from its front; `relief` gets that picture. Compared are the picture
-from behind (PSNR inside the true silhouette [dB]), the silhouettes from eight other sides (IoU),
-and the surfaces: chamfer distance (mean of both directions [% of the object]) and the mean angle
-between the normals of nearest points [degrees]. `--against FILE` shows the change since then,
-`--look NAME` chooses the back, `--pictures FILE` writes front and back (truth above) and the side.
+The objects are the 38 solids (`support.truths`) and the real objects in $PHY124_OBJECTS or
+../shared/objects. Each is drawn from its front, and `relief` makes an object from this picture. The
+program compares the pictures from behind (PSNR inside the true silhouette [dB]), the silhouettes
+from eight other sides (IoU), and the surfaces. For the surfaces, it computes the chamfer distance
+(mean of both directions [% of the object]) and the mean angle between the normals of nearest points
+[degrees]. `--against FILE` shows the change relative to an earlier file, and `--look NAME` chooses
+the look of the back. `--pictures FILE` writes pictures of front, back and side (truth above).
 """
 
 import argparse

@@ -1,7 +1,8 @@
 """Compares the force between two pressed balls with finite elements of the whole ball.
 
-The particles have the volumes that the ball cuts out of their cells, so that its surface is as
-smooth as the grid is fine: shells or whole cells add up to 0.2 cells of their own.
+Each particle has the volume that the ball cuts out of its cell, so that the ball's surface is as
+smooth as the grid permits. Shells of particles or whole cells would cause errors of up to 0.2
+cells.
 
     python tests/benchmarks/balls.py 12 16 24        # cells across a ball: a line per depth
     python tests/benchmarks/balls.py 16 --per-axis 3

@@ -1,15 +1,16 @@
 """Compares cost and error of the bindings `particles` and `lattice`, scene by scene.
 
-Each scene is run on a few grids with the bindings `particles` and `lattice`, by the material point
-method on one thread. Printed are processor seconds of dynamics and shapes on each grid, and the
-errors on all but the finest: RMS distances in per cent of the size from the finest run of
-`particles` and from that of `lattice`, separated by a stroke, so that neither binding is compared
-only with itself. Where the second grid is missing, a run was stopped or may be torn, and the reason
-is printed.
+Each scene is run on several grids with both bindings, by the material point method on one thread.
+The program prints the processor time [s] of simulation and shapes on each grid, and two errors on
+all grids except the finest. The errors are RMS distances in per cent of the size: from the finest
+run with `particles`, and, after a slash, from the finest run with `lattice`. Neither binding is
+thus compared only with itself. If a run was stopped or may be torn, the second grid is missing, and
+the program prints the reason.
 
     python tests/benchmarks/bindings.py --cells 16,24,32 "press sunflower" "drop teddy"
 
-Without names: every preset with both pictures, and every law that flows, dropped as a cupcake.
+Without names, the program runs every preset with both pictures, and drops a cupcake with every law
+that flows.
 """
 
 import argparse

@@ -1,10 +1,11 @@
 """Measures the outlines of cut-outs: `python tests/benchmarks/boundaries.py --json FILE`.
 
-The real objects of $PHY124_OBJECTS or ../shared/objects, thin ones among them (a bare tree, leaves,
-horns, a sword), are pasted on photographs of scikit-image and cut out by a method. Printed are the
-overlap with the true mask (IoU) and the boundary F-score: the harmonic mean of the fractions of the
-cut-out's outline within `NEAR` of the true outline and of the true outline within `NEAR` of the
-cut-out's. `--against FILE` shows the change since then.
+The real objects of $PHY124_OBJECTS or ../shared/objects are pasted on photographs of scikit-image
+and cut out by a method. Some of them are thin: a bare tree, leaves, horns, a sword. The program
+prints the overlap with the true mask (IoU) and the boundary F-score. The F-score is the harmonic
+mean of two fractions: the part of the cut-out's outline within `NEAR` of the true outline, and the
+part of the true outline within `NEAR` of the cut-out's outline. `--against FILE` shows the change
+relative to an earlier file.
 """
 
 import argparse

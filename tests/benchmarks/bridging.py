@@ -1,11 +1,11 @@
 """Measures the bridge's time: `python tests/benchmarks/bridging.py [encode|record|publish ...]`.
 
-Prints one JSON line per case. Every figure is paired with a lower bound, the plain copy of the same
-bytes, measured in turn with it so that both are measured under the same load:
+Prints one JSON line per case. Each time is compared with a lower bound, the time of a plain copy of
+the same bytes. Both are measured in turn, under the same load:
 
-- encode: processor time of making the CDR message, against `bytes(data)`;
-- record: wall time per frame until it is flushed to the file, against `file.write(data)`;
-- publish: time from `sink.write` until another process has the message, against loopback TCP.
+- encode: processor time to make the CDR message, compared with `bytes(data)`;
+- record: wall time per frame until the frame is in the file, compared with `file.write(data)`;
+- publish: time from `sink.write` until another process has the message, compared with loopback TCP.
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/coverage.py FOLDER --seeds 0 25
 
-Each seed has its own points, errors and search; its line in FOLDER/coverage.csv is kept, so that
-the same command goes on where it was stopped.
+The points, the errors and the search depend on the seed. Each seed adds a line to
+FOLDER/coverage.csv. If the program was stopped, the same command continues after the last line.
 """
 
 import argparse

@@ -1,8 +1,9 @@
-"""Registers, stack and spills of every kernel, compiled for five generations of GPUs, none run.
+"""Reports registers, stack and spills of every kernel, compiled for five generations of GPUs.
 
-`python tests/benchmarks/cuda_report.py [--docs]` prints the tables of docs/lab/cuda.md, or
-renews them. Some minutes on two cores. A GPU has 65,536 registers per multiprocessor: above 128 of
-them per thread fewer than 512 threads fit, and little is left to hide the time that memory takes.
+`python tests/benchmarks/cuda_report.py [--docs]` prints the tables of docs/lab/cuda.md, or updates
+them on the page. This takes some minutes on two cores. No kernel is run. A GPU has 65,536 registers
+per multiprocessor. With more than 128 registers per thread, fewer than 512 threads fit, too few to
+hide the latency of memory.
 """
 
 import sys

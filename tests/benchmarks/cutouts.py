@@ -1,8 +1,11 @@
 """Measures how well each method cuts objects out of pictures whose masks are known.
 
-python tests/benchmarks/cutouts.py                    the examples, each on 12 grounds; renews the
-                                                      tables in docs/lab/cutouts.md
-python tests/benchmarks/cutouts.py PICTURES MASKS     pictures, and masks named alike (.png); prints
+Without arguments, the program pastes each example object on 12 backgrounds and updates the tables
+of docs/lab/cutouts.md. With two folders, it cuts out the pictures of the first folder and prints
+the results. The masks in the second folder have the same names (.png).
+
+    python tests/benchmarks/cutouts.py
+    python tests/benchmarks/cutouts.py PICTURES MASKS
 """
 
 import sys
@@ -162,7 +165,9 @@ class Figures:
         sums = {
             "**mean of all**": lambda way: f"**{flat[way].mean():.3f}**",
             "median": lambda way: f"{np.median(flat[way]):.3f}",
-            f"correct (over {RIGHT})": lambda way: f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}",
+            f"correct (over {RIGHT})": lambda way: (
+                f"{(flat[way] > RIGHT).sum()} of {len(flat[way])}"
+            ),
             "over 0.95": lambda way: f"{(flat[way] > 0.95).sum()}",
             "error of alpha, median": lambda way: format_median(self.error, way, 100, " %"),
             "processor time, median": lambda way: format_median(self.seconds, way, 1, " s"),
@@ -188,7 +193,9 @@ class Figures:
     def halos(self) -> str:
         """The ground's part in the colours of soft edges."""
         rows = [[name, f"{np.mean(v):.0%}", f"{np.max(v):.0%}"] for name, v in self.halo.items()]
-        return markdown(["colours of the soft edge", "fraction of the background, mean", "largest"], rows)
+        return markdown(
+            ["colours of the soft edge", "fraction of the background, mean", "largest"], rows
+        )
 
 
 def format_median(figures: dict[str, list[float]], way: str, factor: float, unit: str) -> str:

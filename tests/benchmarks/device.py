@@ -1,14 +1,14 @@
-"""Measures a device: particle-substeps per second, compared with lower bounds, and the paper's
-clip.
+"""Measures the speed of a device: particle-substeps per second, and the time of the paper's clip.
 
-throughput: a falling cube of fixed corotated jelly with the paper's fixed substep of 1e-4 s, beside
-  two floors measured on the same device: the bytes that a substep must move at the speed at which
-  it copies memory, and the time of a substep of 64 particles, which is all launches.
-clip: 14 frames of 400 substeps of 65,536 Gaussians, each a particle (the paper took 15.67 s on an
-  A40), and the same time with substeps as long as is stable.
+throughput: a cube of fixed corotated jelly falls with the paper's fixed substep of 1e-4 s. The time
+  of a substep is compared with two lower bounds, measured on the same device. The first is the time
+  to copy the bytes that a substep must move. The second is the time of a substep of 64 particles,
+  which consists of launches only.
+clip: 14 frames of 400 substeps of 65,536 Gaussians, each of which is a particle (the paper took
+  15.67 s on an A40). The same duration is also simulated with the longest stable substeps.
 
-`python tests/benchmarks/device.py [cpu | cuda]`; one JSON line each. Numbers behind the device
-replace the particle counts.
+`python tests/benchmarks/device.py [cpu | cuda]` prints one JSON line for each. Numbers after the
+device replace the numbers of particles.
 """
 
 import json

@@ -1,9 +1,10 @@
-"""Seconds of a run without films: making the particles, compiling and binding, substeps, shapes.
+"""Measures the seconds of a run without films: particles, compiling and binding, substeps, shapes.
 
     python tests/benchmarks/dynamics.py gaussians.ply --threads 2
 
-Of some runs in one process the least of each is printed; the first, which loads kernels and
-libraries, is left out. An older build runs the same file with PYTHONPATH set to its folder.
+The program makes several runs in one process, and prints the smallest time of each stage. It
+ignores the first run, which loads kernels and libraries. To measure an older version of phy124, set
+PYTHONPATH to its folder.
 """
 
 import argparse

@@ -1,14 +1,16 @@
 """Measures the time saved by leaving effects out: paired ratios in one process, one JSON line each.
 
-switch: one law compiled alone against the same law inside kernels that ask for the law's kind and
-  hold all thirteen, or the ten without friction, by kind and parameters of each particle, and
-  against transfers only; scatter and gather, without the grid.
-registers: the same kernels compiled for a GPU (sm_90), registers per thread; nothing is run.
-window: the grid around the particles against the dense domain, 20,000 particles in 128^3.
-costs: what a force on a region, time tables, a second law and stiffness per particle add.
-binding: one particle for each Gaussian (the paper) against Gaussians riding on a lattice.
+switch: a kernel of one law, compared with kernels that contain all thirteen laws, or the ten laws
+  without friction, and select a law for each particle; also compared with transfers only. Only
+  scatter and gather are measured, not the grid update.
+registers: registers per thread of the same kernels, compiled for a GPU (sm_90) and not run.
+window: the grid around the particles, compared with the dense domain (20,000 particles in 128^3).
+costs: additional time for a force on a region, time tables, a second law, stiffness per particle.
+binding: one particle for each Gaussian (as in the paper), compared with Gaussians on a lattice.
 scaling: particle-substeps per second and memory from 1,000 to 2,000,000 particles.
-CPU time of one thread, unless the row says wall; the least of several turns.
+
+Times are CPU times of one thread, unless the row states wall time. Each is the smallest of several
+repetitions.
 """
 
 import json

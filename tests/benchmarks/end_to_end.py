@@ -1,6 +1,6 @@
-"""Picture to MP4s: seconds of each stage for the example pictures and presets, one JSON line each.
+"""Measures each stage from picture to MP4s, for the example pictures and presets; a JSON line each.
 
-The first run warms the kernel cache and is not printed.
+The first run loads the kernels and is not printed.
 """
 
 import json

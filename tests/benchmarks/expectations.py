@@ -2,9 +2,10 @@
 
     python tests/benchmarks/expectations.py
 
-reads zoo.jsonl.gz and writes phy124/accuracy/measured.json, from which the module expectation.py
-beside it predicts, and the tables and the plot of docs/lab/own-error.md. Predictions are compared
-with the errors of objects that were left out of the fit.
+The program reads zoo.jsonl.gz. It writes phy124/accuracy/measured.json, which the module
+expectation.py in the same folder uses for predictions, and the tables and the plot of
+docs/lab/own-error.md. Predictions are compared with the errors of objects that were left out of the
+fit.
 """
 
 import json
@@ -336,7 +337,12 @@ def write_page(pairs: list[Pair]) -> None:
             each = [pair for pair in group if pair.scene == name]
             lines += [summary(f"lattice, {grids}: {name}", each)] if len(each) > 4 else []
     heads = ["pairs", "pairs (objects)", "held", "held, left out", "stated / true", "worst"]
-    heads += ["before: held", "before: stated / true", "before: worst", "exceeded before, larger after"]
+    heads += [
+        "before: held",
+        "before: stated / true",
+        "before: worst",
+        "exceeded before, larger after",
+    ]
     days, where = {row["date"] for row in known}, {row["machine"] for row in known}
     parted = sum(pair.until is not None for pair in pairs)
     text = (

@@ -2,9 +2,10 @@
 
     python tests/benchmarks/finer.py ../shared/objects/koala.splat koala5m.splat --times 500
 
-The copies lie on a sunflower spiral (Vogel, Math. Biosci. 44, 1979) in the plane of the two longest
-axes, within two standard deviations, so that the picture stays nearly the same. Their third axis is
-a quarter of the others. The file has 32 bytes per Gaussian: 10,000 x 500 give 160 MB.
+The copies are on a sunflower spiral (Vogel, Math. Biosci. 44, 1979) in the plane of the two longest
+axes, within two standard deviations. The picture therefore stays nearly the same. The third axis of
+a copy is a quarter of its other axes. The file has 32 bytes per Gaussian: 10,000 x 500 Gaussians
+take 160 MB.
 """
 
 import argparse

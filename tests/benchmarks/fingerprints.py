@@ -1,6 +1,7 @@
 """Prints a fingerprint of every preset's clip and of every hard case, to compare two commits.
 
-Equal fingerprints are equal bits. Run it before and after a change that must not change results.
+If two fingerprints are equal, the results are equal bit for bit. Run the program before and after a
+change that must not change results.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
 """Measures how deep flowing materials end below the floor (docs/lab/physics.md), a JSON line each.
 
-The cupcake in the preset `drop`. `python tests/benchmarks/floor.py draft standard fine`; fine takes
-minutes.
+The scene is the preset `drop` with the cupcake. `python tests/benchmarks/floor.py draft standard
+fine` runs three accuracies; `fine` takes minutes.
 """
 
 import json

@@ -1,13 +1,15 @@
 """Compares predicted with measured seconds for the presets at every named accuracy, a line each.
 
-With `--docs` the table of docs/lab/forecasts.md is renewed. Run it when nothing else runs: a
-forecast cannot know what others will do. About four minutes; names of scenes do only these.
+With `--docs` the program updates the table of docs/lab/forecasts.md. Run it on an idle machine,
+because a forecast cannot predict the load of other programs. The program takes about four minutes.
+To run only some scenes, pass their names.
 
-With `--zoo FOLDER` objects of the zoo (zoo.py) run at `standard` instead of the duck, which takes
-about five minutes. This also measures the cost of the own error, relative to the dynamics.
+With `--zoo FOLDER` objects of the zoo (zoo.py) are run at `standard` instead of the duck. This
+takes about five minutes. The program then also measures the time to estimate a run's error,
+relative to the dynamics.
 
-With `--solver` elastic objects run with another solver than the default one. With `--cpu` all times
-are CPU times of a single thread, which are right on a busy machine, too.
+`--solver` selects the solver of elastic objects. With `--cpu` all times are CPU times of a single
+thread, which are valid on a busy machine, too.
 """
 
 import argparse

@@ -1,8 +1,8 @@
 """Measures formats of Gaussians: errors in other programs' readers, times and sizes.
 
-PHY124_NODE_MODULES=FOLDER/node_modules python tests/benchmarks/foreign.py
+    PHY124_NODE_MODULES=FOLDER/node_modules python tests/benchmarks/foreign.py
 
-See tests/support/foreign.py for what to install.
+tests/support/foreign.py lists the programs to install.
 """
 
 import sys

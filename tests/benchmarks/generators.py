@@ -1,12 +1,17 @@
 """Measures the paper's first stage: `python tests/benchmarks/generators.py PART [--device cpu]`.
 
-PART is lgm (four given views to Gaussians), imagedream (one step with guidance, of 30, in
-`--precision`, by torch with `--compile`), u2net (one picture to its mask), samplers (errors of DDIM
-and DPM-Solver++ by number of steps, needs the golden data), or stage: a cut-out picture to
-Gaussians through ImageDream and LGM, for which the paper states 23.89 s (`--steps 1` shortens it).
-Weights are made by formula, since trained ones are not at hand: time and memory are the real
-network's, the object is not. Prints one JSON line. Peak memory is the process's own, so run one
-part at a time.
+PART is one of the following:
+
+- lgm: four existing views to Gaussians;
+- imagedream: one of 30 steps, with guidance, in `--precision`, and with `--compile` by torch;
+- u2net: a picture to its mask;
+- samplers: errors of DDIM and DPM-Solver++ for several numbers of steps (needs the golden data);
+- stage: a cut-out picture to Gaussians by ImageDream and LGM, for which the paper states 23.89 s
+  (`--steps 1` shortens it).
+
+The weights are made by a formula, since trained weights are not available. Time and memory are
+those of the real network, but the object is meaningless. The program prints one JSON line. It
+states the peak memory of the process, so run one part at a time.
 """
 
 import argparse

@@ -1,12 +1,13 @@
 """Compares the force on a ball between two plates with finite elements of the whole ball.
 
-They are those of phy124/studies/validation/experiments/elastic_ball.py; Hertz (1882) takes both
-bodies for half-spaces.
+The finite elements are in phy124/studies/validation/experiments/elastic_ball.py. Hertz (1882)
+treats both bodies as half-spaces.
 
     python tests/benchmarks/hertz.py 48 float64      # cells across the ball: a line per depth
     python tests/benchmarks/hertz.py --convergence   # grid by grid, and the order
 
-Where the plate rests between two nodes changes the force, so each figure is of four places.
+The force depends on the position of the plate between two nodes. Each figure is therefore the mean
+for four positions.
 """
 
 import argparse

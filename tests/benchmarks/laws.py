@@ -1,8 +1,9 @@
 """Measures the cost of each law: CPU nanoseconds per particle and substep, a JSON line each.
 
-132,651 particles, eight per cell, as in a 64^3 grid; laws take turns, the least of all counts.
-`limits` is one look at what limits the substep, taken at every fourth.
-`rest`: strains of 0.1 %, nearly nothing flows; `flow`: strains of 5 %, every particle yields.
+There are 132,651 particles, eight per cell, as in a grid of 64^3. The laws are run in turn, and the
+smallest time of each counts. `limits` is the time to measure the limits of the substep once, which
+a run does in every fourth substep. In `rest` the strains are 0.1 %, and hardly any particle yields.
+In `flow` they are 5 %, and every particle yields.
 """
 
 import json

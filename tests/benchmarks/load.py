@@ -1,11 +1,11 @@
-"""Visitors who arrive at random and run one draft each: time to a moving picture, true queue times.
+"""Simulates visitors who arrive at random and run one draft each, and measures how long they wait.
 
     python tests/benchmarks/load.py --visitors 100 --minutes 60
 
-The server and the visitors share the machine. Each visitor uploads a picture, has it cut out,
-presses Generate once and follows the run as the page does. Printed are percentiles of the time from
-Generate to the second frame in the viewer and to the finished videos, and of the announced waiting
-time relative to the true one, for visitors who waited at least five seconds.
+The server and the visitors share the machine. Each visitor uploads a picture, cuts the object out,
+presses Generate once, and follows the run as the page does. The program prints percentiles of the
+time from Generate to the second frame in the viewer and to the finished videos. For visitors who
+waited at least five seconds, it also prints the ratio of the announced to the actual waiting time.
 """
 
 import json

@@ -1,9 +1,9 @@
 """Measures the solver's speed: particle-substeps per second by law, form, threads and size.
 
-A cube of random particles, cell-sorted, falls on a floor with the paper's settings (jelly, E 1e5,
-dt 1e-4), so rows compare with facts about other engines. Forms, thread counts and a straightforward
-program of the same law (tests/reference/textbook.py) take turns in one process; the best of five
-rounds counts. One line of JSON each.
+A cube of random particles, sorted by cells, falls on a floor with the paper's settings (jelly, E =
+1e5, dt = 1e-4), so that the results can be compared with those of other programs. The forms, the
+numbers of threads and a simple program of the same law (tests/reference/textbook.py) run in turn in
+one process. The best of five rounds counts. The program prints one JSON line for each.
 """
 
 import itertools

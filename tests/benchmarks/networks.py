@@ -2,10 +2,10 @@
 
 `prepare` writes networks of the true size with seeded weights to the folder: the checkpoint, and
 ONNX files with 8-bit weights and activations (int8) and with 8-bit weights alone (weights8, which
-needs the package onnx_ir). The other parts measure one of them. Time and memory are the trained
-network's; the object is not, so the density of an ellipsoid replaces the network's own, which is
-computed all the same. Prints one JSON line. Peak memory is the process's own, so run one part at a
-time; `cpu_s` is the sum over the cores.
+needs the package onnx_ir). The other parts each measure one network. Time and memory are those of
+the trained network, but the object is meaningless. The network's density is computed, and then
+replaced by the density of an ellipsoid. The program prints one JSON line. It states the peak memory
+of the process, so run one part at a time. `cpu_s` is the sum over the cores.
 """
 
 import argparse

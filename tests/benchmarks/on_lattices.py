@@ -1,9 +1,9 @@
-"""The experiments of `phy124 validate` that consist of particles, with their bodies on lattices.
+"""Runs the experiments of `phy124 validate` that use particles, with their bodies on lattices.
 
     nice python tests/benchmarks/on_lattices.py hertz restitution middle-axis incline pressed-block
 
-Prints each value, its published value, and the difference, for each grid. docs/lab/solvers.md has
-the table; docs/design/lattice.md compares it with the default solver.
+The program prints each value, its published value and the difference, for each grid. The table is
+in docs/lab/solvers.md. docs/design/lattice.md compares it with the default solver.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Measures the cost of two bodies, in contact and apart, relative to one body of as many particles.
 
-Run `python tests/benchmarks/pairs.py [THREADS]`. Processor time, the runs taken in turn.
+`python tests/benchmarks/pairs.py [THREADS]` prints processor times of runs that are made in turn.
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""The paper's three control experiments as numbers and a picture, for docs/lab/paper.md.
+"""Repeats the paper's three control experiments, as numbers and as a picture for docs/lab/paper.md.
 
-A sunflower is pushed by (-1, 0, 0), (-1.5, 0, 0) and (0, -1, 0) of the paper's axes, each of its
-Gaussians a particle. With `--docs` the table and the picture are renewed.
+A sunflower is pushed by (-1, 0, 0), (-1.5, 0, 0) and (0, -1, 0) in the paper's axes. Each of its
+Gaussians is a particle. With `--docs` the program updates the table and the picture.
 """
 
 import sys

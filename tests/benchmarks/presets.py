@@ -1,6 +1,6 @@
-"""Presets shortened to the frames for which the figures of docs/ were measured.
+"""Shortens presets to the frames for which the figures of docs/ were measured.
 
-Most last longer (phy124/presets), which `settling.py` measures.
+Most presets last longer (phy124/presets). `settling.py` measures their whole length.
 """
 
 from phy124.scene import Scene

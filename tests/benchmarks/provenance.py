@@ -1,6 +1,6 @@
-"""Write docs/lab/index.md: program, date and commit of each table of the lab, from the history.
+"""Writes docs/lab/index.md: program, date and commit of each table of the lab, from the history.
 
-`python tests/benchmarks/provenance.py`; nothing is measured here.
+`python tests/benchmarks/provenance.py` measures nothing.
 """
 
 import re

@@ -1,11 +1,14 @@
 """Compares `relief` with solids that are known from all sides: `python tests/benchmarks/relief.py`.
 
-Each solid is drawn from the front; what `relief` makes of that picture is compared from eight other
-sides (`support.truths.VIEWS`): the overlap of the silhouettes (IoU), the pictures on white (PSNR),
-depth and volume as the physics fills it. `--only NAME...` takes some of them, `--flat` takes flat
-objects instead. `--depth`, `--side` and `--back` give `relief` the true depth map and pictures of
-these sides; `--pictures FILE` writes what was compared (truth above), `--json FILE` the figures,
-`--against FILE` shows the change since then. `--examples FILE` draws demo/examples from all sides.
+Each solid is drawn from the front, and `relief` makes an object from this picture. Object and solid
+are compared from eight other sides (`support.truths.VIEWS`): the overlap of the silhouettes (IoU),
+the pictures on white (PSNR), and the depth and volume of the filled object.
+
+`--only NAME...` selects some solids, and `--flat` selects flat objects instead. With `--depth`,
+`--side` and `--back`, `relief` also uses the true depth map or true pictures of these sides.
+`--pictures FILE` writes the compared pictures (truth above), and `--json FILE` the figures.
+`--against FILE` shows the change relative to an earlier file. `--examples FILE` draws the objects
+made from demo/examples from all sides.
 """
 
 import argparse

@@ -1,10 +1,10 @@
 """Measures the time of a frame: `python tests/benchmarks/render.py [--device cpu] [--repeats 15]`.
 
-Prints one JSON line per count, size and number of threads. With one thread the figure is the
-median processor time of a frame, and of one on the stage, with its shadow map and a plate, drawn in
-turn with it; with two it is the wall time per frame of a run of frames,
-which counts only on an idle machine. The scene is a bumpy shell of semi-transparent Gaussians
-with a median size of 0.75 % of the object at 65,536, as image-to-3D models make them.
+Prints one JSON line per count, size and number of threads. With one thread the figure is the median
+processor time of a frame. Frames with a stage, its shadow map and a plate are drawn in turn with
+frames without them. With two threads the figure is the wall time per frame of a series of frames,
+which is valid only on an idle machine. The scene is a bumpy shell of semi-transparent Gaussians, as
+image-to-3D models make them. With 65,536 Gaussians, their median size is 0.75 % of the object.
 """
 
 import argparse

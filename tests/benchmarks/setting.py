@@ -1,17 +1,19 @@
 """Measures time and error for some values of a setting, scene by scene.
 
-Each scene is run on one grid with each value, on one thread. Printed are processor seconds of
-dynamics and shapes, substeps, and RMS distances in per cent of the size from runs on a finer grid
-with the first and with the last value, separated by a stroke, so that no value is compared only
-with itself; `torn`, and the reason where a run was stopped.
+Each scene is run on one grid with each value, on one thread. The program prints the processor time
+[s] of simulation and shapes, the number of substeps, and two RMS distances in per cent of the size.
+They are the distances from runs on a finer grid with the first value and, after a slash, with the
+last value. No value is thus compared only with itself. The program also prints `torn`, and the
+reason if a run was stopped.
 
     python tests/benchmarks/setting.py accuracy.cfl 0.6 0.75 0.85 --finer 36
     python tests/benchmarks/setting.py accuracy.particles_per_axis 2 1.5 --scenes "press sand" \\
         --objects ../shared/objects/koala.splat demo/examples/duck.png
 
-A scene is a preset, or a preset and a law, which replaces the preset's own. Without `--scenes`:
-every preset of one object, and every plastic, granular or fluid law, dropped. An object is a
-picture or a file of Gaussians (those of ../shared/objects stand on -y).
+A scene is a preset, or a preset and a law that replaces the preset's law. Without `--scenes`, the
+program runs every preset of one object, and drops an object with every plastic, granular or fluid
+law. An object is a picture or a file of Gaussians (the bottom of those in ../shared/objects is at
+-y).
 """
 
 import argparse

@@ -1,11 +1,11 @@
 """Measures the time of each preset, and whether its motion has ended at the end of the clip.
 
-python tests/benchmarks/settling.py [--accuracy draft,standard] [--seconds S] [PRESET ...]
+    python tests/benchmarks/settling.py [--accuracy draft,standard] [--seconds S] [PRESET ...]
 
-Prints a row per preset: its clip, processor seconds of dynamics and shapes at each accuracy, and of
-the first one how far the Gaussians still get from frame to frame at the end, since when it sleeps,
-and the largest fraction of the object outside the front picture. With `--seconds` all run that long
-instead.
+The program prints a row per preset: the length of its clip, and the processor time [s] of
+simulation and shapes at each accuracy. For the first accuracy, the row also states how far
+Gaussians move from frame to frame at the end, when the object comes to rest, and the largest
+fraction of the object outside the front picture. With `--seconds`, all presets have this length.
 """
 
 import argparse

@@ -1,11 +1,11 @@
-"""Time and memory of whole commands against Gaussians, cells and frames, and the wait per command.
+"""Measures time and memory of whole commands for many Gaussians, cells and frames.
 
     python tests/benchmarks/sizes.py ../shared/objects/koala.splat [--most N] [--longest FRAMES]
 
-Each case is a process of its own. The tables of docs/lab/sizes.md are renewed row by row, so a run
-that is stopped keeps its rows; `python tests/benchmarks/summaries.py` then draws the plot and
+Each case runs in a separate process. The tables of docs/lab/sizes.md are updated row by row, so a
+run that is stopped keeps its rows. `python tests/benchmarks/summaries.py` then draws the plot and
 copies the tables to docs/results/scale.md. With --most 5_000_000 and --longest 2000 a run takes
-about ten minutes on two idle cores. `finer.py` makes the files of many Gaussians.
+about ten minutes on two idle cores. `finer.py` makes the files with many Gaussians.
 """
 
 import argparse

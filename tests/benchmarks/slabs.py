@@ -1,10 +1,11 @@
 """Computes the speed-up of the solver by N threads, from the measured work of each worker.
 
-Each worker's phases run one after the other on one thread, and the processor time of each is taken,
-so that a machine of two cores tells what one of sixteen would do, as far as its memory kept pace.
-A substep lasts as long as the slowest worker of each phase. Python's global lock is held by one
-thread at a time, for every launch: with N workers it is held N times as long, and no substep can
-be shorter. Waiting at barriers comes on top; how often threads meet is counted.
+The workers of each phase run one after the other on one thread, and the processor time of each is
+measured. A machine with two cores can thus show the speed of a machine with sixteen cores, if its
+memory is fast enough. A substep takes as long as the slowest worker of each phase. For every
+launch, a thread holds Python's global lock. N workers hold it N times as long in total, and no
+substep can be shorter than this time. The time of waiting at barriers is added; the barriers are
+counted.
 
     python tests/benchmarks/slabs.py          one JSON line per object and number of threads
     python tests/benchmarks/slabs.py halo     nodes of slabs over the frames of presets

@@ -1,12 +1,12 @@
-"""Both solvers of elastic bodies in turn: seconds of CPU time, and distances between their motions.
+"""Runs both solvers of elastic bodies in turn: CPU time, and distances between their motions.
 
-This script adds a row to solvers.jsonl.gz for each object and scene that has none, so it can be
-stopped and started again; at its end it renews the tables of docs/lab/solvers.md:
+The program adds a row to solvers.jsonl.gz for each object and scene without a row, so it can be
+stopped and started again. At its end it updates the tables of docs/lab/solvers.md:
 
     nice python tests/benchmarks/solvers.py --objects ../shared/objects --minutes 30
 
-With `--cells 16 32 64` the motions of both solvers on the finest grid are compared, too. Objects
-and scenes are those of the zoo (zoo.py).
+With `--cells 16 32 64` it also compares the motions of both solvers on the finest grid. Objects and
+scenes are those of the zoo (zoo.py).
 """
 
 import argparse

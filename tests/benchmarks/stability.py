@@ -1,6 +1,6 @@
 """Measures the figures of docs/lab/stability.md and draws its plot.
 
-Run `python tests/benchmarks/stability.py OUT`; it takes about two minutes on one core.
+`python tests/benchmarks/stability.py OUT` takes about two minutes on one core.
 """
 
 import json

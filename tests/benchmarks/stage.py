@@ -1,10 +1,11 @@
 """Measures the time of the stage: `python tests/benchmarks/stage.py [--scenes drop,press,...]`.
 
-Prints one JSON line per scene: milliseconds of CPU time per picture of a film, as the bytes
-that an encoder gets, without and with the stage, and what the stage adds, in percent, for a film of
-five sides and of one. Films without and with it are drawn in turn, several times, shadow maps anew
-each time; of each picture the least counts. Each scene is simulated from the example duck at draft
-accuracy and drawn at 512 x 512. With `--clips FOLDER` clips are kept there and read again.
+Prints one JSON line per scene: the CPU time [ms] per picture of a film without and with the stage,
+and the increase in per cent for a film of five sides and for a film of one side. The pictures are
+in bytes, as an encoder gets them. Films without and with the stage are drawn several times in turn,
+and shadow maps are computed again each time. For each picture, the smallest time counts. Each scene
+is simulated with the example duck at draft accuracy and drawn at 512 x 512. With `--clips FOLDER`,
+clips are stored in this folder and read again.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Processor time of commands that compute nothing, which is that of starting Python and importing.
+"""Measures the processor time of commands that only start Python, import modules and print text.
 
 python tests/benchmarks/starts.py
 """

@@ -1,8 +1,7 @@
-"""Write the tables, numbers and plots of docs/results and README from docs/lab.
+"""Writes the tables, numbers and plots of docs/results and README from docs/lab.
 
-Nothing is measured here.
-
-`python tests/benchmarks/summaries.py`, after a table of the lab has changed.
+Run `python tests/benchmarks/summaries.py` after a table of the lab has changed. It measures
+nothing.
 """
 
 import re

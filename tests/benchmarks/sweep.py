@@ -1,10 +1,11 @@
 """Measures clips per hour of a sweep: one process, one and two workers, killed workers; a million.
 
-The queue is simulated: a driver that hands out a task in so much time, workers that are free or
-not. It is compared with the measured runs, then asked for numbers of workers that nobody here has.
-Planning is measured with the driver's own loop over orders that nobody makes.
+The queue of a driver and its workers is simulated: the driver distributes a task in a fixed time,
+and each worker is free or busy. The simulation is compared with the measured runs, and then used
+for larger numbers of workers. Planning is measured with the driver's loop over clips that are not
+made.
 
-Run: python tests/benchmarks/sweep.py [--items 120] [--planned 100000] [--cores 64 512 4096]
+    python tests/benchmarks/sweep.py [--items 120] [--planned 100000] [--cores 64 512 4096]
 """
 
 import argparse

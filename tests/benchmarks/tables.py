@@ -1,4 +1,4 @@
-"""Tables of figures between two marks of a page, so that a script can renew them."""
+"""Writes tables of figures between two marks of a page."""
 
 import os
 import platform

@@ -1,14 +1,14 @@
-"""Touch in headless Chromium: time from the pointer to the picture, and growth of memory.
+"""Measures Touch in headless Chromium: time from the pointer to the picture, and growth of memory.
 
     python tests/benchmarks/touch.py [--seconds 600] [--gaussians 50000] [--film touch.webp]
 
-The server, its live run and Chromium with software WebGL share the machine. A pointer that swings
-the object moves 30 times a second; a move, from when the browser had it, is answered when the first
-frame that knows of it has been drawn. Chromium composes the page as it chooses, by the processor
-where there is no GPU; `--composed webgl` has software WebGL do that, too, as the tests of the page
-do, which takes 20 ms more of the processor for each picture. Each side's time of the processor is
-told, which other work on the machine changes less than the rest. `--film` writes the viewer's
-pictures as an animated WebP.
+The server, its live run and Chromium with software WebGL share the machine. A pointer swings the
+object and moves 30 times a second. The delay of a movement lasts from its arrival in the browser
+until the first frame that includes it has been drawn. By default, Chromium chooses how to compose
+the page; without a GPU it uses the processor. With `--composed webgl`, software WebGL composes the
+page, as in the tests of the page, which takes 20 ms more processor time for each picture. The
+program also prints the processor time of server and browser, on which other work on the machine has
+less influence. `--film` writes the viewer's pictures as an animated WebP.
 """
 
 import io

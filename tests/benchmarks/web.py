@@ -1,7 +1,8 @@
-"""The page: cold start, first result, another camera, memory. Prints a Markdown table.
+"""Measures the page: cold start, first result, another camera, memory. Prints a Markdown table.
 
-Wall-clock seconds and processor seconds of the server, with a warm kernel cache. The first are
-those of a quiet machine only where nothing else runs; the second hardly change.
+The table has wall-clock seconds, and processor seconds of the server, with a warm kernel cache. The
+wall-clock seconds are valid only on a machine without other programs. The processor seconds hardly
+depend on other programs.
 """
 
 import os

@@ -1,13 +1,13 @@
-"""The zoo: objects in scenes on several grids, to measure errors and to fit the expected errors.
+"""Simulates the zoo, objects in scenes on several grids, to measure and to predict errors.
 
-This script adds a row to zoo.jsonl.gz for each object and scene that has none, so it can be stopped
-and started again; a slice ends after some minutes:
+The program adds a row to zoo.jsonl.gz for each object and scene without a row, so it can be stopped
+and started again. With `--minutes` it ends after this time:
 
     nice python tests/benchmarks/zoo.py --objects ../shared/objects --minutes 50
 
-A row has the distances of all pairs of grids in each frame. The finest grid, at least twice as fine
-as the one that is judged, is the truth. Objects are the files of a folder, which stand on -y, the
-pictures of demo/examples, and solids that need no file.
+A row has the distances between all pairs of grids in each frame. The finest grid, at least twice as
+fine as the grid that is tested, is taken as the truth. Objects are the files of a folder, whose
+bottom is at -y, the pictures of demo/examples, and solids that need no file.
 """
 
 import argparse

@@ -1,12 +1,13 @@
 """Runs all measurements that need a GPU, and writes one folder: `make gpu`.
 
 `python tests/benchmarks/gpu [--device cuda:0] [--out out/gpu] [--only PIECE ...] [--physgaussian
-FOLDER]`. Each piece is a program of its own: what it prints goes into PIECE.jsonl, its complaints
-into PIECE.log, and one that fails stops none of the others. summary.md puts figures beside what was
-estimated before any GPU was at hand. With `--device cpu` all pieces are rehearsed on the CPU, with
-few particles; then the figures mean nothing, and the networks of 23.89 s are left out.
+FOLDER]`. Each piece is a separate program. Its output is written to PIECE.jsonl, and its messages
+are written to PIECE.log. If a piece fails, the others still run. summary.md compares the figures
+with estimates that were made before a GPU was available. With `--device cpu` all pieces are tried
+on the CPU, with few particles. The figures then mean nothing, and the networks of the paper's 23.89
+s are left out.
 
-Exit status: 0 all pieces ran, 1 one of them failed, 3 there is no such device.
+Exit status: 0 if all pieces ran, 1 if a piece failed, 3 if there is no such device.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Seconds until the first frame of a scene, with an empty folder of kernels and with a full one."""
+"""Measures the time to the first frame of a scene, with an empty and with a full kernel cache."""
 
 import json
 import os

@@ -1,7 +1,7 @@
-"""Forecasts of a device compared with the runs: predicted and actual seconds, and their ratio.
+"""Compares forecasts of a device with runs: predicted and actual seconds, and their ratio.
 
-A ball of `--count` Gaussians on 24 cells (8 in a rehearsal). The actual run is the second of two,
-since the first compiles.
+The object is a ball of `--count` Gaussians on 24 cells (8 in a trial on the CPU). The actual time
+is that of the second of two runs, since the first run compiles the kernels.
 """
 
 import json

@@ -1,8 +1,8 @@
-"""Presets on the CPU and on a GPU: seconds of the simulation, and distance between the clips.
+"""Runs presets on the CPU and on a GPU: seconds of the simulation, and distance between the clips.
 
-A ball of `--count` Gaussians on 24 cells (8 in a rehearsal). Each device takes the second of two
-runs, since the first compiles. Distances are between the Gaussians of all frames, relative to the
-object's size.
+The object is a ball of `--count` Gaussians on 24 cells (8 in a trial on the CPU). On each device,
+the second of two runs is measured, since the first run compiles the kernels. Distances are between
+the Gaussians of all frames, relative to the object's size.
 """
 
 import json

@@ -1,12 +1,13 @@
-"""PhysGaussian's own solver on the same device, in turn with ours: seconds per substep.
+"""Runs PhysGaussian's solver and phy124's in turn on the same device: seconds per substep.
 
-`python tests/benchmarks/gpu/physgaussian.py FOLDER --device cuda:0`: the folder that holds its
-mpm_solver_warp (XPandora/PhysGaussian), which is not part of this repository. Fixed corotated, the
-paper's substep, a cube above a floor; neither solver's first run, which compiles, is counted.
+`python tests/benchmarks/gpu/physgaussian.py FOLDER --device cuda:0` expects the folder that
+contains mpm_solver_warp (XPandora/PhysGaussian), which is not part of this repository. A cube of
+the fixed corotated law falls on a floor with the paper's substep. The first run of each solver
+compiles kernels and is not counted.
 
-That solver is written for Warp 0.10. With Warp 1.19 some of its lines must be changed in a copy;
-without them this program lists those that are left and ends with status 1. `h5py` must be
-installed, or its import removed.
+PhysGaussian's solver is written for Warp 0.10. With Warp 1.19, some of its lines must be changed in
+a copy. If such lines are unchanged, this program lists them and ends with status 1. Install `h5py`,
+or remove its import.
 """
 
 import argparse

@@ -1,8 +1,9 @@
-"""Our renderer and gsplat in turn: milliseconds per picture, and how far they differ.
+"""Compares phy124's renderer with gsplat in turn: milliseconds per picture, and differences.
 
-`ours_ms` is an image in float32, as gsplat makes it, and `bytes_ms` a picture in bytes, both with
-the copy to the host. `gpu_ms` is one of `FRAMES` pictures in bytes that are started together,
-`film_ms` one of a clip's `FRAMES` pictures, and `staged_ms` one of these on the stage studio.
+`ours_ms` is the time of a picture in float32, as gsplat makes it, and `bytes_ms` the time of a
+picture in bytes. Both include the copy to the host. `gpu_ms` is the time per picture if `FRAMES`
+pictures in bytes are started together. `film_ms` is the time per picture of a clip with `FRAMES`
+pictures, and `staged_ms` the same on the stage studio.
 """
 
 import json

@@ -1,7 +1,8 @@
-"""One substep, kernel by kernel, beside the time its memory takes; as a graph and by the host.
+"""Measures one substep, kernel by kernel, and the time of its memory transfers.
 
-A cube of neo-Hookean jelly in the paper's domain of 64 cells falls on the ground. Floors of
-time: the bytes of a kernel at the speed at which the device copies, each node once.
+The substep is run as a graph and by launches of the host. A cube of neo-Hookean jelly falls on the
+ground in the paper's domain of 64 cells. The lower bound of a kernel's time is the time to copy its
+bytes, where each node counts once.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Writes the summary of a folder of results: measured next to estimated values."""
+"""Writes the summary of a folder of results, with measured and estimated values."""
 
 import json
 from pathlib import Path
