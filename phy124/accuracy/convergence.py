@@ -120,7 +120,7 @@ def longest_convergence(
     Args:
         spacings: Grid spacings, from coarse to fine [L].
         clips: Positions [F,N,3] of the same points on each level.
-        size: Divisor of the distances.
+        size: Length by which all distances are divided.
 
     Returns:
         The convergence, and the number of frames for which it holds. If the levels converge in no

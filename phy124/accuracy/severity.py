@@ -125,5 +125,5 @@ def length(scene: Scene) -> float:
 
 
 def unit(scene: Scene) -> float:
-    """Return the unit of a scene's duration [s]."""
+    """Return the time sqrt(size / 9.81 m/s^2) of a scene's object [s]."""
     return math.sqrt(scene.object.size / 9.81)

@@ -60,7 +60,7 @@ class Effects:
             materials: Materials of the particles from a file; empty if the scene's materials are
                 used.
             observers: Observers of a finished run; empty before a run.
-            no_lattice: Why no object of a finished run is on a lattice; None before a run.
+            no_lattice: Reason why no object of a finished run is on a lattice; None before a run.
         """
         why = reason_for_mpm(scene, device) if no_lattice is None else no_lattice
         scene = choose_solver(scene, device)

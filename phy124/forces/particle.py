@@ -125,7 +125,7 @@ class ZoneForce(Force):
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value, at full strength, of a track that contains only the profile."""
+"""Value at full strength of a track that is used only for its profile over time."""
 
 
 class SetVelocity(Force):

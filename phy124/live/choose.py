@@ -85,7 +85,7 @@ def held_rate(
         context: Device, number of threads, and progress function.
         rate: Simulated seconds per real second. A fifth of the time between frames is kept free.
         max_error: Largest error bound, relative to the object's size. The coarsest grid within this
-            bound is chosen, even if it is too slow. If None, only `rate` counts.
+            bound is chosen, even if it is too slow. If None, the error is not limited.
         shapes: Whether frames contain the shapes of the Gaussians, as for `Live`.
         show: Function that processes each frame, for example draws it; its time is included.
 

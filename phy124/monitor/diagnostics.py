@@ -58,11 +58,11 @@ class Diagnostics:
     max_J: float
     """Largest volume ratio."""
     broken: int
-    """Number of particles that are not finite."""
+    """Number of particles whose state is not finite."""
     inverted: int
     """Number of inverted particles (det F < 0)."""
     first_broken: int
-    """Lowest index of a particle that is not finite."""
+    """Lowest index of a particle whose state is not finite."""
     first_inverted: int
     """Lowest index of an inverted particle."""
 

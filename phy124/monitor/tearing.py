@@ -229,7 +229,12 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return each particle's piece [P] in cubes of a `side` [m]; None if x is too scattered."""
+    """Return the index of each particle's piece [P]; None if the particles are too scattered.
+
+    Args:
+        x: Positions of the particles [P,3], m.
+        side: Side of the cubes that connect particles to pieces [m].
+    """
     if len(x) == 0 or not np.isfinite(x).all():
         return None
     columns = [_cubes(column, side) for column in x.T]

@@ -82,7 +82,7 @@ strain, and a quarter of the energy is tolerated.
 """
 FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
-"""Two causes of errors (`phy124.budget.remedies`): particles too fast, and rounding."""
+"""Two causes of errors (`phy124.budget.remedies`): particles that are too fast, and rounding."""
 SWOLLEN = 2.0
 """Volume ratio above which a real solid would have fractured."""
 SQUEEZED = 0.5
@@ -189,7 +189,7 @@ class Watchdog(Observer):
         """Record the largest speed.
 
         Raises:
-            Unstable: The attempt is checked closely, and a particle is not finite.
+            Unstable: The attempt is checked closely, and the state of a particle is not finite.
         """
         self._fastest = max(self._fastest, self.clock.recent.speed)
         if self._closely and (count := len(find_broken(self.state))):

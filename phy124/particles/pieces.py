@@ -17,16 +17,17 @@ import scipy
 from numpy.typing import NDArray
 
 AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
-"""Steps to half of the 26 neighbours; the steps to the other half are the opposite steps."""
+"""Index offsets to half of the 26 neighbours. The offsets to the other half have the opposite
+signs."""
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-"""Steps to a cell or node itself and to its 26 neighbours."""
+"""Index offsets from a cell or node to itself and to its 26 neighbours."""
 LEAST = 0.08
 """Filled fraction below which a separate sliver stays a separate piece. If the sliver were merged
 with a neighbouring cell, it would spread the points of this cell. With a value of 0.03, a thin disc
 turned inside out when it was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""Whether two of these 27 steps lead to neighbours or to the same place [27,27]."""
+"""Whether two of the 27 offsets in `AROUND` lead to neighbours or to the same place [27,27]."""
 
 
 class Pieces(NamedTuple):

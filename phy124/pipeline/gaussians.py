@@ -125,7 +125,7 @@ def make_object(
         scene: The scene that the Gaussians are made for.
         context: Device of the generator, progress and stopwatch.
         generator: Name of a generator, path of a .ply file, or a generator.
-        options: How much work the generator does.
+        options: Amount of work that the generator does.
         reading: How to interpret the generator's .ply file, and whether to detect a floor in it.
         method: Method of segmentation, see `phy124.imaging.cutout.foreground`.
         mask: Picture that is white where the object is.

@@ -93,7 +93,7 @@ def _list_types(section: type[Section], field: str) -> frozenset[Any]:
 
 
 def _is_other(value: Any, types: frozenset[Any]) -> bool:
-    """Return whether the type of a plain value is not listed."""
+    """Return whether a plain value has a type that is not in `types`."""
     if not types:
         return False
     if bool not in types:

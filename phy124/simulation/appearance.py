@@ -97,7 +97,7 @@ class Appearance(NamedTuple):
         )
 
     def _spans_of(self, kinds: Sequence[int]) -> list[list[list[int]]]:
-        """Return the spans of the Gaussians of each material that has any."""
+        """Return the spans of Gaussians, for each material that has Gaussians."""
         spans = [self._spans(self.kinds == k) for k in kinds]
         return [span for span in spans if span]
 

@@ -183,7 +183,7 @@ def _in_metres(scene: Scene, read: _Read, origin: tuple[float, float, float]) ->
     Args:
         scene: The scene.
         read: The Gaussians at the default position and size.
-        origin: Position in the file that was moved to the origin.
+        origin: Position (in the file's coordinates) that was moved to the origin.
     """
     if not in_file_units(scene):
         return scene
