@@ -20,7 +20,7 @@ def setup(app):
 
 
 def fold_navigation(app, pagename, templatename, context, doctree):
-    """List only the parents and neighbours of a page in the sidebar, which halves the build time."""
+    """List only the parents and neighbours of a page in the sidebar; this halves the time."""
     toctree = context.get("toctree")
     if toctree is not None:
         context["toctree"] = lambda **options: toctree(**(options | {"collapse": True}))
