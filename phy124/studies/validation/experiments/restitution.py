@@ -146,9 +146,9 @@ EXPERIMENT = Experiment(
     "Kono 1987; exact for a quasi-static ball with ν = 0); F comes from finite elements "
     "of the whole ball, as in `hertz`",
     measured="The experiment measures the coefficient of restitution in a slow bounce, without "
-    "and with viscosity η. This coefficient is the speed of the ball's centre after the bounce "
-    "divided by its speed before the bounce. The floor indents the ball by 12 % of its radius. t "
-    "is Hertz's contact time.",
+    "and with viscosity η. The coefficient of restitution is the speed of the ball's centre after "
+    "the bounce divided by the speed before the bounce. The floor indents the ball by 12 % of its "
+    "radius. t is Hertz's contact time.",
     band="±2 %, since the theory neglects waves in the ball",
     published=publish,
     run=lambda cells: tuple(bounce(cells, loss, DEEP).restitution for loss in LOSSES),

@@ -101,9 +101,10 @@ EXPERIMENT = Experiment(
     title="Turning: a ball that rolls, and a plate that swings",
     source="rigid bodies: the ball's acceleration is 5/7 g sin θ; the plate's period is T = 2π "
     "√(I / m g d), corrected for an amplitude of 0.1 rad",
-    measured="The experiment uses the lattice solver. It measures the acceleration of a ball that "
-    "rolls down a slope of tan θ = 0.3, in units of gravity. It also measures the period of a "
-    "plate of 0.4 × 0.1 × 0.0125 m that swings in its plane, about a point 0.15 m from its centre.",
+    measured="The experiment uses the lattice solver. The experiment measures the acceleration of "
+    "a ball that rolls down a slope of tan θ = 0.3, in units of gravity. The experiment also "
+    "measures the period of a plate of 0.4 × 0.1 × 0.0125 m that swings in its plane, about a "
+    "point 0.15 m from its centre.",
     band="±1 %; the value on the finest grid (the grid of `standard`) is also within this band",
     published=publish,
     run=lambda cells: (roll(cells, GRAVITY), swing(cells, GRAVITY)),
