@@ -72,8 +72,8 @@ EXPERIMENT = Experiment(
     title="Incline: Coulomb's friction",
     source="Coulomb's law: the acceleration is g (sin θ − μ cos θ), or zero if the block rests",
     measured="The experiment measures the acceleration of a block in units of gravity. In half of "
-    "the cases, the incline is aligned with the grid, and gravity is tilted. In the other half, "
-    "the incline is oblique to the grid.",
+    "the cases, the incline is aligned with the grid, and gravity is tilted. In the other half of "
+    "the cases, the incline is oblique to the grid.",
     band="±0.002 g, since the block still rocks slightly",
     published=publish,
     run=lambda cells: measure(cells, 0.0),

@@ -130,9 +130,10 @@ HEAD = """# Comparison with published experiments
 - **Band**: the range of values that the sources or the theory permit. A value outside the band
   also counts as inside if its distance from the band is smaller than its error. The tables mark
   such values with *in by its error*.
-- **Control**: a run with a deliberate mistake, on the coarsest grid. At least one of its quantities
-  must be outside the band by more than this grid's error (*leaves*). If all quantities stayed
-  inside, the experiment could not detect the mistake, and agreement would prove nothing.
+- **Control**: a run with a deliberate mistake, on the coarsest grid. At least one quantity of
+  the control must be outside the band by more than the error on this grid (*leaves*). If all
+  quantities stayed inside, the experiment could not detect the mistake, and agreement would prove
+  nothing.
 - **Values outside their band** are marked, with the reason if it is known.
 """
 
