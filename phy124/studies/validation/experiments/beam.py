@@ -309,7 +309,7 @@ SPLINE_ELASTICA = replace(
     reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
     "soft. With 8 particles per cell and axis, the deflection at the smallest load is 1.0, 0.7 "
     "and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles, the two "
-    "errors cancel. The extrapolation cannot detect this.",
+    "errors cancel. The extrapolation cannot detect that the errors cancel.",
 )
 LATTICE_ELASTICA = replace(
     ELASTICA,

@@ -139,8 +139,9 @@ EXPERIMENT = Experiment(
     "heights have steps of 0.05 to 0.06. The front's positions are not compared with the "
     "experiment. In the experiment, the gate and the friction of the floor delay the water. At "
     "each time, the front of the experiment has travelled 9 to 20 % less than the simulated "
-    "front. A delay of T = 0.25 explains this difference to within 2 %. The speeds of the front "
-    "are therefore compared. The agreement is best for speeds between two positions",
+    "front. A delay of T = 0.25 explains this difference to within 2 %. Instead of the positions, "
+    "the speeds of the front are therefore compared. The agreement is best for speeds between two "
+    "positions",
     published=publish,
     run=lambda cells: release(cells, 0.0),
     control=lambda cells: release(cells, PASTE),

@@ -120,7 +120,7 @@ HEAD = """# Comparison with published experiments
 `phy124 validate` repeats published experiments and theories with the solver that makes the clips
 (`phy124/studies/validation/experiments/`), and `phy124 validate --docs` writes this page.
 `phy124 accuracy --verify` tests whether the equations are solved correctly
-([accuracy](accuracy.md)); this page tests whether they describe real materials.
+([accuracy](accuracy.md)). This page tests whether the equations describe real materials.
 
 - **Grids**: Each experiment runs on three grids. The values on these grids are extrapolated to zero
   grid spacing (Richardson), which gives the *limit*. The estimated error of the limit is its
