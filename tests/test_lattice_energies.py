@@ -319,7 +319,7 @@ def stacked(**changes):
     """A soft ball that falls on another one, which becomes stiffer; a plate presses both."""
     rubber = {"law": "neo_hookean", "E": 5e4, "damping": 20.0}
     plate = {"kind": "half_space", "point": [0, 0, 2.15], "normal": [0, 0, -1]}
-    plate["motion"] = {"kind": "path", "times": [0.0, 0.3], "points": [[0, 0, 0], [0, 0, -0.4]]}
+    plate["motion"] = {"kind": "path", "times": [0.0, 0.3], "points": [[0, 0, 0], [0, 0, -0.55]]}
     return Scene.from_data(
         {
             "object": {"name": "base"},

@@ -104,11 +104,11 @@ def test_fast_wall_does_not_pass_points_between_two_measurements():
 
 @pytest.mark.parametrize("contact", ["slip", "sticky"])
 def test_wall_that_holds_a_ball_stays_at_its_surface(contact):
-    """The plate presses the ball by 0.5 cells, then lifts it at a fifth of its speed of sound."""
+    """The plate presses the ball by 0.6 cells, then lifts it at a fifth of its speed of sound."""
     path = {
         "kind": "path",
         "times": [0, 0.1, 0.6],
-        "points": [[0, 0, 0], [0, 0, -0.05], [0, 0, 0.5]],
+        "points": [[0, 0, 0], [0, 0, -0.06], [0, 0, 0.5]],
     }
     plate = {"kind": "half_space", "point": [0, 0, 1], "normal": [0, 0, -1], "contact": contact}
     data = {
@@ -121,7 +121,7 @@ def test_wall_that_holds_a_ball_stays_at_its_surface(contact):
     depths = []
     run.run(record=lambda run: depths.append(run.solver.walls.depth()[0]))
     assert run.solver.state.x.numpy()[:, 2].min() > 0.1
-    assert max(depths) < 0.1
+    assert max(depths) < 0.12
 
 
 def test_very_short_substep_throws_no_point_off_a_wall():

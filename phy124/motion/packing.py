@@ -229,10 +229,14 @@ def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
 
     The binding does not need the volumes of individual particles.
     """
-    volume = np.full(len(particles.x), particles.volume.mean() if len(particles.x) else 0.0)
-    for body in () if particles.body is None else np.unique(particles.body):
-        inside = particles.body == body
-        volume[inside] = particles.volume[inside].mean()
+    body = np.zeros(len(particles.x)) if particles.body is None else particles.body
+    volume = particles.volume.astype(np.float64)
+    for number in np.unique(body):
+        inside = body == number
+        # The mean of equal numbers can differ from them by rounding; a clip that is read and saved
+        # again would change.
+        if np.ptp(volume[inside]) > 0:
+            volume[inside] = volume[inside].mean()
     return volume
 
 

@@ -5,6 +5,8 @@ the cube, so its moments are known in closed form. Lengths are relative to a vox
 are relative to the middle of the cube.
 """
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,26 +79,29 @@ def fill_between(
         thin = between(normal, height, thick) < fraction
         low, high = np.where(thin, thick, low), np.where(thin, high, thick)
     half = (low + high) / 4
-    upper, lower = (_moments_below(normal, height + part) for part in (half, -half))
+    upper, lower = (moments_below(normal, height + part) for part in (half, -half))
     volume, first, second = (a - b for a, b in zip(upper, lower, strict=True))
     volume = np.maximum(volume, LEAST)
     centre = first / volume[:, None]
     return centre, second / volume[:, None, None] - centre[:, :, None] * centre[:, None, :]
 
 
-def _moments_below(
+def moments_below(
     normal: NDArray, height: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the volume [K], first moments [K,3] and second moments [K,3,3] of the part of a voxel
     below a plane, about the middle of the voxel.
     """
-    size, flip = np.maximum(np.abs(normal), FLAT), np.where(normal < 0, -1.0, 1.0)
-    depth = np.maximum(height[:, None] - size @ CORNERS.T, 0)
-    weight = SIGNS * depth**3 / (6 * size.prod(axis=1))[:, None]
-    # Edges of the tetrahedra at the corners [K,8,3].
-    edge = depth[:, :, None] / size[:, None, :]
-    mean = CORNERS + edge / 4
-    first = np.einsum("kc,kci->ki", weight, mean) * flip
-    inner = edge[:, :, :, None] * edge[:, :, None, :] * (np.eye(3) / 20 - 1 / 80)
-    second = np.einsum("kc,kcij->kij", weight, inner + mean[:, :, :, None] * mean[:, :, None, :])
-    return weight.sum(axis=1), first, second * flip[:, :, None] * flip[:, None, :]
+    size, flip = np.maximum(np.abs(normal), FLAT).T, np.where(normal < 0, -1.0, 1.0).T
+    depth = np.maximum(height - CORNERS @ size, 0)
+    weight = SIGNS[:, None] * depth**3 / (6 * size.prod(axis=0))
+    # Edges and centres of the tetrahedra at the corners, for each axis [8,K].
+    edge = [depth / each for each in size]
+    mean = [CORNERS[:, axis, None] + edge[axis] / 4 for axis in range(3)]
+    first = np.stack([(weight * mean[i]).sum(axis=0) * flip[i] for i in range(3)], axis=1)
+    second = np.empty((len(normal), 3, 3))
+    for i, j in itertools.combinations_with_replacement(range(3), 2):
+        inner = edge[i] * edge[j] * (3 / 80 if i == j else -1 / 80)
+        moment = (weight * (inner + mean[i] * mean[j])).sum(axis=0)
+        second[:, i, j] = second[:, j, i] = moment * flip[i] * flip[j]
+    return weight.sum(axis=0), first, second

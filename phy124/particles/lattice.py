@@ -208,8 +208,11 @@ def _clear(solid: Solid) -> NDArray[np.bool_]:
 
     Resampling leaves voxels with almost no material around the body.
     """
-    fullest = scipy.ndimage.maximum_filter(solid.fraction, 3, mode="constant")
-    clear: NDArray[np.bool_] = solid.fraction >= np.clip(fullest / 2, SMALLEST, TRACE)
+    index, fraction = solid.voxels[:2]
+    filled = np.zeros(solid.fraction.shape)
+    filled[tuple(index.T)] = fraction
+    fullest = scipy.ndimage.maximum_filter(filled, 3, mode="constant")
+    clear: NDArray[np.bool_] = filled >= np.clip(fullest / 2, SMALLEST, TRACE)
     return clear
 
 

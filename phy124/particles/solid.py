@@ -10,9 +10,8 @@ interior is found in four steps:
   stay open. Wide openings are never sealed.
 - If no radius encloses a cavity, the shell is open (a missing back or bottom). A voxel is then
   inside if axis-parallel rays from the voxel meet the shell in at least five of the six directions.
-- Only the fraction of a surface voxel below the local surface is part of the solid. The local
-  surface is a plane perpendicular to the outward normal, at the upper limit of the voxel's samples.
-  Filled fractions make volumes more accurate than whole voxels would.
+- Only the part of a surface voxel below the local surface belongs to the solid
+  (phy124/particles/surface.py).
 
 The voxels depend only on the Gaussians, so the solid does not depend on the simulation grid. The
 solid is resampled to voxels that are aligned with the particle lattice (i + 1/2) * spacing. The
@@ -23,6 +22,7 @@ side of these voxels is the particle spacing multiplied or divided by an integer
 from __future__ import annotations
 
 import hashlib
+import math
 import threading
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +35,14 @@ from numpy.typing import NDArray
 
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
+from phy124.particles.resampling import Material, average, move_material
+from phy124.particles.surface import (
+    Samples,
+    Surface,
+    fill_voxels,
+    find_surface,
+    shortest_axes,
+)
 
 if TYPE_CHECKING:
     from phy124.particles.voxels import Voxels
@@ -53,6 +61,8 @@ CONNECTED = 6
 """In a connected surface or cloud, a voxel has on average at least this number of occupied
 neighbours (of 26).
 """
+WHOLE = 1 - 1e-9
+"""Filled fraction from which a voxel counts as full."""
 MEMORY = 2
 """Number of solids that are kept for later runs with the same objects."""
 
@@ -67,13 +77,22 @@ class Solid:
     """Side of a voxel [m]."""
     fraction: NDArray[np.float32]
     """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
+    surface: Surface | None = None
+    """Material of the voxels at the surface; None if only the filled fractions are known."""
+    source: Solid | None = None
+    """The solid from which this solid was resampled; None if only the fractions are known."""
 
     @cached_property
     def voxels(self) -> Voxels:
         """The filled parts of the solid's voxels."""
         from phy124.particles.voxels import find_voxels  # This import loads Warp.
 
-        return find_voxels(self.fraction)
+        if self.source is None:
+            return find_voxels(self.fraction)
+        material = self.source._move_to(self.voxel)
+        filled = np.zeros(self.fraction.shape)
+        filled.ravel()[material.voxel] = material.fraction
+        return find_voxels(filled, material)
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
@@ -121,19 +140,21 @@ class Solid:
 
     def _on_voxels(self, step: float) -> Solid:
         """Return the solid with voxels of another side length [m]."""
-        fraction, first = self.fraction.astype(np.float64), []
-        for axis, start in enumerate((self.first * self.voxel).tolist()):
-            old = start + self.voxel * np.arange(fraction.shape[axis] + 1)
-            low, high = int(np.floor(old[0] / step)), int(np.ceil(old[-1] / step))
-            first.append(low)
-            summed = np.cumsum(np.moveaxis(fraction, axis, 0), axis=0)
-            summed = np.concatenate([np.zeros_like(summed[:1]), summed])
-            at = np.clip((step * np.arange(low, high + 1) - old[0]) / self.voxel, 0, len(old) - 1)
-            below = np.minimum(at.astype(np.int64), len(old) - 2)
-            part = (at - below)[:, None, None]
-            edges = (1 - part) * summed[below] + part * summed[below + 1]
-            fraction = np.moveaxis(np.diff(edges, axis=0) * self.voxel / step, 0, axis)
-        return Solid(np.array(first), step, fraction.astype(np.float32))
+        first, fraction = average(self.fraction, self.first, self.voxel, step)
+        source = None if self.surface is None else self
+        return Solid(first, step, fraction.astype(np.float32), source=source)
+
+    def _move_to(self, step: float) -> Material:
+        """Return the material of this solid in voxels of another side length [m]."""
+        assert self.surface is not None
+        full = self.fraction > 0
+        for cubes in self.surface:
+            full.ravel()[cubes.voxel] = False
+        first, inner = average(full, self.first, self.voxel, step)
+        at_border = full & _dilate(~full, math.ceil(step / self.voxel) + 1)
+        side = self.voxel / step
+        low = self.first * side - first
+        return move_material(np.argwhere(at_border), self.surface, low, side, inner > WHOLE)
 
 
 def find_solid(gaussians: Gaussians, spacing: float) -> Solid:
@@ -177,10 +198,10 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     some = gaussians.select(opaque) if opaque.any() else gaussians
     grid = _voxelise(some)
     region, outside = _find_inside(grid.occupied, grid.across)
-    fraction = region.astype(np.float32)
-    _trim_surface(fraction, region, outside, grid)
+    surface = find_surface(region, region & _dilate(outside, 1), grid.samples)
+    fraction = fill_voxels(region, surface)
     fraction.flags.writeable = False  # All runs use this array.
-    return Solid(grid.first, grid.voxel, fraction)
+    return Solid(grid.first, grid.voxel, fraction, surface)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,10 +211,7 @@ class _Voxels:
     first: NDArray[np.int64]
     voxel: float
     across: float
-    points: NDArray[np.float32]
-    """Positions of the samples [S,3], in voxels from the lower corner of the grid."""
-    thickness: NDArray[np.float32]
-    """Twice the shortest standard deviation of each sample's Gaussian [S], in voxels."""
+    samples: Samples
     occupied: Mask
 
 
@@ -238,12 +256,13 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
     points, owner = _sample(gaussians, voxel)
     cells = np.floor(points.min(axis=0)).astype(np.int64)
     first = cells - _margin(across)
-    points = (points - first).astype(np.float32)
+    points -= first
     shape = np.floor(points.max(axis=0)).astype(np.int64) + 1 + _margin(across)
     occupied = np.zeros(shape, bool)
     occupied[tuple(points.astype(np.int32).T)] = True
-    thickness = 2 * gaussians.scales.min(axis=1)[owner] / np.float32(voxel)
-    return _Voxels(first, voxel, across, points, thickness, occupied)
+    thickness = 2 * gaussians.scales.min(axis=1)[owner].astype(np.float64) / voxel
+    samples = Samples(points, shortest_axes(gaussians)[owner], thickness)
+    return _Voxels(first, voxel, across, samples, occupied)
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -291,9 +310,9 @@ def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
         enclosed |= bool(cavity.any())
         region |= sealed if r == 1 else _dilate(cavity & ~region, r) & sealed
     if not enclosed:
-        rays = _find_enclosed(occupied)
-        if (rays & ~region).sum() > 0.5 * occupied.sum():
-            region |= rays
+        cavity = _deep_parts(_find_enclosed(occupied) & ~region)
+        if cavity.sum() > 0.5 * occupied.sum():
+            region |= cavity
     return region, ~region
 
 
@@ -313,6 +332,19 @@ def _find_enclosed(occupied: Mask) -> Mask:
     return hits >= 5
 
 
+def _deep_parts(mask: Mask) -> Mask:
+    """Return the connected parts of a mask that contain a cube of 3 voxels.
+
+    Discs at the rim of a plate stick out, so that they enclose a layer above the plate.
+    """
+    labels, count = scipy.ndimage.label(mask)  # pyright: ignore
+    deep = np.zeros(count + 1, bool)
+    deep[labels[~_dilate(~mask, 1)]] = True
+    deep[0] = False
+    parts: Mask = deep[labels]
+    return parts
+
+
 def _dilate(mask: Mask, radius: int) -> Mask:
     """Dilate a mask by a cube of 2 radius + 1 voxels."""
     # OpenCV treats the last axis as image channels and is many times faster than SciPy.
@@ -320,45 +352,3 @@ def _dilate(mask: Mask, radius: int) -> Mask:
     grown = cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), np.ones((side, side), np.uint8))
     grown = cv2.dilate(grown.reshape(-1, shape[2]), np.ones((1, side), np.uint8))
     return grown.reshape(shape).view(bool)
-
-
-def _trim_surface(
-    fraction: NDArray[np.float32], region: Mask, outside: Mask, grid: _Voxels
-) -> None:
-    """Set, in place, the filled fractions of the surface voxels that contain samples."""
-    surface = region & _dilate(outside, 1)
-    at = grid.points.astype(np.int32)
-    here = surface[tuple(at.T)]
-    at, points = at[here], grid.points[here]
-    flat = np.ravel_multi_index(tuple(at.T), region.shape)
-    held = np.zeros(region.size, bool)
-    held[flat] = True
-    voxels, which = np.flatnonzero(held), (np.cumsum(held) - 1)[flat]
-    centre = np.stack(np.unravel_index(voxels, region.shape), axis=1)
-    normal, sheet = _estimate_normals(region, centre)
-    height = ((points - at - 0.5) * normal[which]).sum(axis=1)
-    count = np.bincount(which)
-    mean = np.bincount(which, height) / count
-    spread = np.sqrt(np.maximum(np.bincount(which, height**2) / count - mean**2, 0))
-    # Samples spread evenly from a to b have mean (a + b) / 2 and standard deviation
-    # (b - a) / sqrt(12).
-    top = mean + np.sqrt(3) * spread
-    part = np.clip(0.5 + top / np.abs(normal).sum(axis=1).clip(1), 0.01, 1)
-    thickness = np.bincount(which, grid.thickness[here]) / count
-    part[sheet] = np.clip(thickness[sheet], 0.1, 1)
-    fraction.ravel()[voxels] = part
-
-
-def _estimate_normals(region: Mask, voxels: NDArray) -> tuple[NDArray[np.float64], Mask]:
-    """Return outward normals [V,3], and the mask of sheets, which have two outer sides."""
-    normal = np.zeros((len(voxels), 3))
-    for size in (5, 3):
-        smooth = scipy.ndimage.uniform_filter(region.astype(np.float32), size)
-        flat = np.abs(normal).max(axis=1) < 0.25
-        at = voxels[flat]
-        for axis in range(3):
-            step = np.eye(3, dtype=np.int64)[axis]
-            ahead, behind = smooth[tuple((at + step).T)], smooth[tuple((at - step).T)]
-            normal[flat, axis] = (behind - ahead) * size / 2
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return normal / np.maximum(length, 1e-9), length[:, 0] < 0.25

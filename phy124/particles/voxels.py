@@ -3,7 +3,8 @@
 A partly filled voxel is cut by a plane with the voxel's normal. At an edge between sides that are
 parallel to faces of the voxels, the filled part is a box. In a thin sheet, the voxel is cut by two
 parallel planes (phy124/particles/sheets.py). In a rod without full voxels, the voxel is cut by a
-cylinder.
+cylinder. The material of an object made of Gaussians is known and need not be estimated
+(phy124/particles/resampling.py).
 """
 
 import math
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from phy124.kernels.voxels import AT_ONCE, fill_voxels
 from phy124.particles.cuts import fill_between
+from phy124.particles.resampling import Material
 from phy124.particles.sheets import Planes, fill_sheets
 from phy124.runtime.compiling import compile_missing
 
@@ -70,8 +72,13 @@ class Voxels(NamedTuple):
     """Second moments of the filled parts about their centres, per volume [V,3,3]."""
 
 
-def find_voxels(filled: NDArray) -> Voxels:
-    """Return the filled parts of the voxels of a grid from their filled fractions [X,Y,Z]."""
+def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
+    """Return the filled parts of the voxels of a grid from their filled fractions [X,Y,Z].
+
+    Args:
+        filled: Filled fractions [X,Y,Z].
+        material: Centres and second moments of the filled parts, if they are known.
+    """
     filled = filled.astype(np.float64)
     padded, index = np.pad(filled, 2), np.argwhere(filled > 0)
     fraction, normal = filled[tuple(index.T)], np.zeros(index.shape)
@@ -84,6 +91,8 @@ def find_voxels(filled: NDArray) -> Voxels:
     normal[length < SHEET] = 0
     normal /= np.maximum(length, SHEET)[:, None]
     shift, spread = np.zeros((len(index), 3)), np.tile(np.eye(3) / 12, (len(index), 1, 1))
+    if material is not None:  # in the same order
+        return Voxels(index, fraction, normal, material.shift, material.spread)
     part = fraction[outer] < 1
     cut, around = outer[part], around[part]
     parts = _Parts(padded, index[cut], around, np.logical_not(normal[cut].any(axis=1)))

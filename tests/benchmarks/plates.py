@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from phy124.particles.solid import Solid
 from support.lattices import DX, E, Statics
+from support.plates import frame
 
 THICKNESSES = (0.3, 0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0)
 TURNS = ((0, 0), (15, 0), (30, 0), (45, 0), (20, 25), (35, 45))
@@ -30,14 +31,6 @@ HEIGHTS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Positions of the plate's middle relative to a border between cells [cells]."""
 SAMPLES = 40
 """Number of samples per cell, along each axis, for the filled fractions of voxels."""
-
-
-def frame(turn):
-    """Return the directions along the plate, of its width and across it, as columns [3,3]."""
-    a, b = np.radians(turn)
-    pitch = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
-    roll = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-    return pitch @ roll
 
 
 def plate(thick, turn, height, per, wide):

@@ -1,0 +1,417 @@
+"""Finds the material in each voxel at the surface of an object, from samples of its Gaussians.
+
+The samples of a voxel are divided into faces: groups with similar outward normals. The normal of a
+sample is the shortest axis of its Gaussian. If the Gaussian is not flat, the normal is the
+direction from the centre of the material around the sample.
+
+The material of a voxel lies below a face. In a thin part, the material ends at the opposite face,
+which may lie in another voxel. At a convex edge, the material is below both faces; at a concave
+edge, it is below at least one face. The unit of length is a voxel.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.gaussians import Gaussians, rotation_matrices
+from phy124.particles.cuts import between
+
+Array = NDArray[Any]
+Mask = NDArray[np.bool_]
+
+FLAT = 0.3
+"""A Gaussian is flat if its shortest standard deviation is less than this fraction of the second
+shortest."""
+WINDOW = 5
+"""Side of the cube in which the centre of the material around a sample is computed."""
+PARALLEL = 0.95
+"""Smallest cosine of the angle between two parallel faces."""
+OPPOSITE = 0.7
+"""Smallest cosine of the angle between a normal and the reversed normal of an opposite face."""
+THICKEST = 3.0
+"""Largest thickness of a part for which an opposite face is searched."""
+ASIDE = 1.2
+"""Largest distance between the middles of opposite faces, perpendicular to the normal."""
+TOGETHER = 0.5
+"""Opposite faces whose distances differ by less than this value are averaged."""
+NEIGHBOURS = 32
+"""Number of nearest faces among which opposite faces are searched."""
+THINNEST = 0.1
+"""Smallest thickness of a sheet."""
+BEYOND = 0.2
+"""Distance by which discs at a convex edge may stick out beyond the edge."""
+PREFERRED = 0.6
+"""A part in a neighbouring voxel is preferred if it is thinner than this multiple of the thickness
+in the voxel."""
+PARTS = 2
+"""Number of parts along each axis of a voxel at an edge."""
+UP = (0.0, 0.0, 1.0)
+"""Normal of a single sample, which has no neighbours."""
+AROUND = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
+"""Steps from a corner of the 27 voxels around a voxel to its 26 neighbours."""
+
+
+class Samples(NamedTuple):
+    """Points in the Gaussians."""
+
+    points: Array
+    """Positions, from the lower corner of the grid [S,3]."""
+    normals: Array
+    """Shortest axes of flat Gaussians [S,3]; zero for other Gaussians."""
+    thickness: Array
+    """Twice the shortest standard deviations of the Gaussians [S]."""
+
+
+class Cubes(NamedTuple):
+    """Cubes of equal side; the material of each cube lies between two parallel planes."""
+
+    voxel: Array
+    """Array in the flattened grid of the voxel that contains the cube [B]."""
+    corner: Array
+    """Lower corners [B,3]."""
+    weight: Array
+    """Filled fraction of the space between the planes [B]."""
+    normal: Array
+    """Unit normals of the planes [B,3]."""
+    upper: Array
+    """Distance of the upper plane from the middle of the cube, along the normal [B]."""
+    lower: Array
+    """Distance of the lower plane from the middle of the cube [B]."""
+
+    def select(self, mask: Mask) -> Cubes:
+        """Return some of the cubes."""
+        return Cubes(*(values[mask] for values in self))
+
+
+class Surface(NamedTuple):
+    """The material of the voxels at the surface; other voxels are full or empty."""
+
+    slabs: Cubes
+    """Voxels near which all faces are parallel."""
+    edges: Cubes
+    """Parts of the other voxels; each voxel has `PARTS` parts along each axis."""
+
+
+class _Faces(NamedTuple):
+    """The faces in the order of the voxels; a voxel has at most one face for each side."""
+
+    voxel: Array
+    """Array of the voxel in the flattened grid [K]."""
+    side: Array
+    """Side of a cube to which the normal is nearest, 0..5 [K]."""
+    samples: Array
+    """Number of samples [K]."""
+    middle: Array
+    """Mean positions of the samples [K,3]."""
+    normal: Array
+    """Outward normals [K,3]."""
+    top: Array
+    """Heights of the faces: scalar product of position and normal [K]."""
+    thick: Array
+    """Thickness of the material below the face [K]; infinite if there is no opposite face."""
+
+
+class _Near(NamedTuple):
+    """The faces in and around V voxels."""
+
+    voxel: Array
+    """Indices of the voxels in the flattened grid [V]."""
+    corner: Array
+    """Indices of the voxels along each axis [V,3]."""
+    faces: Array
+    """Number of the nearest face for each side [V,6]; -1 if there is no face."""
+    is_own: Mask
+    """Whether the face lies in the voxel [V,6]."""
+    main: Array
+    """Number of the face below which the material lies [V]."""
+
+    def select(self, mask: Mask) -> _Near:
+        return _Near(*(values[mask] for values in self))
+
+
+def shortest_axes(gaussians: Gaussians) -> Array:
+    """Return unit vectors along the shortest axes of flat Gaussians [N,3]; zero for others."""
+    order = np.argsort(gaussians.scales, axis=1)
+    shortest, second = np.take_along_axis(gaussians.scales, order[:, :2], axis=1).T
+    axes = rotation_matrices(gaussians.quats)
+    shortest_axis = np.take_along_axis(axes, order[:, None, :1], axis=2)[:, :, 0]
+    return np.where((shortest < FLAT * second)[:, None], shortest_axis, 0)
+
+
+def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
+    """Find the material of the voxels at the border of a region.
+
+    Args:
+        region: Voxels that are inside the object or contain samples [X,Y,Z].
+        border: Voxels of the region that have a neighbour outside the region [X,Y,Z].
+        samples: All samples.
+    """
+    faces = _find_faces(region, border, samples)
+    near = _find_faces_around(faces, border)
+    main = faces.normal[near.main]
+    turned = np.abs(np.einsum("vsi,vi->vs", faces.normal[near.faces], main))
+    is_slab = ((turned > PARALLEL) | (near.faces < 0)).all(axis=1)
+    return Surface(
+        _make_slabs(faces, near.select(is_slab)), _cut_edges(faces, near.select(~is_slab))
+    )
+
+
+def fill_voxels(region: Mask, surface: Surface) -> NDArray[np.float32]:
+    """Return the filled fractions of the voxels of a region and its surface [X,Y,Z]."""
+    fraction = region.ravel().astype(np.float64)
+    for cubes, side in ((surface.slabs, 1), (surface.edges, 1 / PARTS)):
+        fraction[cubes.voxel] = 0
+        middle, thick = (cubes.upper + cubes.lower) / 2, cubes.upper - cubes.lower
+        volume = cubes.weight * between(cubes.normal, middle, thick, side)
+        fraction += np.bincount(cubes.voxel, volume, region.size)
+    return np.clip(fraction, 0, 1).reshape(region.shape).astype(np.float32)
+
+
+def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
+    """Divide the samples at the border into faces."""
+    points, normal, thickness = samples
+    voxel = np.asarray(np.ravel_multi_index(tuple(points.astype(np.int64).T), region.shape))
+    out = points - _centres_around(region, points, voxel)[voxel]
+    is_flat = normal.any(axis=1)
+    # In a voxel with flat Gaussians, only these determine the faces.
+    has_flat = np.asarray(np.bincount(voxel, is_flat, region.size) > 0)
+    chosen = border.ravel()[voxel] & (is_flat | ~has_flat[voxel])
+    points, voxel, normal, out = points[chosen], voxel[chosen], normal[chosen], out[chosen]
+    is_flat, thickness = is_flat[chosen], thickness[chosen]
+    normal = np.where(is_flat[:, None], normal, _directions(voxel, out, region.size))
+    normal *= np.where((out * normal).sum(axis=1) < 0, -1, 1)[:, None]
+    axis = np.abs(normal).argmax(axis=1)
+    side = 2 * axis + (normal[np.arange(len(normal)), axis] < 0)
+    key, which, count = np.unique(6 * voxel + side, return_inverse=True, return_counts=True)
+    middle, mean = _sums(which, points) / count[:, None], _normalise(_sums(which, normal))
+    # Flat Gaussians lie at the surface. Round Gaussians may fill the object: samples spread evenly
+    # from a to b have mean (a + b) / 2 and standard deviation (b - a) / sqrt(12).
+    height = ((points - middle[which]) * mean[which]).sum(axis=1)
+    reach = np.sqrt(3 * np.bincount(which, ~is_flat * height**2) / count)
+    top = (middle * mean).sum(axis=1) + reach
+    faces = _Faces(key // 6, key % 6, count, middle, mean, top, np.full(len(key), np.inf))
+    least = np.maximum(np.bincount(which, thickness) / count, 2 * reach)
+    return _find_opposite_faces(region, faces, np.maximum(least, THINNEST))
+
+
+def _directions(voxel: Array, out: Array, size: int) -> Array:
+    """Return the outward normals of samples [S,3] from their positions relative to the material.
+
+    The samples of a voxel have the same normal, unless the voxel has two outer sides.
+
+    Args:
+        voxel: The voxel of each sample, as an index in the flattened grid [S].
+        out: Positions relative to the centre of the material around [S,3].
+        size: Number of voxels of the grid.
+    """
+    total = np.stack([np.bincount(voxel, column, size) for column in out.T], axis=1)[voxel]
+    length = np.bincount(voxel, np.linalg.norm(out, axis=1), size)[voxel]
+    is_single = np.linalg.norm(total, axis=1) > 0.5 * length
+    normal = _normalise(np.where(is_single[:, None], total, out))
+    normal[~normal.any(axis=1)] = UP
+    return normal
+
+
+def _centres_around(region: Mask, points: Array, voxel: Array) -> Array:
+    """Return the centre of the material around each voxel [X*Y*Z,3].
+
+    Each sample has the same weight. A voxel of the region without samples has the mean weight of a
+    voxel with samples.
+    """
+    weight = np.bincount(voxel, minlength=region.size).astype(np.float64)
+    empty = weight == 0
+    weight[empty] = np.where(region.ravel()[empty], weight[~empty].mean(), 0)
+    total = _blur(weight, region.shape)
+    centres = np.empty((region.size, 3))
+    for axis, middle in enumerate(np.indices(region.shape, sparse=True)):
+        moment = np.bincount(voxel, points[:, axis], region.size)
+        place = np.broadcast_to(middle + 0.5, region.shape).ravel()
+        moment[empty] = weight[empty] * place[empty]
+        centres[:, axis] = _blur(moment, region.shape) / np.maximum(total, 1e-9)
+    return centres
+
+
+def _blur(values: Array, shape: tuple[int, ...]) -> Array:
+    """Return the mean values in the cubes around all voxels [X*Y*Z]."""
+    mean = scipy.ndimage.uniform_filter(values.reshape(shape), WINDOW, mode="constant")
+    return mean.ravel()
+
+
+def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
+    """Return the faces with the thickness of the material below them, which is infinite by default.
+
+    A sheet without opposite faces has the smallest possible thickness `least` [K]. Thicker sheets
+    extend equally to both sides.
+    """
+    thick = np.full(len(least), np.inf)
+    depths = np.arange(1, THICKEST + 2)
+    inside = np.stack([_look_up(region, faces.middle - n * faces.normal) for n in depths])
+    thin = np.flatnonzero(~inside.all(axis=0))
+    if not len(thin):
+        return faces
+    count = min(NEIGHBOURS, len(thick))
+    tree = scipy.spatial.KDTree(faces.middle)
+    _, near = tree.query(faces.middle[thin], count, distance_upper_bound=THICKEST + TOGETHER)
+    near = near.reshape(len(thin), count)
+    missing = near == len(thick)
+    near[missing] = 0
+    normal = faces.normal[thin][:, None]
+    arm = faces.middle[near] - faces.middle[thin][:, None]
+    depth = faces.top[thin][:, None] - (faces.middle[near] * normal).sum(axis=2)
+    aside = np.linalg.norm(arm - (arm * normal).sum(axis=2)[:, :, None] * normal, axis=2)
+    turned = (faces.normal[near] * normal).sum(axis=2)
+    fits = ~missing & (turned < -OPPOSITE) & (aside < ASIDE)
+    depth = np.where(fits & (depth > 0) & (depth < THICKEST), depth, np.inf)
+    nearest = depth < depth.min(axis=1, keepdims=True) + TOGETHER
+    mean = _weighted_mean(np.where(nearest, depth, 0), faces.samples[near] * nearest)
+    is_sheet = nearest.any(axis=1) | ~inside[0, thin]
+    excess = np.where(is_sheet, np.maximum(least[thin] - mean, 0), 0)
+    thick[thin] = np.where(is_sheet, mean + excess, np.inf)
+    top = faces.top.copy()
+    top[thin] += excess / 2
+    return faces._replace(top=top, thick=thick)
+
+
+def _look_up(region: Mask, points: Array) -> Mask:
+    """Return whether points lie in a region."""
+    at = np.clip(points.astype(np.int64), 0, np.array(region.shape) - 1)
+    inside: Mask = region[tuple(at.T)]
+    return inside
+
+
+def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
+    """Return the faces near the voxels of a border; voxels without a face are left out.
+
+    The main face is the face of the thinnest part. In thick parts, it is the face in the voxel with
+    most samples, or the nearest face.
+    """
+    table = np.full((border.size, 6), -1, np.int32)
+    table[faces.voxel, faces.side] = np.arange(len(faces.voxel))
+    voxel = np.flatnonzero(border)
+    corner = np.stack(np.unravel_index(voxel, border.shape), axis=1)
+    number = table[voxel].astype(np.int64)
+    is_own = number >= 0
+    away = np.where(is_own, -1, np.inf)
+    for step in AROUND:
+        other = table[np.ravel_multi_index(tuple((corner + step - 1).T), border.shape)]
+        arm = faces.middle[other] - (corner + 0.5)[:, None]
+        distance = np.where(other >= 0, np.linalg.norm(arm, axis=2), np.inf)
+        nearer = distance < away
+        number[nearer], away[nearer] = other[nearer], distance[nearer]
+    thick = np.minimum(faces.thick[number], 1e3) * np.where(is_own, PREFERRED, 1)
+    worth = np.where(is_own, faces.samples[number], -away) - 1e6 * thick
+    best = np.where(number < 0, -np.inf, worth).argmax(axis=1)
+    main = number[np.arange(len(number)), best]
+    return _Near(voxel, corner, number, is_own, main).select(main >= 0)
+
+
+def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
+    """Return the heights [V], [V] of the planes above and below the material at the main faces.
+
+    They are the mean heights of the parallel faces in the voxel, if there are any.
+    """
+    normal, thick = faces.normal[near.main], faces.thick[near.main]
+    turned = np.einsum("vsi,vi->vs", faces.normal[near.faces], normal)
+    up, down = (turned > PARALLEL) & near.is_own, (turned < -PARALLEL) & near.is_own
+    reach = faces.top - (faces.middle * faces.normal).sum(axis=1)
+    height = np.einsum("vsi,vi->vs", faces.middle[near.faces], normal)
+    height += np.sign(turned) * reach[near.faces]
+    count = faces.samples[near.faces]
+    bottom, has_bottom = _weighted_mean(height, count * down), down.any(axis=1)
+    top = np.where(has_bottom & np.isfinite(thick), bottom + thick, faces.top[near.main])
+    top = np.where(up.any(axis=1), _weighted_mean(height, count * up), top)
+    return top, np.where(has_bottom & (bottom < top), bottom, top - thick)
+
+
+def _make_slabs(faces: _Faces, near: _Near) -> Cubes:
+    """Return voxels whose material lies between the planes of parallel faces."""
+    normal = faces.normal[near.main]
+    planes = [height[:, None] for height in _find_planes(faces, near)]
+    return _cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
+
+
+def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
+    """Return the parts of voxels near which faces are not parallel.
+
+    At convex edges, the material lies between the planes of the main face; the other faces
+    determine the filled fraction of this space. At concave edges, the parts are filled evenly.
+    """
+    line = np.arange(PARTS) / PARTS
+    inner = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    corner = near.corner[:, None] + inner
+    points = corner + 0.5 / PARTS
+    upper, lower = (height[:, None] for height in _find_planes(faces, near))
+    main = faces.normal[near.main]
+    weight = np.ones(points.shape[:2])
+    added = np.zeros(points.shape[:2])
+    is_concave = np.zeros((len(points), 1), bool)
+    for other in near.faces.T:
+        normal, top = faces.normal[other], faces.top[other][:, None]
+        used = (other >= 0) & (np.abs((normal * main).sum(axis=1)) < PARALLEL)
+        arm = faces.middle[other] - faces.middle[near.main]
+        above = (arm * (main - normal)).sum(axis=1) > BEYOND
+        share = _share_below(points, normal, top)
+        weight = np.where((used & ~above)[:, None], np.minimum(weight, share), weight)
+        share -= _share_below(points, normal, top - faces.thick[other][:, None])
+        added = np.where((used & above)[:, None], np.maximum(added, share), added)
+        is_concave |= (used & above)[:, None]
+    share = _share_below(points, main, upper) - _share_below(points, main, lower)
+    weight = np.where(is_concave, np.maximum(np.minimum(weight, share), added), weight)
+    upper, lower = np.where(is_concave, np.inf, upper), np.where(is_concave, -np.inf, lower)
+    return _cubes(near.voxel, corner, weight, main, upper, lower)
+
+
+def _share_below(points: Array, normal: Array, top: Array) -> Array:
+    """Return the filled fractions [V,P] of the parts around points [V,P,3] below planes.
+
+    Args:
+        points: Middles of the parts.
+        normal: Unit normals of the planes [V,3].
+        top: Heights of the planes [V,1].
+    """
+    extent = np.abs(normal).sum(axis=1)[:, None] / PARTS
+    return np.clip(0.5 + (top - np.einsum("vpi,vi->vp", points, normal)) / extent, 0, 1)
+
+
+def _cubes(
+    voxel: Array, corner: NDArray, weight: Array, normal: Array, upper: Array, lower: Array
+) -> Cubes:
+    """Return the P cubes of each of V voxels.
+
+    Args:
+        voxel: Indices of the voxels in the flattened grid [V].
+        corner: Lower corners of the cubes [V,P,3].
+        weight: Filled fractions between the planes [V,P].
+        normal: Unit normals of the planes [V,3].
+        upper: Heights of the upper planes [V,1].
+        lower: Heights of the lower planes [V,1].
+    """
+    parts = corner.shape[1]
+    half = 0.5 / round(parts ** (1 / 3))
+    level = np.einsum("vpi,vi->vp", corner + half, normal)
+    # Planes at a distance of 1 are outside a cube.
+    planes = [np.clip(height - level, -1, 1).ravel() for height in (upper, lower)]
+    normals = np.repeat(normal, parts, axis=0)
+    place = corner.reshape(-1, 3).astype(np.float64)
+    return Cubes(np.repeat(voxel, parts), place, weight.ravel(), normals, *planes)
+
+
+def _sums(which: Array, values: Array) -> Array:
+    """Return the sums of the rows of `values` [S,3] in each group [K,3]."""
+    return np.stack([np.bincount(which, column) for column in values.T], axis=1)
+
+
+def _normalise(vectors: Array) -> Array:
+    """Return unit vectors in the directions of vectors [K,3]."""
+    unit: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+    return unit
+
+
+def _weighted_mean(values: Array, weights: NDArray) -> Array:
+    """Return the weighted mean of each row [V]; zero if all weights are zero."""
+    mean: Array = (values * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1)
+    return mean
