@@ -176,12 +176,12 @@ def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
     points, normal, thickness = samples
     voxel = np.asarray(np.ravel_multi_index(tuple(points.astype(np.int64).T), region.shape))
     out = points - _centres_around(region, points, voxel)[voxel]
-    is_flat = normal.any(axis=1)
+    is_flat = np.asarray(normal.any(axis=1))
     # In a voxel with flat Gaussians, only these determine the faces.
-    has_flat = np.asarray(np.bincount(voxel, is_flat, region.size) > 0)
-    chosen = border.ravel()[voxel] & (is_flat | ~has_flat[voxel])
+    flat_samples = np.bincount(voxel, is_flat, region.size)
+    chosen = border.ravel()[voxel] & (is_flat | (flat_samples[voxel] == 0))
     points, voxel, normal, out = points[chosen], voxel[chosen], normal[chosen], out[chosen]
-    is_flat, thickness = is_flat[chosen], thickness[chosen]
+    thickness, is_flat = thickness[chosen], is_flat[chosen]
     normal = np.where(is_flat[:, None], normal, _directions(voxel, out, region.size))
     normal *= np.where((out * normal).sum(axis=1) < 0, -1, 1)[:, None]
     axis = np.abs(normal).argmax(axis=1)
