@@ -47,7 +47,13 @@ SHARPNESS = 4
 
 
 def flatten(
-    half: Field, surface: Surface, picture: Continued, size: int, *, always: bool = False
+    half: Field,
+    surface: Surface,
+    picture: Continued,
+    size: int,
+    *,
+    always: bool = False,
+    most: float = 1.0,
 ) -> Field | None:
     """Limit squared half thicknesses [H,W] of an object whose front shows no shading.
 
@@ -59,6 +65,7 @@ def flatten(
         picture: Colours of the image, and mask of the object.
         size: Size of the object, pixels.
         always: Whether the object is flat in any case, regardless of its front.
+        most: Largest half thickness of a flat object, relative to `size`.
     """
     shading = Shading.of(picture.rgba[..., :3], surface, picture.object_mask)
     radius = float(nearest_of(~picture.object_mask)[0].max()) / size
@@ -67,7 +74,7 @@ def flatten(
     ):
         return None
     deepest = float(np.sqrt(half.max()))
-    flat = min(deepest, size * float(np.interp(radius, RADII, HALVES)))
+    flat = min(deepest, size * min(most, float(np.interp(radius, RADII, HALVES))))
     contrast = 0.0 if always else shading.contrast
     limit = float(np.interp(contrast, SHADED, (flat, deepest)))
     return limit_thickness(half, limit)

@@ -12,6 +12,7 @@ from PIL import Image
 from phy124.generators.relief.angular import is_angular
 from phy124.generators.relief.back import BackLook, card_back, choose_look, plain_back
 from phy124.generators.relief.boards import board_shell
+from phy124.generators.relief.borders import has_border
 from phy124.generators.relief.boxes import Cuboid, find_box
 from phy124.generators.relief.caps import Cap, colour_cap, make_cap
 from phy124.generators.relief.colours import (
@@ -49,6 +50,8 @@ from phy124.generators.relief.vessel import vessel_shell
 
 CARD = 0.12
 """Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
+SHEET = 0.05
+"""Largest half thickness of an object with a border, relative to the image's size."""
 BLOCK = 0.8
 """Behind the rim of a block, the colours change from the mirrored image to the back over at most
 this depth.
@@ -148,15 +151,16 @@ def _inflated_shell(
     joined = _parts_thickness(work, shoulder, legs)
     half = half_thickness(silhouette, work, WORK, shape, joined)
     mapped, thin, limited = work.rgba.shape[2] > 4, None, None
+    most = SHEET if shape == "auto" and not mapped and has_border(work.rgba) else 1.0
     if half is None:
         work = work.shorten()
-        surface = make_slab(work, view, thickness)
+        surface = make_slab(work, view, thickness, most * WORK)
     else:
         thin = find_thin(work.object_mask) if shape == "auto" and not mapped else None
         half = half if thin is None else thin.flatten(half)
         surface = inflate(half, silhouette, work, view, thickness)
         if thin is None and not mapped and shape != "round":
-            limited = _flatten(half, surface, work, shoulder, shape)
+            limited = _flatten(half, surface, work, shoulder, shape, most)
     if limited is not None:
         surface = inflate(limited, silhouette, work, view, thickness)
     if shoulder is not None and half is not None:
@@ -181,9 +185,12 @@ def _inflated_shell(
         if look == "plain":
             reach = _reach_behind(surface, half is None, limited is not None)
             inside = work.alpha > 0.5
-            lathed = half is not None and is_turned(work.object_mask)
             imagined = (
-                plain_back(unlit, inside, WORK, rng, lathed) if reach else card_back(unlit, inside)
+                plain_back(
+                    unlit, inside, WORK, rng, half is not None and is_turned(work.object_mask)
+                )
+                if reach
+                else card_back(unlit, inside)
             )
         walls = len(points) - sum(len(cap.points) for cap in caps)
         sides = points[:walls], normals[:walls]
@@ -228,12 +235,21 @@ def _legs_beside(rgba: Field) -> Legs | None:
 
 
 def _flatten(
-    half: Field, surface: Surface, work: Continued, shoulder: Shoulder | None, shape: Shape
+    half: Field,
+    surface: Surface,
+    work: Continued,
+    shoulder: Shoulder | None,
+    shape: Shape,
+    most: float,
 ) -> Field | None:
-    """Return limited squared half thicknesses of a flat or angular object; None for a round one."""
+    """Return limited squared half thicknesses of a flat or angular object; None for a round one.
+
+    `most` is the largest half thickness, relative to the image's size, and less than 1 for an
+    object with a border.
+    """
     block = is_block(work) or (shoulder is not None and is_angular(work.rgba))
-    always = shape == "flat" or (shape == "auto" and block)
-    return flatten(half, surface, work, WORK, always=always)
+    always = shape == "flat" or most < 1 or (shape == "auto" and block)
+    return flatten(half, surface, work, WORK, always=always, most=most)
 
 
 def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) -> Shell | None:

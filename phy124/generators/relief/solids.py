@@ -301,7 +301,9 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
     return bool(max(changes) > SHADED * bright.mean())
 
 
-def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface:
+def make_slab(
+    picture: Continued, view: View, thickness: float = 1.0, most: float = np.inf
+) -> Surface:
     """Return a slab with flat front and back.
 
     A square becomes a cube, and other shapes are thinner.
@@ -310,6 +312,7 @@ def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface
         picture: Mask of the object.
         view: The front camera.
         thickness: Factor by which the guessed depth is multiplied.
+        most: Largest half thickness before this multiplication, pixels.
     """
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
@@ -317,7 +320,7 @@ def make_slab(picture: Continued, view: View, thickness: float = 1.0) -> Surface
     aspect, full = min(sides) / max(sides), np.count_nonzero(object_mask) / (sides[0] * sides[1])
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
-    h = float(distance.max() * aspect**3 * full) * thickness
+    h = min(float(distance.max() * aspect**3 * full), most) * thickness
     # the front appears larger, because it is nearer to the camera than the centre
     h /= 1 + h / view.distance
     # The camera sees the front edges of the walls at the rim, and the front hides the walls behind

@@ -1,0 +1,148 @@
+"""Recognises flat objects by their borders: coins, plates, signs, clocks and slices of fruit.
+
+A border is a band along the outline. The line between the border and the rest of the front is
+parallel to the outline, and shows as an edge in the image along almost all of the outline. On round
+objects, such lines are rare: patterns run across the outline, and shading changes gradually towards
+it. Drawings often have a dark line along the outline, which is not a border.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from phy124.generators.relief.height import nearest_of
+from phy124.generators.relief.outlines import outline_of
+
+Field = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SECTORS = 120
+"""Number of parts of equal length into which the outline is divided."""
+BLUR = 1.0
+"""Blur of the image before its edges are measured, as a standard deviation [pixels]."""
+NARROWEST, WIDEST = 5, 0.35
+"""Smallest width of a border [pixels], and largest width, relative to the radius of the largest
+inscribed disc. The longest side of the object has 248 pixels.
+"""
+UNEVEN = 3
+"""Largest difference of the width of a border from its usual width [pixels]."""
+AROUND = 0.88
+"""Smallest fraction of the outline along which the edge of a border is visible."""
+KNOWN = 0.6
+"""Smallest fraction of the outline at which the object is at least as thick as the border."""
+LEAST = 0.012
+"""Smallest change of a colour across the edge [1 / pixel]."""
+CLEAR = 3.0
+"""Smallest ratio of this change to the changes along the outline, which are caused by patterns."""
+NOISE = 0.004
+"""Noise of the changes along the outline [1 / pixel]."""
+SHARP = 0.5
+"""Largest change on both sides of the edge, relative to that at the edge; shading changes more
+gradually."""
+ALIKE = 0.7
+"""Smallest fraction of the outline along which the change of the colour is like that a twelfth of
+the outline away. The colours of a chessboard change in both directions.
+"""
+AWAY = (6, 10)
+"""Distances from the edge between which this change is measured [pixels]."""
+LINE, BLACK = 16, 0.15
+"""A black band, of at most this brightness, is a drawn line if it is narrower than `LINE` [pixels].
+"""
+NARROW = 8
+"""A band narrower than this is a drawn line if it is darker than the front inside it [pixels]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bands:
+    """What an image shows at each distance from the outline, for each sector of the outline."""
+
+    seen: Mask
+    """Whether the sector has pixels at this distance [D,SECTORS]."""
+    across: Field
+    """Mean change of the colour from the outline inwards [D,SECTORS,3], 1 / pixel."""
+    along: Field
+    """Usual change of the colour along the outline [SECTORS], 1 / pixel."""
+    bright: Field
+    """Median brightness at each distance [D]."""
+
+    @classmethod
+    def of(cls, rgba: Field) -> Bands:
+        """Measure an image [H,W,4]."""
+        solid = rgba[..., 3] > 0.5
+        outline = outline_of(solid)[:, 0]
+        number = np.full(solid.shape, -1)
+        number[outline[:, 1], outline[:, 0]] = np.arange(len(outline)) * SECTORS // len(outline)
+        distance, near = nearest_of(number >= 0)
+        depth = np.rint(distance[solid]).astype(int)
+        deep, cells = depth.max() + 1, depth * SECTORS + number[near][solid]
+        counts = np.bincount(cells, minlength=deep * SECTORS)
+
+        def average(values: Field) -> Field:
+            sums = np.bincount(cells, values[solid], len(counts))
+            return (sums / np.maximum(counts, 1)).reshape(deep, SECTORS)
+
+        down, right = np.gradient(distance)
+        length = np.maximum(np.hypot(down, right), 1e-6)
+        down, right = (down / length)[..., None], (right / length)[..., None]
+        rows, columns = np.gradient(cv2.GaussianBlur(rgba[..., :3], (0, 0), BLUR), axis=(0, 1))
+        inwards, sideways = rows * down + columns * right, rows * right - columns * down
+        seen = counts.reshape(deep, SECTORS) > 0
+        usual = np.sqrt(average((sideways**2).sum(axis=2)))
+        usual = np.ma.masked_array(usual, ~seen)[
+            UNEVEN + 1 : max(NARROWEST, int(WIDEST * deep)) + 1
+        ]
+        bright = scipy.ndimage.median(rgba[..., :3].mean(axis=2)[solid], depth, np.arange(deep))
+        return cls(
+            seen,
+            np.stack([average(inwards[..., c]) for c in range(3)], axis=2),
+            np.ma.median(usual, axis=0).filled(0.0),
+            np.asarray(bright),
+        )
+
+    def is_border(self, width: int) -> bool:
+        """Return whether a border of about this width [pixels] ends with a sharp edge."""
+        known, first = self.seen[width], width - UNEVEN
+        if known.mean() < KNOWN:
+            return False
+        window = self.across[first : width + UNEVEN + 1, known]
+        sizes = np.maximum(np.linalg.norm(window, axis=2), 1e-9)
+        near, edge = sizes.max(axis=0), window[sizes.argmax(axis=0), np.arange(known.sum())]
+        alike = (edge * np.roll(edge, SECTORS // 12, axis=0)).sum(axis=1) > 0
+        return bool(
+            np.quantile(near, 1 - AROUND) > LEAST
+            and np.quantile(near / (self.along[known] + NOISE), 1 - AROUND) > CLEAR
+            and self._changes_beyond(width, known, near) < SHARP
+            and alike.mean() > ALIKE
+            and not self._is_line(first + int(sizes.sum(axis=1).argmax()))
+        )
+
+    def _changes_beyond(self, width: int, known: Mask, near: Field) -> float:
+        """Return the change of the colour on both sides of an edge, relative to that at the edge.
+
+        Args:
+            width: Distance of the edge from the outline [pixels].
+            known: Sectors of the outline at which there is an edge [SECTORS].
+            near: Change at the edge in these sectors [K], 1 / pixel.
+        """
+        sides = [width + np.arange(*AWAY), width - np.arange(*AWAY)]
+        sides = [self.across[rows[rows > UNEVEN]][:, known] for rows in sides]
+        changes = [np.linalg.norm(side, axis=2).mean(axis=0) for side in sides if len(side)]
+        return max(float(np.median(change / near)) for change in changes)
+
+    def _is_line(self, width: int) -> bool:
+        """Return whether a band of this width [pixels] along the outline is a drawn line."""
+        dark, inside = self.bright[2 : max(3, width - 1)].mean(), self.bright[width + UNEVEN]
+        if width < NARROWEST:
+            return True
+        return dark < inside and (width < NARROW or (width < LINE and dark < BLACK))
+
+
+def has_border(rgba: Field) -> bool:
+    """Return whether an image [H,W,4] shows an object with a border along its outline."""
+    bands = Bands.of(rgba)
+    widest = min(int(WIDEST * len(bands.seen)), len(bands.seen) - AWAY[1])
+    return any(bands.is_border(width) for width in range(NARROWEST + 1, widest))
