@@ -129,7 +129,10 @@ def _note(message: Warning | str, *_: object) -> None:
 
 
 def _report(problem: BaseException, *, as_json: bool, verbose: bool) -> int:
-    """Report an exception to the user (with --json also on standard output); return the status."""
+    """Report an exception to the user, and return the exit status.
+
+    With `as_json`, the message is also printed to standard output, as JSON.
+    """
     from phy124.runtime.installation import with_program
 
     cause = failure(problem)

@@ -64,7 +64,7 @@ DENSEST = 4.0
 
 @dataclass
 class Reached:
-    """A finished run, and its error or time."""
+    """The chosen run of a scene, with its clip and its measured error or time."""
 
     simulation: Simulation
     clip: Clip
@@ -122,10 +122,13 @@ class _Runs:
     placed: Placed | None = None
     """The object after placement in the scene; None before the first simulation."""
     denser: bool = False
-    """Whether all runs use one more particle per cell and axis, because material tore."""
+    """Whether all further runs use one more particle per cell and axis than the scene asks for.
+    This is so after the material tore in a run."""
 
     def simulation(self, cells: int) -> Simulation:
-        """Create a simulation on this grid without starting it."""
+        """Create a simulation of the scene with this number of cells across the object, without
+        starting it.
+        """
         base = self.scene.resolution
         per_axis = self.scene.particles_per_axis + self.denser
         accuracy = base.model_copy(update={"cells": cells, "particles_per_axis": per_axis})
@@ -136,7 +139,10 @@ class _Runs:
         return Simulation(setup)
 
     def clip(self, cells: int) -> Clip:
-        """Return the clip on this grid; if there is no clip yet, run the simulation."""
+        """Return the clip of the scene on the grid with this number of cells across the object.
+
+        If this grid has no clip yet, the simulation is run.
+        """
         if cells not in self.done:
             start = time.perf_counter()
             self._make(cells)
@@ -173,7 +179,7 @@ class _Runs:
 
     @property
     def whole(self) -> list[int]:
-        """Levels on which the material did not tear."""
+        """Numbers of cells across the object on the grids on which the material did not tear."""
         return sorted(set(self.done) - set(self.torn))
 
 
@@ -196,7 +202,7 @@ def _meet_error(goal: Goal, runs: _Runs) -> Reached:
 
 
 def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
-    """Run the next level; return an empty text, or the reason why there is no next level."""
+    """Run the scene on the next finer grid; return "", or the reason why there is no such grid."""
     if not result.errors and len(runs.done) >= len(FIRST) + ATTEMPTS:
         return result.why_not
     finest, (error, order) = max(runs.done), _guess(goal, runs, result)
@@ -213,7 +219,10 @@ def _refine(goal: Goal, runs: _Runs, result: Convergence) -> str:
 
 
 def _guess(goal: Goal, runs: _Runs, result: Convergence) -> tuple[float, float]:
-    """Return the order of convergence, and the error on the finest level where nothing tore."""
+    """Guess the order of convergence, and the error on the finest grid.
+
+    Grids on which the material tore are ignored.
+    """
     if result.error is not None:
         order = result.order or GUESSED_ORDER
         return result.error, min(max(order, TRUSTED[0]), TRUSTED[1])
@@ -285,7 +294,9 @@ def _choose_run(result: Convergence, runs: _Runs, goal: Goal) -> tuple[int, floa
 
 
 def _estimate(goal: Goal, runs: _Runs) -> Convergence:
-    """Estimate the order of convergence, and the error of each level where nothing tore."""
+    """Estimate the order of convergence and the error on each grid on which the material did not
+    tear.
+    """
     cells = runs.whole
     apart = np.zeros((len(cells), len(cells)))
     for i, j in combinations(range(len(cells)), 2):
@@ -296,7 +307,7 @@ def _estimate(goal: Goal, runs: _Runs) -> Convergence:
 
 
 def _distance(goal: Goal, first: Clip, second: Clip, scene: Scene) -> float:
-    """Return the RMS distance of two clips in the goal's unit."""
+    """Return the RMS distance between the Gaussians of two clips, in the unit of the goal."""
     if goal.kind == "pixels":
         return pixel_distance(first, second, scene.view)
     unit = scene.object.size if goal.kind == "fraction" else 1.0
@@ -346,7 +357,7 @@ def in_time(
 
 
 class _Fit(NamedTuple):
-    """A grid whose predicted time is within the maximum time."""
+    """The finest grid whose predicted time is within the maximum time, with its forecast."""
 
     cells: int
     simulation: Simulation
@@ -417,7 +428,7 @@ def _sum_preparation(runs: _Runs) -> float:
 def _choose_next(
     cells: int, wanted: list[int], preparing: float, forecast: Forecast, left: float, kept: float
 ) -> int:
-    """Return the next grid to forecast; 0 if there is none.
+    """Return the next grid (cells across the object) to make a forecast for; 0 if there is none.
 
     The result is the finest grid whose preparation and run are expected to stay within the maximum
     time. After the preparation of this grid, enough time must remain to run the previous best grid.
@@ -445,5 +456,5 @@ def _choose_next(
 GROWTH = 2.5
 """Exponent: the times of preparation and simulation are assumed to be proportional to cells^GROWTH.
 
-The exponent is 2 for thin surfaces and 3 for solids; this value is between the two.
+For thin surfaces the exponent would be 2, and for solids 3; `GROWTH` is between these values.
 """

@@ -34,7 +34,8 @@ AFFORDABLE = 0.2
 """Maximum predicted time of the companion run, as a fraction of the time for the dynamics of the
 original run."""
 ON_LATTICE = 1.5
-"""Factor on `AFFORDABLE` for lattices, whose dynamics take at most half of the run's time."""
+"""Factor that multiplies `AFFORDABLE` if the objects are simulated on lattices, because their
+dynamics take at most half of the run's time."""
 SAMPLE = 2000
 """Number of Gaussians whose motions in the two runs are compared."""
 MPM, LATTICE = Rates(particle=7e-8), Rates(substep=2.6e-4, particle=3.6e-8)
@@ -43,9 +44,9 @@ RATES = {
     "lattice": (Rates(substep=4.2e-4, particle=2.1e-8), LATTICE),
     "cuda": (USUAL["cuda"], USUAL["cuda"]),
 }
-"""Costs per unit of work for each solver of elastic objects on a CPU, and for a GPU. The first
-value is for the original run, the second for the companion run. On a lattice, the checks of each
-frame are a large part of the time.
+"""Times per substep and per particle of each solver for elastic objects on a CPU, and of a GPU. The
+first value applies to the original run, the second value to the companion run. With lattices, the
+checks of each frame take a large part of the run's time.
 """
 EFFORT: dict[Motion, float] = {
     "squeezed": 2.2,
@@ -54,9 +55,10 @@ EFFORT: dict[Motion, float] = {
     "held": 0.9,
     "free": 2.4,
 }
-"""Factors on the predicted time of a lattice's substep, by kind of motion.
+"""Factors that multiply the predicted time of a substep on a lattice, by kind of motion.
 
-Contact takes additional time, and so does measuring the frequency of strained objects.
+The factors are larger for motions with contact, which takes additional time, and for strained
+objects, whose vibration frequency is measured.
 """
 PREPARING = {"mpm": (0.02, 5e-7, 0.0), "lattice": (0.044, 0.0, 1e-5), "cuda": (0.045, 3e-7, 0.0)}
 """Time to prepare a companion run [s]: a constant, a time per Gaussian, and a time per particle."""
@@ -75,9 +77,11 @@ class Factors(NamedTuple):
     """
 
     about: float
-    """Median of the ratio over the measured objects and scenes."""
+    """Median, over the measured objects and scenes, of the error divided by the distance between
+    the two runs."""
     at_most: float
-    """95th percentile of the ratio over the measured objects and scenes."""
+    """95th percentile, over the measured objects and scenes, of the error divided by the distance
+    between the two runs."""
 
 
 RATIO = 0.5
@@ -99,20 +103,20 @@ FACTORS = {
     "metal": Factors(0.6, 2.6),
     "foam": Factors(0.6, 0.95),
 }
-"""Factors for each kind of motion, and for each constitutive law that was measured. For other laws,
-the factors of the kind of motion are used.
+"""Factors for each kind of motion, and for each constitutive law that was measured. A constitutive
+law without factors of its own uses the factors of the kind of motion.
 """
 USUAL_CELLS = 16
-"""The factors hold for a companion run with this number of cells across the object. On finer and on
-coarser grids, the factors are larger.
+"""Number of cells across the object in a companion run to which `FACTORS` apply exactly. If the
+companion run has more or fewer cells, the factors are larger.
 """
 FLOOR = 2e-4
 """Error that is always added to the bound, as a fraction of the object's size."""
 LEAST = 0.6
-"""Smallest allowed bound, as a fraction of the error that was predicted before the run.
+"""Lower limit of the error bound, as a fraction of the error that was predicted before the run.
 
-If the results on two coarse grids agree by chance, the estimated error is too small. In this case,
-the predicted error limits the bound.
+If the results on two coarse grids agree by chance, the estimated error is too small. The lower
+limit then keeps the bound from being too small.
 """
 
 
@@ -126,7 +130,7 @@ class OwnError(NamedTuple):
     until: float | None = None
     """Time after which the motion depends on the grid [s]; None if there is no such time.
 
-    The error holds for the frames before this time.
+    The estimated error holds only for the frames before this time.
     """
     cells: int | None = None
     """Cells across the object in the companion run; None if there is no companion run."""
@@ -134,7 +138,7 @@ class OwnError(NamedTuple):
     """Predicted time of the companion run, as a fraction of the time for the dynamics of the
     original run."""
     why_not: str = ""
-    """Reason why there is no estimate."""
+    """Reason why the error was not estimated."""
 
 
 class Lost(Exception):
@@ -218,7 +222,10 @@ def coarsen(scene: Scene) -> Scene:
 
 
 def affordable(run: Simulation) -> float:
-    """Return the largest predicted cost with which a companion run is still made."""
+    """Return the largest predicted time of a companion run that is still made.
+
+    The unit is the time of the dynamics in the original run.
+    """
     return AFFORDABLE * (ON_LATTICE if run.scene.on_lattice else 1.0)
 
 
@@ -253,7 +260,9 @@ def count_particles(setup: Setup) -> int:
 
 
 def factors_of(scene: Scene, cells: int) -> Factors:
-    """Return the factors for a scene whose companion run has this number of cells."""
+    """Return the factors for a scene whose companion run has this number of cells across the
+    object.
+    """
     keys = [
         section.law if section.law in FACTORS else motion_of(scene) for section in scene.materials
     ]
@@ -266,7 +275,9 @@ def factors_of(scene: Scene, cells: int) -> Factors:
 def estimate(
     distances: NDArray, times: NDArray, factors: Factors, expected: float | None = None
 ) -> tuple[float | None, float | None, float | None]:
-    """Return the error, the error bound, and the time until which both hold, as in `OwnError`.
+    """Estimate a run's error, its error bound, and the time until which both hold.
+
+    The three values are those of `OwnError`.
 
     Args:
         distances: RMS distance between the two runs in each frame [T], relative to the size.

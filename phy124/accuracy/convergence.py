@@ -42,11 +42,11 @@ class Convergence:
     why_not: str = ""
     """Reason why there is no estimate of the errors."""
     note: str = ""
-    """Remark on the estimate, such as the reason why the errors are only rough."""
+    """Remark on the estimated errors, such as the reason why they are only rough."""
     exact: tuple[float, ...] = ()
     """Weights of the levels in the extrapolated result; the weights sum to 1."""
     inside: float = 0.0
-    """Mean square distance of the levels from the extrapolated result, weighted by `exact`."""
+    """Mean, weighted by `exact`, of the levels' square distances from the extrapolated result."""
     factor: float = 1.0
     """Safety factor by which the errors are multiplied."""
 
@@ -165,8 +165,9 @@ def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
 
 
 def _squares(rows: NDArray, apart: NDArray) -> NDArray[np.float64]:
-    """Return the mean squares [K] of combinations of results; `rows` [K,L] are weights that sum to
-    0.
+    """Return the mean squares [K] of K linear combinations of the L results.
+
+    Each row of `rows` [K,L] contains the weights of one combination, which sum to 0.
     """
     return np.maximum(-0.5 * np.einsum("ki,ij,kj->k", rows, apart**2, rows), 0.0)
 

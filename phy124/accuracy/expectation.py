@@ -51,9 +51,10 @@ HARDER = {
 THINNEST = 0.7
 """Thickness of an object, in cells, below which the error no longer depends on the thickness."""
 SOLID = Proportions(thickness=1.0, compliance=0.1)
-"""Proportions of an object that is thick enough for every grid."""
+"""Proportions of an object that is so thick that its thickness does not affect the error."""
 STIFFEST, SOFTEST = 0.02, 100.0
-"""Range of values within which the error depends on the object's compliance."""
+"""Smallest and largest compliance of an object between which the error depends on the compliance.
+"""
 
 
 class Expectation(NamedTuple):
@@ -88,15 +89,20 @@ def kind_of(scene: Scene) -> str:
 
 
 def groups(scene: Scene) -> list[str]:
-    """Return the groups to which a scene belongs; the model adds up the groups' coefficients."""
+    """Return the names of the groups of scenes to which a scene belongs.
+
+    The model of the error adds up one coefficient for each group.
+    """
     motion, law = motion_of(scene), law_of(scene)
     names = ["all", motion, law, f"{law} {motion}", *features(scene)]
     return [*names, "lattice", kind_of(scene)] if scene.on_lattice else names
 
 
 def name_features(scene: Scene) -> list[str]:
-    """Return a pair of feature and solver for each feature; a prediction needs measurements of
-    every pair.
+    """Return the names of the scene's special features, each with the solver that simulates the
+    feature.
+
+    A prediction needs measurements of all features that are returned.
     """
     names = features(scene)
     return [f"{name}{ON_LATTICE}" for name in names] if scene.on_lattice else names
@@ -210,7 +216,9 @@ def _clamp(values: Mapping[str, float], measured: Mapping[str, Any]) -> dict[str
 
 
 def _describe_beyond(scene: Scene, known: Sequence[str]) -> str:
-    """Describe a feature of the scene that was not measured; return "" if there is none."""
+    """Describe a feature of the scene for which no errors were measured; return "" if there is
+    none.
+    """
     if scene.stiffness is not None or scene.properties is not None:
         return "materials that vary from point to point"
     accuracy = scene.resolution

@@ -63,7 +63,7 @@ class Forecast:
     """Mean number of grid nodes over the run."""
     substeps: int
     limiters: dict[str, float]
-    """For each limit, the fraction of the substeps whose length it determines."""
+    """For each stability limit, the fraction of the substeps whose length this limit determines."""
     rates: SubstepCost
     memory: float = 0.0
     """Estimated memory of the run (`phy124.budget.limits`) [bytes]."""
@@ -181,7 +181,9 @@ class Stop:
     def of(
         cls, scene: Scene, seconds: float, promise: Promise, forecast: Forecast | None = None
     ) -> Stop:
-        """Return the time and error for the slider position that the named accuracy of a scene has.
+        """Return the position of the accuracy slider for a scene, with the scene's time and error.
+
+        The scene must use one of the named accuracies.
 
         Args:
             scene: The scene.
@@ -357,7 +359,7 @@ def _caveat(pilot: Pilot, limiters: Mapping[str, float]) -> str | None:
     if moving > UNSURE:
         return (
             f"The speed of the material, not its stiffness, limits {moving:.0%} of the substeps. "
-            "The fraction differs between grids, so the predicted time is only a rough estimate."
+            "This fraction differs between grids, so the predicted time is only a rough estimate."
         )
     return None
 

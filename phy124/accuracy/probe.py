@@ -39,18 +39,19 @@ if TYPE_CHECKING:
     from phy124.simulation.bodies import Placed
 
 PROBE = 20
-"""Maximum number of substeps of a probe; probes of large objects have fewer."""
+"""Maximum number of substeps in a short run that measures the time of a substep; large objects have
+fewer."""
 MIN_PROBE = 6
-"""Minimum number of substeps of a probe."""
+"""Minimum number of substeps in a short run that measures the time of a substep."""
 LONGEST_PROBE = 0.6
-"""Maximum total duration of the probes [s]."""
+"""Maximum total duration of the short runs that measure the time of a substep [s]."""
 ROUNDS = 5
-"""Maximum number of probes, whose median is used."""
+"""Maximum number of short runs that measure the time of a substep; their median is used."""
 GRAPH_PROBE = (20, 120)
-"""Numbers of substeps of the two probes on a GPU.
+"""Numbers of substeps in the two short runs that measure the time of a substep on a GPU.
 
 A substep on a GPU takes so little time that the fixed cost of a frame would dominate a single
-probe. The difference of the two probes does not contain this fixed cost.
+probe. The difference between the times of the two runs does not contain this fixed cost.
 """
 FILMED = 2, 6
 """Numbers of frames of two test videos, which separate the cost per video from the cost per
@@ -60,10 +61,11 @@ TRIES = 2
 SHORT_STEP = 1e-3
 """Substep that is assumed [s] if the stable substep at rest is longer than `LONG_STEP`."""
 LONG_STEP = 0.1
-"""Longest stable substep of a probe [s]. For a viscous liquid at rest, the stable substep may be
-minutes long until forces act."""
+"""Longest substep in the short runs that measure the time of a substep [s]. For a viscous liquid at
+rest, the stable substep may be minutes long until forces act."""
 NODE_STAGES = ("clear", "grid")
-"""Stages whose time is proportional to the number of nodes; the time of boundaries is, too."""
+"""Stages of a substep whose time is proportional to the number of grid nodes. The time of the
+boundaries is proportional to this number, too."""
 
 
 @dataclass(frozen=True)
@@ -287,10 +289,10 @@ def _make_moving_clip(gaussians: Gaussians, scene: Scene, count: int) -> Clip:
 CELLS = 16
 """Cells across the object in the pilot run."""
 EXCESS = 0.8
-"""A moving object needs more substeps than an object at rest. The difference is proportional to
-cells^(1 + EXCESS)."""
+"""A moving object needs more substeps than an object at rest. This difference in the number of
+substeps is proportional to cells^(1 + EXCESS), for any number of cells across the object."""
 ON_LATTICE = 1.2
-"""Value that replaces `EXCESS` for bodies on lattices."""
+"""Exponent that replaces `EXCESS` for bodies that are simulated on lattices."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 
@@ -323,7 +325,8 @@ class Pilot:
     """Duration of the pilot run, including its preparation [s]."""
 
     def finer(self, dx: float) -> float:
-        """Return the number of cells along the object in the run, relative to the pilot run.
+        """Return the ratio of the numbers of cells across the object in the run and in the pilot
+        run.
 
         The side of a cell is `dx` [m].
         """

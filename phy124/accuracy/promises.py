@@ -36,12 +36,14 @@ class Promise:
     """The error bound of a scene, or the reason why there is none."""
 
     error: float | None
-    """Bound on the RMS distance of the Gaussians from the exact motion, or None.
+    """Error bound: a limit of the RMS distance of the Gaussians from the exact motion. None if
+    there is no bound.
 
-    The unit is the object's size. The RMS is taken over the clip, or over its first `seconds`.
+    The bound is a fraction of the object's size. The RMS is taken over the clip, or over its first
+    `seconds`.
     """
     why: str
-    """A sentence that names the source of the bound, or the reason why there is none."""
+    """A sentence that names the source of the error bound, or the reason why there is no bound."""
     unmeasured: str = ""
     """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
     about: float | None = None
@@ -61,7 +63,9 @@ class Promise:
         return f"Expected error: {self.size()}{self._span}. {self.why}{self._reason}"
 
     def with_study(self, command: str) -> str:
-        """Return `sentence` with another command for measuring the scene's error."""
+        """Return `sentence`, in which the command that measures the scene's error is replaced by
+        `command`.
+        """
         return self.sentence.replace(STUDY, command)
 
     @property
@@ -92,7 +96,7 @@ class Promise:
 
     @property
     def missing(self) -> str:
-        """A few words that name the missing measurement; empty if no measurement is missing."""
+        """A few words that say which error was not measured; "" if no measurement is missing."""
         if self.seconds is not None:
             return f"error after {self.seconds:.2f} s not measured"
         return UNMEASURED if self.unmeasured else ""
@@ -159,14 +163,14 @@ def promise(
 
 
 def refuse_promise(why: str) -> Promise:
-    """Return a promise that states why there is no error bound."""
+    """Return a message that states why there is no error bound."""
     return Promise(None, f"there is no bound: {why}")
 
 
 def promise_measured(
     error: float, cells: int, grids: Sequence[int], until: float | None = None
 ) -> Promise:
-    """Return the promise for an error that was estimated by running the scene on several grids.
+    """Return the message about an error that was estimated by running the scene on several grids.
 
     Args:
         error: The estimated error, as a fraction of the object's size.
@@ -184,7 +188,9 @@ def promise_measured(
 
 
 def promise_own(entry: Mapping[str, Any]) -> Promise:
-    """Return the promise for the estimated error in the entry `error` of a report."""
+    """Return the message about the error that a run has estimated, from `error` in the run's
+    report.
+    """
     why = f"Estimated from the same motion on D/{entry['cells']}."
     if entry["until"] is not None:
         why += (
@@ -209,7 +215,7 @@ def format_apart(first: float, second: float) -> tuple[str, str]:
 
 
 def torn(grids: Sequence[str]) -> str:
-    """Return a message that the material may tear on some grids of a study (D/16, ...)."""
+    """State that the material may tear on the named grids of a study (such as D/16)."""
     return f"on {_join_names(grids)} the grid may tear the material"
 
 
@@ -226,7 +232,8 @@ def check_promise(
     until: float | None = None,
     stated: Mapping[str, Any] | None = None,
 ) -> str:
-    """Describe whether an error bound holds in a scene.
+    """Describe whether a measured error of a scene is within the error bound that was stated
+    before.
 
     Args:
         promised: The error bound.

@@ -14,8 +14,8 @@ from phy124.scene.energies import duration, energy
 COMPARED = {"law", "density", "E", "bulk_modulus", "nu", "damping", "viscosity", "yield_stress"}
 """Fields of a material that `violence`, `yielding`, `damping` or `poisson` take into account."""
 MEASURED = {"repose_angle": (30.0, 36.0), "hardening": (3.0, 10.0), "extension": (0.004, 0.0075)}
-"""For other fields of a material, the ranges in which errors are the same as with the default
-value.
+"""For each further field of a material, the range in which errors are the same as with the field's
+default value.
 """
 LOOKS = {"tint", "visibility"}
 """Fields of a material that do not affect the motion."""
@@ -78,7 +78,9 @@ def bar_speed(section: AnyMaterial) -> float:
 
 
 def find_difference(scene: Scene) -> str:
-    """Describe a material parameter whose value was not measured; return "" if there is none."""
+    """Describe a material parameter with a value for which no errors were measured; return "" if
+    there is none.
+    """
     for section in scene.materials:
         for name, field in type(section).model_fields.items():
             usual, value = field.get_default(call_default_factory=True), getattr(section, name)

@@ -18,9 +18,9 @@ class Stage(NamedTuple):
     """Number of calls of a stage per substep, and the mean duration of a call."""
 
     calls: float
-    """Number of calls per substep."""
+    """Number of calls of the stage per substep."""
     seconds: float
-    """Duration of a call [s]."""
+    """Mean duration of a call of the stage [s]."""
 
 
 Stages = Mapping[str, Stage]

@@ -23,21 +23,23 @@ from phy124.schema.section import Section, omit_default
 
 Contact = Literal["sticky", "slip", "separate"]
 REACH = -0.15
-"""Signed distance from a wall [cells] below which a node responds individually, not with its
-column.
+"""Signed distance from a wall [cells] below which a node responds individually, not with its column
+of nodes.
 
-A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If this plane
-lies about 0.65 cells inside the wall, the body therefore rests on the wall's surface. Plastic and
-fluid materials sink to this plane, so `REACH` is used only for nodes that belong to no column.
+A solid rests 0.6 to 0.9 cells above the highest plane of nodes that the wall stops. If the highest
+stopped plane of nodes lies about 0.65 cells inside the wall, the body therefore rests on the wall's
+surface. Plastic and fluid materials sink to the highest stopped plane of nodes, so `REACH` is used
+only for nodes that belong to no column.
 """
 MARGIN = 2.0
-"""A node in front of a wall may respond to the wall up to this distance [cells]."""
+"""Largest distance in front of a wall [cells] at which a node may still respond to the wall."""
 SWEEPS = 2
-"""Number of passes per substep over columns that cross near a wall. In each pass, a column uses the
-velocities that the other columns computed in the previous pass.
+"""Number of passes per substep over the columns of grid nodes perpendicular to a curved wall,
+because such columns cross. In each pass, a column of nodes uses the velocities that the other
+columns computed in the previous pass.
 """
 THINNEST = 1.0
-"""Smallest half thickness of a solid [cells]; a thinner one may contain no nodes."""
+"""Smallest allowed half thickness of a solid [cells]. A thinner solid may contain no grid nodes."""
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 Recorder = Callable[[Grid], "wp.Launch | None"]
 
@@ -71,11 +73,15 @@ class AtRest:
     """Positions at rest [P,3], m."""
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
-        """Return all positions; the name is ignored."""
+        """Return the positions of the object at rest; the name is ignored, because there is one
+        object.
+        """
         return self.rest
 
     def top_of(self, name: str | None) -> float:
-        """Return the largest height [m]; the name is ignored."""
+        """Return the height [m] of the object's top; the name is ignored, because there is one
+        object.
+        """
         return float(self.rest[:, 2].max())
 
 
@@ -120,7 +126,7 @@ class Boundary(Section):
         return self.reach(dx) is None
 
     def columns_overlap(self, dx: float) -> bool:
-        """Return whether a node may be in several columns."""
+        """Return whether a node may be in several columns of nodes perpendicular to the wall."""
         return self.at_surface(dx) and self.outline() not in FLAT
 
     @property
@@ -130,7 +136,10 @@ class Boundary(Section):
 
     @property
     def tracked(self) -> bool:
-        """Whether the boundary has a track, which it needs if it moves or stops acting."""
+        """Whether the boundary has a track, which is a table of its displacement over time.
+
+        A boundary needs a track if it moves or stops acting.
+        """
         return self.moves
 
     def kernels(self, real: Any, dx: float) -> list[Any]:
@@ -140,28 +149,32 @@ class Boundary(Section):
         return [part.kernel(real, dx) for part in self.parts()] + settle
 
     def kernel(self, real: Any, dx: float) -> Any:
-        """Return the kernel of a simple wall."""
+        """Return the kernel that makes grid nodes respond to a simple wall."""
         make = make_contact if self.at_surface(dx) else make_collider
         return make(self.outline(), self.response(), real)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new field values that halve the boundary's strength."""
+        """Return new values of the boundary's fields that make its action half as strong."""
         return {}
 
     def parts(self) -> list[Any]:
-        """Return the simple walls of which the boundary consists."""
+        """Return the simple walls of which the boundary consists, such as the two pads of a
+        gripper.
+        """
         return [self]
 
     def part_names(self) -> list[str]:
-        """Return a name for each of the simple walls, in order."""
+        """Return a name for each simple wall, in the order of `parts`."""
         return [str(number) for number in range(1, len(self.parts()) + 1)]
 
     def outline(self) -> str:
-        """Return the name of the shape's distance function."""
+        """Return the name of the function that computes the distance from the shape."""
         return self.shape
 
     def response(self) -> str:
-        """Return the name of the nodes' response (`kernels.columns.RESPONSES`)."""
+        """Return the name of the rule by which nodes respond to the wall
+        (`kernels.columns.RESPONSES`).
+        """
         return self.contact
 
     def track(self, model: Rest) -> Track | None:
@@ -181,7 +194,7 @@ class Boundary(Section):
         return np.full(len(x), -np.inf)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages of the boundary: the wall, and a second stage for nodes where columns
+        """Return the boundary's stages of a substep: the wall, and then the nodes where columns
         cross.
 
         Args:
@@ -205,14 +218,18 @@ class Boundary(Section):
         return [Stage(name, recorder, alone=alone, with_update=updating) for recorder in recorders]
 
     def _of_object(self, model: Model, recorder: Recorder) -> Recorder:
-        """Return a recorder that skips the grids of objects on which the wall does not act."""
+        """Return `recorder`, changed so that it skips the grids of objects on which the wall does
+        not act.
+        """
         if self.object is None:
             return recorder
         particles = model.named(self.object)
         return lambda grid: recorder(grid) if grid.particles == particles else None
 
     def spans(self, model: Model) -> bool:
-        """Return whether columns may extend over several layers of nodes along x."""
+        """Return whether a column of nodes perpendicular to the wall may extend over several layers
+        of nodes along x.
+        """
         if not self.at_surface(model.dx):
             return False
         _, normal, _ = self.geometry(model)
@@ -234,14 +251,16 @@ class Boundary(Section):
             )
 
     def reach(self, dx: float) -> float | None:
-        """Return the signed distance [m] below which nodes respond; None for contact at the exact
-        surface.
+        """Return the signed distance from the wall [m] below which nodes respond to the wall.
+
+        The result is None if contact is enforced at the exact surface.
         """
         return None
 
     def _settler(self, model: Model) -> Callable[[Grid], wp.Launch | None]:
-        """Return a recorder of the stage for crossing columns, which covers two cells beyond the
-        bounds.
+        """Return a function that records the kernel launch for nodes where columns of nodes cross.
+
+        The launch covers the box of `_swept_bounds` and two cells around this box.
         """
         low, high = self._swept_bounds(model)
 
@@ -253,12 +272,17 @@ class Boundary(Section):
         return record
 
     def _swept_bounds(self, model: Model) -> Corners:
-        """Return the corners [m] of a box around all nodes that may respond at any time."""
+        """Return the corners [m] of a box around all nodes that may respond to the boundary at any
+        time.
+        """
         bounds, track = self.bounds(model), self.track(model)
         return bounds if track is None else swept(bounds, track)
 
     def _recorder(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
-        """Return the function that records the wall's launch; `slot` is the slot of the track."""
+        """Return the function that records the kernel launch of this wall.
+
+        `slot` is the index of the wall's displacement in `tracks`.
+        """
         bounds, columns_overlap = self._swept_bounds(model), self.columns_overlap(model.dx)
         at_surface = self.at_surface(model.dx)
         kernel = self.kernel(model.real, model.dx)
@@ -279,7 +303,9 @@ class Boundary(Section):
         return record
 
     def _updater(self, model: Model, tracks: Tracks, slot: int) -> Recorder:
-        """Return the function that records one launch for both a flat wall and the grid update."""
+        """Return a function that records one kernel launch for both the flat wall and the grid
+        update.
+        """
         bounds = self._swept_bounds(model)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -298,14 +324,16 @@ class Boundary(Section):
         return record
 
     def _wall(self, model: Model, slot: int) -> list[Any]:
-        """Return the kernel inputs that describe the wall: shape, friction, reach, track."""
+        """Return the kernel inputs that describe the wall: its shape, friction and reach, and its
+        track.
+        """
         shape = types(model.real).mat33(*np.ravel(self.geometry(model)))
         reach = self.reach(model.dx)
         return [shape, self.friction, REACH * model.dx if reach is None else reach, slot]
 
 
 def _columns(model: Model, grid: Grid) -> list[Any]:
-    """Return the kernel inputs for contact in columns: number of layers, and threshold."""
+    """Return the kernel inputs for contact between the wall and columns of nodes."""
     layers = wp.vec2i(*(grid.layers or (0, int(grid.size[0]))))
     return [layers, lightest(model), contact_mass_fraction(model), seep_distance(model)]
 
@@ -332,7 +360,9 @@ class Movable(Boundary):
 
 
 def lightest(model: Model) -> float:
-    """Return the mass [kg] of a full node in the lightest material; infinite for elastic materials.
+    """Return the mass [kg] of a grid node that is full of the lightest material.
+
+    The result is infinite if no material yields and all materials are equally dense.
 
     In a material that yields, cells may contain up to 1.6 times as many particles as at rest
     without being compressed. Elastic material is always compressed in a cell that
@@ -343,7 +373,7 @@ def lightest(model: Model) -> float:
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the contact threshold as a fraction of the mass expected at a wall.
+    """Return the contact threshold, as a fraction of the mass that is expected at a wall.
 
     A body counts as touching the wall if its mass at the wall exceeds the threshold.
 
@@ -356,7 +386,7 @@ def contact_mass_fraction(model: Model) -> float:
 
 
 def seep_distance(model: Model) -> float:
-    """Return the signed distance from a wall [m] below which nodes respond individually.
+    """Return the signed distance from a wall [m] below which grid nodes respond individually.
 
     The distance applies in columns of nodes that the wall does not push. The distance is finite for
     material that separates into drops or grains. With an infinite distance, drops and grains behind
@@ -368,7 +398,9 @@ def seep_distance(model: Model) -> float:
 
 
 def yields(model: Model) -> bool:
-    """Return whether any material has a return mapping: plastic solid, sand, snow or liquid."""
+    """Return whether a material of the model has a return mapping: plastic solid, sand, snow or
+    liquid.
+    """
     return any(section.device_law.project is not None for section in model.materials)
 
 
@@ -385,7 +417,10 @@ def swept(corners: Corners, track: Track) -> Corners:
 
 
 def half_bounds(point: Vector, normal: Vector) -> Corners:
-    """Return the corners [m] of a half-space's bounding box (all space for an oblique normal)."""
+    """Return the corners [m] of the bounding box of a half-space.
+
+    If the normal is oblique, the box is all space.
+    """
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     across = np.flatnonzero(np.abs(normal) > 1e-9)
     if len(across) == 1:

@@ -55,7 +55,9 @@ class Path(Motion):
         return self
 
     def track(self) -> Track:
-        """Return the track through the points, with cosine easing if the path is smooth."""
+        """Return the displacement over time along the path, with cosine easing if the path is
+        smooth.
+        """
         times, points = np.array(self.times), np.array(self.points)
         if self.smooth:
             times, points = ease(times, points)
@@ -77,7 +79,7 @@ class Swing(Motion):
     """Frequency of the oscillation [Hz]."""
 
     def track(self) -> Track:
-        """Return the track of one period, which is repeated and starts at zero displacement."""
+        """Return the displacement over one period, which is repeated and starts at zero."""
         sine = Sine(frequency=self.frequency)
         times, factors = sine.table()
         return Track(
@@ -103,14 +105,16 @@ OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:
-    """Return the keys of a track from times [N], s, and points [N,3], m."""
+    """Return the (time, displacement) pairs of a track from times [N], s, and points [N,3], m."""
     return tuple(
         (t, (x, y, z)) for t, (x, y, z) in zip(times.tolist(), points.tolist(), strict=True)
     )
 
 
 def ease(times: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Divide the path between two points into `EASE` segments with a smooth start and stop."""
+    """Divide the motion from each point to the next into `EASE` segments with a smooth start and
+    stop.
+    """
     parts = np.linspace(0, 1, EASE + 1)[1:]
     fractions = (1 - np.cos(math.pi * parts)) / 2
     new_times, new_points = [times[0]], [points[0]]

@@ -155,7 +155,7 @@ class Container(Movable):
         return walls
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return one stage for each wall."""
+        """Return one stage of the substep for each wall."""
         return [
             stage._replace(name="container")
             for wall in self.sides()
@@ -164,7 +164,8 @@ class Container(Movable):
 
 
 def there_and_back(to: Vector, start: float, go: float, stay: float, back: float) -> Track:
-    """Return the track of a smooth displacement, a rest, and a smooth motion back.
+    """Return the displacement over time of a smooth motion to `to`, a rest, and a smooth motion
+    back.
 
     Args:
         to: Displacement during the rest [m].

@@ -45,7 +45,7 @@ class Box(Solid):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return centre and half sizes [m]."""
+        """Return the centre and the half sizes of the box [m]."""
         return box_of(self.lower, self.upper)
 
     def extent(self, model: Model) -> Corners:
@@ -53,7 +53,7 @@ class Box(Solid):
         return np.array(self.lower), np.array(self.upper)
 
     def thickness(self) -> float:
-        """Return half of the shortest side [m]."""
+        """Return half of the length of the box's shortest side [m]."""
         return float(np.subtract(self.upper, self.lower).min()) / 2
 
 
@@ -68,7 +68,7 @@ class Sphere(Solid):
     """Radius [m]."""
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return centre and radius [m]."""
+        """Return the centre and the radius of the sphere [m]."""
         return self.centre, (self.radius, 0.0, 0.0), (0.0, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
@@ -76,7 +76,7 @@ class Sphere(Solid):
         return np.array(self.centre) - self.radius, np.array(self.centre) + self.radius
 
     def thickness(self) -> float:
-        """Return the radius [m]."""
+        """Return half of the solid's thickness, which is its radius [m]."""
         return self.radius
 
 
@@ -99,7 +99,7 @@ class Capsule(Solid):
         return self
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:
-        """Return the two ends of the axis and the radius [m]."""
+        """Return the two ends of the capsule's axis, and its radius [m]."""
         return self.start, self.end, (self.radius, 0.0, 0.0)
 
     def extent(self, model: Model) -> Corners:
@@ -108,7 +108,7 @@ class Capsule(Solid):
         return ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius
 
     def thickness(self) -> float:
-        """Return the radius [m]."""
+        """Return half of the solid's thickness, which is its radius [m]."""
         return self.radius
 
 
@@ -189,7 +189,7 @@ class Gripper(Boundary):
         return pads
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return one stage for each pad."""
+        """Return one stage of the substep for each pad."""
         self.refuse_thin(model)
         return [
             stage._replace(name="gripper")

@@ -28,7 +28,8 @@ GAUSSIANS = 50_000
 FILLED = 0.19
 """Volume of a typical object, divided by the cube of the object's longest side."""
 DOUBLE = 1.7
-"""Time of a substep in float64, relative to one in float32 (docs/lab/accuracy.md)."""
+"""Time of a substep in float64, relative to the time of a substep in float32
+(docs/lab/accuracy.md)."""
 PASS = 0.7
 """Time of each further transfer pass, relative to a substep (docs/lab/transfers.md)."""
 STEP = 6.0
@@ -113,9 +114,11 @@ class Work:
 
     substeps: float
     particles: float
-    """Particles times substeps, times the relative cost of the precision and the transfer."""
+    """Number of particles times number of substeps, times the relative cost of the floating-point
+    precision and of the transfer scheme."""
     nodes: float
-    """Grid nodes times substeps, times the relative cost of the precision and the transfer."""
+    """Number of grid nodes times number of substeps, times the relative cost of the floating-point
+    precision and of the transfer scheme."""
     frames: int
     videos: int
     pixels: float

@@ -188,7 +188,7 @@ def _of_forces(scene: Scene) -> Iterator[Effect]:
 
 
 def _of_observers(subject: Subject, observers: Sequence[Observer]) -> Iterator[Effect]:
-    """Yield the checks of the substep, and then the effect of each observer.
+    """Yield the checks that are made in each substep, and then the effect of each observer.
 
     Observers that a caller added are included.
     """

@@ -186,7 +186,7 @@ def note_costs(scene: Scene) -> list[str]:
 
 
 def _note_speed(scene: Scene) -> str | None:
-    """If the objects may become so fast that the run takes long, return a note, else None."""
+    """Return a note if the objects may become so fast that the run takes long, else None."""
     substeps, seconds = count_substeps(scene), USUAL["cpu"].seconds(Work.of(scene))["simulate"]
     ratio = substeps / max(rest_substeps(scene), scene.time.frames)
     if ratio < MANY or seconds < LONG:
@@ -200,7 +200,7 @@ def _note_speed(scene: Scene) -> str | None:
 
 
 def _note_stiffest_part(scene: Scene) -> str | None:
-    """If one material needs many more substeps than the others, return a note, else None.
+    """Return a note if one material needs many more substeps than the other materials, else None.
 
     Liquids with projected pressure are ignored, because their steps do not depend on a stiffness.
     """
