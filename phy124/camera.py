@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
-"""Azimuths of the paper's four views [degrees]. The front is +x, the right is +y."""
+"""Azimuths of the four views in the Phy124 paper [degrees]. The front of the object is its side
+towards +x, and the right is its side towards +y. The front is +x, the right is +y."""
 FOV_Y = 49.1
 """Default vertical field of view [degrees]. LGM uses the same value."""
 

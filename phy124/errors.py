@@ -59,7 +59,7 @@ class Cancelled(Exception):
 
 
 class Incomplete(Exception):
-    """Raised after some of the results were saved.
+    """Raised if an error or Ctrl-C ended the work after some of the results were saved.
 
     `__cause__` is the exception that ended the work.
 

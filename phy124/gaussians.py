@@ -260,8 +260,9 @@ class Particles:
     there are no bodies on lattices.
     """
     copies: NDArray[np.int8] | None = None
-    """For each cell of a lattice: indices of the copies of its 27 nodes that the cell uses [C,27].
-    Cells are sorted in the same way as their points. None if no node has copies
+    """For each cell of a lattice and each of its 27 nodes: which copy of the node the cell uses
+    [C,27]. A node has copies if separate pieces of the body are near it. Cells are in the same
+    order as the points of the lattice. The array is None if no node has copies
     (phy124/particles/pieces.py).
     """
 
@@ -374,11 +375,11 @@ def spread_directions(count: int) -> NDArray[np.float64]:
 
 
 def stack_wrenches(frames: Sequence[Frame]) -> NDArray[np.float64]:
-    """Return the wrenches of all frames [T,W,2,3], in the order of the walls."""
+    """Return the wrenches (force and torque) on all walls in all frames [T,W,2,3]."""
     rows = [[[*wrench] for wrench in (frame.wrenches or {}).values()] for frame in frames]
     return np.array(rows, np.float64).reshape(len(frames), -1, 2, 3)
 
 
 def of_walls(walls: Sequence[str], wrenches: NDArray) -> dict[str, Wrench]:
-    """Return the wrenches of a frame [W,2,3] in the order of the walls' names."""
+    """Return, by the names of the walls, the wrenches (force and torque) of a frame [W,2,3]."""
     return {wall: Wrench(*wrench) for wall, wrench in zip(walls, wrenches, strict=True)}

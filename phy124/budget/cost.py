@@ -43,7 +43,8 @@ LAUNCHES = 3600.0
 UNDAMPED = 1.5
 """Longest stable substep of an undamped lattice at rest, in units of sqrt(cfl) dx / c."""
 DAMPED = 0.235
-"""Damping ratio of a lattice's fastest vibration, in units of dx / c / viscous limit."""
+"""Damping ratio of the fastest vibration of a lattice, multiplied by the viscous limit of the
+substep and divided by dx / c."""
 WINDOW = 11
 """Number of nodes per axis in the grid's window, in addition to the nodes across the object."""
 GRAVITY = 9.81
@@ -54,8 +55,8 @@ BYTES_PER_POINT = 1100
 """Memory per lattice point, including the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_CELL = 4 * 1000
-"""Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. A cell
-takes 1 kB. In a basin, the liquid may spread over four times as many cells as at rest.
+"""Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. Each
+such cell takes 1 kB. In a basin, the liquid may spread over four times as many cells as at rest.
 """
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""

@@ -23,7 +23,8 @@ from phy124.runtime.memory import MEMORY_FRACTION, free_memory
 from phy124.scene import Scene
 
 MUCH_STIFFER = 3.0
-"""A note names the stiffest part if the ratio of the two largest wave speeds is at least this."""
+"""A note names the stiffest part of the scene if the largest wave speed is at least this multiple
+of the second largest."""
 MANY, LONG = 5.0, 20.0
 """A note about the speed of an object is printed if the run needs at least `MANY` times as many
 substeps as at rest, and if this takes at least `LONG` seconds on a CPU.
@@ -125,8 +126,9 @@ def _check_distance(scene: Scene) -> None:
 def _find_remedies(
     scene: Scene, excess: float, fits: Callable[[Scene], bool]
 ) -> tuple[Remedy, ...]:
-    """Return changes of the scene for which `fits` is true; so far the run needs `excess` times its
-    budget.
+    """Return the changes of the scene for which `fits` is true.
+
+    So far, the run needs `excess` times its budget.
     """
     fitting = []
     for remedy in _propose_remedies(scene, excess):

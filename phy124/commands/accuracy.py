@@ -199,7 +199,10 @@ class ShowAccuracy:
 
 
 def _status(report: Report) -> int:
-    """Return a study's exit status; if no grid was run, the status of a stopped simulation."""
+    """Return the exit status of a study: 0 if at least one grid was run, otherwise 3.
+
+    A simulation that was stopped has the status 3, too.
+    """
     return 0 if any(row.level for row in report.rows) else 3
 
 

@@ -73,7 +73,10 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """Return a clip's name: that of its folder if the file is clip.*, else that of the file."""
+    """Return the name of a clip.
+
+    This is the name of its folder if the file is clip.*, and otherwise the name of the file.
+    """
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 

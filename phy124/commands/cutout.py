@@ -104,7 +104,9 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe the method of a cut-out and its fraction of the picture, from `Cutout.data()`."""
+    """Describe how the object was cut out and how much of the picture it covers
+    (`Cutout.data()`).
+    """
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 

@@ -25,7 +25,8 @@ class Force(Section):
     sudden: ClassVar[bool] = False
     """Whether the force may change velocities abruptly even if its strength is small."""
     in_newtons: ClassVar[bool] = False
-    """Whether the track is a force on each particle [N] instead of an acceleration [m/s^2]."""
+    """Whether the force's vector is a force on each particle [N] instead of an acceleration
+    [m/s^2]."""
     strengths: ClassVar[tuple[str, ...]] = ()
     """Names of the fields that determine the strength of the force."""
     speeds: ClassVar[tuple[str, ...]] = ()
@@ -70,7 +71,7 @@ class Force(Section):
 
     @property
     def uniform(self) -> bool:
-        """Whether the grid update adds the force, so that no separate launch is needed."""
+        """Whether the grid update adds the force, so that no separate kernel launch is needed."""
         return self.joins and self.region is None and self.object is None
 
     @property
@@ -79,7 +80,8 @@ class Force(Section):
         return self.start > 0 or self.end is not None or self.profile.kind != "constant"
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track: the value times the profile between start and end, and zero otherwise.
+        """Return the force over time: `value` times the profile from `start` to `end`, otherwise
+        zero.
 
         If `mean` is set, a substep uses the track's mean over the substep, not its current value.
         """
@@ -111,7 +113,8 @@ class Force(Section):
         return np.asarray(inside, np.float64)
 
     def in_part(self, part: Model, whole: Model) -> Force | None:
-        """Return the force for a part of a model, or None if the force does not act in this part.
+        """Return the force for one part of a divided model, or None if it does not act on that
+        part.
 
         A sum over particles, such as a total force, is multiplied by the part's mass divided by the
         model's mass. A uniform acceleration acts in every part. It does not move held bodies, but
@@ -159,7 +162,9 @@ def of_object(model: Model, name: str | None) -> NDArray[np.bool_]:
 
 
 def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stages of an acceleration; none if it is uniform, because the grid update adds it.
+    """Return the stages of a substep that accelerate the chosen particles.
+
+    There are none if the acceleration is uniform, because the grid update adds it.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -175,7 +180,8 @@ def accelerate(force: Force, a: Vector, model: Model, state: State, tracks: Trac
 
 
 def push(force: Force, value: Vector, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-    """Return the stage that accelerates the chosen particles, or applies a force to each of them.
+    """Return the stage of a substep that accelerates the chosen particles or applies a force to
+    each.
 
     Args:
         force: The force, with its region and its strength over time.
@@ -211,7 +217,7 @@ def stage(
     over: Over = "",
     limited: bool = False,
 ) -> list[Stage]:
-    """Return a stage in which a kernel changes the velocities of the chosen particles.
+    """Return a stage of the substep whose kernel changes the velocities of the chosen particles.
 
     Args:
         force: The force, with its region.

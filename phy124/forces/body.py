@@ -88,7 +88,9 @@ class Impulse(Force):
         return True
 
     def track(self, value: Vector, *, mean: bool = True) -> Track:
-        """Return a track: the value times the profile during the impulse, and zero otherwise."""
+        """Return the force over time: `value` times the profile during the impulse, otherwise
+        zero.
+        """
         end = self.start + self.duration
         track = Track.of_profile(value, self.profile, self.start, end, mean=mean)
         # A force that starts at time 0 is also active before time 0; an impulse at time 0 is not.

@@ -39,24 +39,26 @@ def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.fl
 
 
 class Part(NamedTuple):
-    """The particles of a part, and the arrays for sums over these particles, on the device."""
+    """The particles in a part of an object on which a force acts, with arrays for sums over
+    them.
+    """
 
     chosen: wp.array
     share: wp.array
-    """Each particle's fraction w m / sum(w m) of the force, in float64."""
+    """Each particle's fraction of the force on the part, w m / sum(w m), in float64."""
     per_force: wp.array
-    """Acceleration of each particle due to a force of 1 N on the part [1/kg]."""
+    """Acceleration of each particle in the part if a force of 1 N acts on the part [1/kg]."""
     means: wp.array
     second: wp.array
     mass: float
-    """Weighted mass of the part, sum(w m) [kg]."""
+    """Weighted mass of the part, which is the sum of w m over its particles [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: a force on the part, divided by the resulting
-    acceleration of the centre X."""
+    """Effective mass of the part at the start [kg]: a force on the part, divided by the
+    acceleration of the part's centre that it causes."""
     reach: float
-    """Distance between the centre X and the part's farthest particle at rest [m]."""
+    """Distance between the centre of the part and its farthest particle, at rest [m]."""
     inertia: float
-    """Smallest moment of inertia of the part at rest [kg m^2]."""
+    """Smallest moment of inertia of the part about its centre, at rest [kg m^2]."""
 
     @classmethod
     def of(
@@ -113,7 +115,7 @@ class Part(NamedTuple):
     def track_centre(
         self, name: str, slot: int, model: Model, state: State, tracks: Tracks, *, turned: bool
     ) -> Iterator[Stage]:
-        """Yield the stages that compute a part's centre and its second moments about the centre.
+        """Yield the stages of a substep that compute the part's centre and second moments about it.
 
         Args:
             name: Name of the stages in a report's list of times.
@@ -177,7 +179,7 @@ class Grab(Force):
         return self
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return each particle's weight in the part that is pulled [P]."""
+        """Return the weight of each particle [P] in the part of the object that is pulled."""
         return weights(rest, self.point, self.radius)
 
     @property
@@ -192,7 +194,9 @@ class Grab(Force):
         return Track(tuple(zip(self.times, self.targets, strict=True)), start, end, self.start)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that compute the centre of the part and pull the part to the target."""
+        """Return the stages of a substep that compute the centre of the pulled part of the object,
+        and pull this part to the target.
+        """
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         slot = tracks.add(self.target(), limited=True)
         spring = wp.vec4d(self.stiffness, self.damping, part.drawn, self.strength)
@@ -240,11 +244,13 @@ class WrenchForce(Force):
         return self
 
     def shares(self, rest: NDArray) -> NDArray[np.float64]:
-        """Return each particle's weight in the part that is pushed [P]."""
+        """Return the weight of each particle [P] in the part of the object that is pushed."""
         return weights(rest, self.point, self.radius)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that compute the centre of the part, and apply force and torque."""
+        """Return the stages of a substep that compute the centre of the part of the object, and
+        apply the force and the torque to this part.
+        """
         part = Part.of(model, self.point, self.radius, "forces.point", self.object)
         push = tracks.add(self.track(self.force), limited=True)
         turn = tracks.add(self.track(self.torque), limited=True)

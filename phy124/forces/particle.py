@@ -125,7 +125,7 @@ class ZoneForce(Force):
 
 
 UNIT: Vector = (1.0, 0.0, 0.0)
-"""Value at full strength of a track that is used only for its profile over time."""
+"""Vector for a track of which only the strength over time is used."""
 
 
 class SetVelocity(Force):

@@ -42,12 +42,14 @@ FOREVER = 1e8
 KEPT_EVERY = 12
 """Number of frames between two stored states."""
 LOST = 50.0
-"""The run restarts if the object is farther than this from the scene's middle [object sizes]."""
+"""Distance between the object and the middle of the scene, in object sizes, beyond which the run
+restarts."""
 NOTES = 20
 """Largest number of stored notes."""
 SLOWEST = 30
-"""A frame takes at most this multiple of the substeps that the object needs at rest. A duck that is
-made a hundred times softer in ten times the gravity needs 23 times as many substeps as at rest.
+"""Largest number of substeps of a frame, as a multiple of the number that the object needs at rest.
+A duck that is made a hundred times softer in ten times the gravity needs 23 times as many substeps
+as at rest.
 """
 
 
@@ -337,12 +339,16 @@ class Live:
         self._offsets[wall] = self._note_change(*self.limits.place("move.to", to))
 
     def contacts(self) -> dict[str, Wrench]:
-        """Return mean forces [N] and torques [N m] on walls and in pairs since the last frame."""
+        """Return the mean forces [N] and torques [N m] on walls and between bodies since the last
+        frame.
+        """
         return dict(self._frame.wrenches or {})
 
     @property
     def pairs(self) -> dict[str, str]:
-        """For each wrench between objects (`duck_on_cushion`), the object on which it acts."""
+        """For each force between two objects (such as `duck_on_cushion`): the object on which it
+        acts.
+        """
         return places.list_pairs(self._run)
 
     @property

@@ -28,8 +28,8 @@ STRAIN = 0.3
 STRONGEST = 30.0
 """Largest strength of a hand, as a multiple of the object's weight."""
 TWIST = 0.2
-"""Ratio of the largest torque to the largest force [object sizes]. With this value, both accelerate
-the rim of a ball equally.
+"""Ratio of the largest torque to the largest force [object sizes]. With this ratio, the largest
+force and the largest torque give the rim of a ball the same acceleration.
 """
 SWAY = 3.0
 """Natural frequency of an object of 1 m that hangs on a hand's spring [Hz]."""

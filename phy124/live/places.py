@@ -152,7 +152,9 @@ def set_motion(run: Simulation, name: str, motion: Motion, *, twist: bool) -> No
     R = (new * old.inv()).as_matrix()
 
     def carry(x: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """Return new positions [m] and velocities [m/s] of material points."""
+        """Return the positions [m] and velocities [m/s] of material points after the rigid
+        motion.
+        """
         arm = (x - before.place) @ R.T
         rotated = motion.velocity + np.cross(motion.spin, arm) if twist else v @ R.T
         return motion.place + arm, rotated
@@ -224,7 +226,7 @@ def compute_centres(run: Simulation) -> dict[str, NDArray[np.float64]]:
 
 
 def list_pairs(run: Simulation) -> dict[str, str]:
-    """For each wrench between objects, by name: return the name of the object on which it acts."""
+    """Return, for each force between two objects, by name: the object on which it acts."""
     solver = run.solver
     acted_on = [solver.model.names[pair.second] for pair in solver.pairs.all]
     acted_on += [name.rpartition("_on_")[2] for name in solver.free.names]

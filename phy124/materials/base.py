@@ -49,8 +49,8 @@ class Material(Section):
 
     dents: ClassVar[bool] = False
     """Whether the material is a solid that keeps dents. The motion of such a solid is smoothed
-    before Gaussians follow it (phy124/motion/smoothing.py). Without gloss, the light in videos
-    follows its shape (phy124/rendering/dents.py).
+    before Gaussians follow it (phy124/motion/smoothing.py). In videos, the light on a material
+    without gloss follows the shape of its dents (phy124/rendering/dents.py).
     """
 
     crumbles: ClassVar[bool] = False
@@ -115,8 +115,9 @@ class Material(Section):
         raise NotImplementedError
 
     def theta_on(self, dx: float, cfl: float) -> tuple[float, ...]:
-        """Return the law's parameters for the spacing `dx` [m]; `cfl` is the substep / the elastic
-        limit.
+        """Return the parameters of the law on a grid of spacing `dx` [m].
+
+        `cfl` is the length of the substep, divided by the elastic limit of the substep.
         """
         return self.theta()
 
@@ -138,7 +139,9 @@ class Material(Section):
         return np.tile(np.array(self.history(), np.float64), (len(x), 1))
 
     def wave_speed(self) -> float:
-        """Return the speed `sqrt(A / rho)` [m/s], which limits substeps of unstrained material."""
+        """Return `sqrt(A / rho)` [m/s] of unstrained material, with the modulus A that limits
+        substeps.
+        """
         raise NotImplementedError
 
     def sound_speed(self) -> float:
@@ -197,8 +200,8 @@ class Elastic(Material):
         return self.lame
 
     def wave_speed(self) -> float:
-        """Return `sqrt((3 lambda + 2 mu) / rho)` [m/s], which limits the substeps of unstrained
-        material.
+        """Return `sqrt((3 lambda + 2 mu) / rho)` of unstrained material, which limits its substeps
+        [m/s].
 
         If lambda is negative (nu < 0), shear is the stiffest motion, so lambda is replaced by zero.
         """

@@ -64,11 +64,16 @@ class Fluid(Material):
         return math.log(growth) / (math.sqrt(3) * (1 + self.gamma))
 
     def theta(self) -> tuple[float, ...]:
-        """Return (K, gamma, eta, 0, 0, 0); the zeros are bulk viscosity, K' and relaxation."""
+        """Return the law's parameters (K, gamma, eta, 0, 0, 0).
+
+        The zeros are the bulk viscosity, K' and the relaxation.
+        """
         return self.bulk_modulus, self.gamma, self.viscosity, 0.0, 0.0, 0.0
 
     def history(self) -> tuple[float, float]:
-        """Return the initial history variables: 1 as the previous value of J, and an unused 0."""
+        """Return the initial history variables: the previous value of J, which is 1, and an unused
+        0.
+        """
         return 1.0, 0.0
 
     @property
@@ -94,7 +99,7 @@ class Fluid(Material):
         return *self.theta()[:3], zeta, *relaxation
 
     def wave_speed(self) -> float:
-        """Return sqrt(3 (K + K') / rho) [m/s]."""
+        """Return sqrt(3 (K + K') / rho) [m/s], which limits the substeps of the fluid."""
         return math.sqrt(3 * (1 + SUDDEN)) * self._sound
 
     def viscous_limit(self, dx: float) -> float:

@@ -63,7 +63,8 @@ class Sand(Logarithmic):
     """Slope angle of heaps [degrees]. Default: determined by friction_angle."""
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda, alpha); alpha is the slope of the cone.
+        """Return the parameters of the device law: (mu, lambda, alpha), with alpha the slope of the
+        cone.
 
         An infinitely long slope flows at constant volume if its shear stress is 3 alpha / sqrt(2)
         times the pressure. The angle beta of such a slope satisfies tan(beta) = 3 alpha / sqrt(2).
@@ -143,5 +144,7 @@ class Snow(Elastic):
         return rows
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda, smallest stretch, largest stretch, hardening)."""
+        """Return the law's parameters: (mu, lambda, smallest stretch, largest stretch,
+        hardening).
+        """
         return *self.lame, 1 - self.compression, 1 + self.extension, self.hardening

@@ -49,7 +49,7 @@ class Metal(Logarithmic):
     """Increase of the yield stress per unit of plastic strain [Pa]."""
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda, limit, slope, smallest limit)."""
+        """Return the parameters of the device law: (mu, lambda, limit, slope, smallest limit)."""
         limit = NORM * self.yield_stress
         return *self.lame, limit, 2 / 3 * self.hardening, limit
 
@@ -95,7 +95,7 @@ class Plasticine(Elastic):
         return self
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda, limit, slope, smallest limit)."""
+        """Return the parameters of the device law: (mu, lambda, limit, slope, smallest limit)."""
         limit = NORM * self.yield_stress
         return *self.lame, limit, -2 / 3 * self.softening, self.residual * limit
 
@@ -129,5 +129,5 @@ class Foam(Logarithmic):
     """Flow index n: 1 for a Bingham fluid, less than 1 for shear thinning."""
 
     def theta(self) -> tuple[float, ...]:
-        """Return (mu, lambda, limit, viscosity, flow index)."""
+        """Return the parameters of the device law: (mu, lambda, limit, viscosity, flow index)."""
         return *self.lame, NORM * self.yield_stress, self.viscosity, self.flow_index

@@ -36,7 +36,8 @@ class ViewFigures:
     cosine: float | None
     """CLIP-T as mean cosine of the embeddings of consecutive frames; None without a CLIP model."""
     distance: float | None
-    """CLIP-T as mean distance of these embeddings (4DGen's formula); None without a CLIP model."""
+    """CLIP-T as mean angular distance between the embeddings of consecutive frames (4DGen's
+    formula); None without a CLIP model."""
     motion: float
     """Mean change of a colour value between consecutive frames [%]; see `pictures.motion`."""
     flicker: float

@@ -22,14 +22,14 @@ class Physics:
     """Largest total volume of the Gaussians over time, relative to their volume in the first
     frame."""
     momentum_residual: float | None
-    """Mean difference between the centre's velocity and the rate of change of the centre's
-    position.
+    """Residual: the mean difference between the velocity of the object's centre and the rate of
+    change of the centre's position.
 
     The residual is the mean over frames of |dx/dt - (v before + v after) / 2|, divided by the mean
-    speed. x and v are means over all Gaussians. If all velocities are zero, the residual is this
-    mean itself [m/s]. The residual is larger than zero if the path of the centre curves between two
-    frames, as in a collision. The residual is even larger if the velocities do not match the
-    motion. The residual is None if the clip has no velocities.
+    speed. x and v are means over all Gaussians. If all velocities are zero, the residual is not
+    divided by the mean speed, and its unit is m/s. The residual is larger than zero if the path of
+    the centre curves between two frames, as in a collision. The residual is even larger if the
+    velocities do not match the motion. The residual is None if the clip has no velocities.
     """
     travelled: float
     """Length of the path of the object's centre, relative to the object's size; 0 for a frozen
@@ -72,7 +72,7 @@ def _momentum_residual(clip: Clip, centres: NDArray[np.float64]) -> float | None
 
 
 def centre_paths_differ(a: Clip, b: Clip) -> float:
-    """Return the relative difference between the paths of the centres of two clips.
+    """Return the relative difference between the paths of the objects' centres in two clips.
 
     The difference is the largest distance between the simultaneous displacements of the two
     centres, divided by the largest displacement. A small difference means that the two objects, for

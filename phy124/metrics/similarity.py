@@ -44,13 +44,16 @@ def distance(embeddings: NDArray) -> float:
 
 
 def cosine_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return the cosine between each row and the next row [T-1]."""
+    """Return the cosine of the angle between each row of an array and the next row [T-1]."""
     e = _normalise(embeddings)
     return (e[1:] * e[:-1]).sum(axis=1)
 
 
 def distance_pairs(embeddings: NDArray) -> NDArray[np.float64]:
-    """Return half the squared angle between each row and the next [T-1]; precise if small."""
+    """Return half the squared angle between each row of an array and the next row [T-1].
+
+    The result is precise even for small angles.
+    """
     e = _normalise(embeddings)
     chord = np.linalg.norm(e[1:] - e[:-1], axis=1)
     return 2 * np.arcsin(np.clip(chord / 2, 0, 1)) ** 2

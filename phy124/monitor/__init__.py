@@ -49,9 +49,10 @@ OBSERVERS: tuple[type[Observer], ...] = (
 )
 """All observers, in the order in which a run calls them.
 
-Each observer wraps the stages that earlier observers return. `ExternalWork` therefore measures all
-walls together, including the stages that measure single walls. If an observer finds an error, the
-attempt ends, so `Tearing` reads only valid frames.
+Each observer adds its stages around the stages of the observers before it. `ExternalWork` therefore
+measures all walls together. Its measurement includes the stages that measure single walls. If an
+observer finds an error, the attempt to compute the frame ends, so `Tearing` reads only valid
+frames.
 """
 
 
@@ -105,7 +106,7 @@ IMMERSED_OBSERVERS: tuple[type[Observer], ...] = (
 
 
 def observers_for(scene: Scene) -> tuple[type[Observer], ...]:
-    """Return the observers for a scene's solver."""
+    """Return the list of observers for the solver that simulates a scene."""
     if scene.immerses:
         return IMMERSED_OBSERVERS
     if scene.couples:

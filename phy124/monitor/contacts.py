@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 STAGE = "contacts"
 """Name of the stages that sum contact impulses."""
 PARTICLE_COST = 20
-"""Cost of distributing a wall's impulse to the particles [ns per particle]."""
+"""Cost per particle of distributing the impulse of a wall to the particles [ns]."""
 
 
 class Contacts(Observer):
-    """The impulse of the walls on each particle during one frame."""
+    """The observer that sums the impulse of the walls on each particle during a frame."""
 
     in_substeps = True
 
@@ -67,7 +67,7 @@ class Contacts(Observer):
 
     @classmethod
     def of(cls, setup: Observed) -> Self:
-        """Return the observer of a run."""
+        """Create the observer of a run."""
         contacts = cls()
         contacts._setup = setup
         return contacts
@@ -75,12 +75,14 @@ class Contacts(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> list[Attachable]:
-        """Return the walls with measuring stages before and after each wall."""
+        """Return the walls, each with stages that measure the wall's impulse before and after it
+        acts.
+        """
         pairs = zip(walls, inner, strict=True)
         return [Measured([wrapped], partial(self._measure, wall)) for wall, wrapped in pairs]
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the impulses to zero."""
+        """Set the sums of the walls' impulses to zero."""
         for impulses in self._impulses.values():
             impulses.zero_()
 
@@ -116,7 +118,7 @@ class Contacts(Observer):
         return total
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums of impulses."""
+        """Return a snapshot of the sums of the walls' impulses on the particles."""
         return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -128,7 +130,8 @@ class Contacts(Observer):
     def _measure(
         self, wall: Boundary, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage, Stage]:
-        """Return the stages that measure a wall: one before the wall acts, and two after.
+        """Return the stages of a substep that measure a wall: one before the wall acts, and two
+        after.
 
         The wall itself acts in `stages`, between the first and the second of the returned stages.
         """
@@ -157,7 +160,7 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the array [P,3] of a worker's sums of the impulse on each particle.
+        """Return the array [P,3] in which a worker sums the impulses of the walls on each particle.
 
         Nodes of several workers may act on one particle, so each worker has a separate array.
         """
@@ -168,7 +171,9 @@ class Contacts(Observer):
 
 
 def contact_kernels(real: Any) -> tuple[Any, Any, Any]:
-    """Return the kernels that measure contacts: one before a wall acts, and two afterwards."""
+    """Return the kernels that measure the impulse of a wall: one runs before it acts, two
+    afterwards.
+    """
     return (
         kernels.make_contact_copy(real),
         kernels.make_contact_reach(real),

@@ -33,7 +33,7 @@ class CoupledTotals(Totals):
     """Sums of momentum and energy over particles and lattice nodes."""
 
     def __init__(self, solver: CoupledSolver) -> None:
-        """Record the launches that compute the sums."""
+        """Record the kernel launches that compute the sums."""
         super().__init__(solver.model, solver.state)
         lattice = solver.lattice
         self._points, self._nodes = Totals(lattice.model, lattice.state), LatticeTotals(lattice)
@@ -63,42 +63,49 @@ class CoupledWatchdog(LatticeWatchdog):
 
 
 class CoupledWork(ExternalWork):
-    """Sums external impulse and work on lattices and particles."""
+    """Sums the external impulse and work on all bodies, on lattices and of particles."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which also sums the impulses of walls on lattices."""
+        """Connect the observer to the solver, which also sums the impulses of walls on lattices."""
         self._solver = solver
         super().bind(solver, observers)
 
     def _read_impulses(self) -> None:
-        """Keep the sums of the previous walls, and read the sums of the new walls from now on."""
+        """Keep the impulses of the previous walls, and from now on also sum those of the new
+        walls.
+        """
         if MEAN in self._device:
             self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.lattice.walls.sums
 
 
 class CoupledWrenches(Wrenches):
-    """Measures the wrenches of lattices and particles on walls, and wrenches between bodies."""
+    """Measures the wrenches (forces and torques) on walls and between bodies.
+
+    The bodies are on lattices or consist of particles.
+    """
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the walls with measuring stages; store the names of the walls."""
+        """Return the walls with stages that measure the impulse of each wall; store the walls'
+        names.
+        """
         self._parts = simple_wall_names(walls)
         return super().wrap_walls(walls, inner)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, because it sums the impulses of walls on lattices."""
+        """Connect the observer to the solver, which sums the impulses of walls on lattices."""
         super().bind(solver, observers)
         self._before = self._now()
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Store the sums of the lattices at the start of the frame."""
+        """Store the impulses of the walls on lattices, as summed at the start of the frame."""
         super().before_attempt(closely=closely)
         self._before = self._now()
 
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
-        """Return the mean wrench on a wall since the start of the frame."""
+        """Return the mean wrench (force and torque) on a wall since the start of the frame."""
         force, torque = super().of_wall(wall, centre, fps)
         rows = self._before - self._now()
         for name, row in zip(self._parts, rows, strict=True):
@@ -133,16 +140,20 @@ class CoupledContacts(Contacts):
         self._lattices.change(scene)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the impulses to zero."""
+        """Set the sums of the walls' impulses to zero."""
         super().before_attempt(closely=closely)
         self._lattices.before_attempt()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the Gaussian that receives the impulse of each particle, surface point or node."""
+        """Return the index of the Gaussian that receives the impulse on each particle, surface
+        point or node.
+        """
         return np.concatenate([super().find_nearest(setup), self._lattices.find_nearest(setup)])
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulses [N s] on particles, and on surface points and nodes of lattices."""
+        """Return the impulses [N s] of walls on particles, and on surface points and nodes of
+        lattices.
+        """
         return np.concatenate([super().read_impulses(setup), self._lattices.read_impulses(setup)])
 
 

@@ -9,7 +9,7 @@ from phy124.monitor.wrenches import wall_names
 from phy124.mpm import Attachable
 
 DEEP = 0.5
-"""Depth inside a wall above which there is a note [cells]."""
+"""Depth of a point inside a wall above which the report contains a note [cells]."""
 
 
 class LatticeCrossing(Observer):
@@ -19,11 +19,11 @@ class LatticeCrossing(Observer):
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether there are walls that points can be inside."""
+        """Return whether the scene has walls that a point can be inside of."""
         return not all(wall.holds for wall in subject.scene.boundaries)
 
     def __init__(self) -> None:
-        """Assume that no point is inside a wall."""
+        """Assume that no point has been inside a wall so far."""
         self._deepest, self._between = 0.0, ("", "")
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
@@ -33,7 +33,7 @@ class LatticeCrossing(Observer):
         return inner
 
     def after_attempt(self) -> Violation | None:
-        """Measure the depth; a large depth is not a violation."""
+        """Measure how deep points are inside walls; a large depth is not an error of the run."""
         depth, inside = self._solver.walls.depth()
         if depth > max(DEEP, self._deepest):
             pinched, first, second = self._solver.pinch()
@@ -44,7 +44,7 @@ class LatticeCrossing(Observer):
         return None
 
     def notes(self) -> list[str]:
-        """Return the note about the deepest point."""
+        """Return a note about the point that is deepest inside a wall."""
         if not self._deepest:
             return []
         inside, touching = self._between

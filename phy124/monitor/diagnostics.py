@@ -32,7 +32,7 @@ LIMITS = {
     "user": "time.substep",
     "wave": "the waves on its surface",
 }
-"""Phrases for messages, by limit of the substep."""
+"""Phrase that a message uses for each limit of the substep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,13 @@ class Diagnostics:
     angular: NDArray[np.float64]
     """Angular momentum about the origin [3], kg m^2/s."""
     kinetic: float
-    """Kinetic energy [J] after the last kick, half a substep before the time of the positions."""
+    """Kinetic energy [J] after the last update of the velocities, half a substep before the time of
+    the positions."""
     elastic: float
     """Elastic energy [J]."""
     lag: float
-    """Change of the kinetic energy [J] between the time of the velocities and the time of the
-    elastic energy.
+    """Change of the kinetic energy [J] from the time of the velocities to the time of the
+    positions, at which the elastic energy is measured.
     """
     middle: NDArray[np.float64]
     """Sum of mass times position [3], kg m."""
@@ -77,13 +78,13 @@ class Diagnostics:
 
 
 class Totals:
-    """Recorded launches that sum over the particles of a state in float64."""
+    """Recorded kernel launches that sum over the particles of a state, in float64."""
 
     on_lattice = False
     """Whether the particles are points on a lattice."""
 
     def __init__(self, model: Model, state: State) -> None:
-        """Record the launches; `read` sums over the state."""
+        """Record the kernel launches that sum over the state; `read` returns the sums."""
         device, sums = model.device, at.SUMS
         self._numbers = wp.zeros(sums + 2, dtype=wp.float64, device=device)
         self._counts = wp.zeros(4, dtype=int, device=device)
@@ -93,7 +94,7 @@ class Totals:
         self._launches = [launch for group in model.groups for launch in self._sum(group, outputs)]
 
     def _sum(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the launches that sum over the particles of a group."""
+        """Record the kernel launches that sum over the particles of one group."""
         model, state, part = self._model, self._state, group.particles
         threads, *fraction = shared_out(len(group), model.device)
         inputs = [
@@ -141,7 +142,9 @@ def diagnose(solver: AnySolver) -> Diagnostics:
 
 
 def compute_energies(model: Model, state: State) -> NDArray[np.float64]:
-    """Return kinetic plus elastic energy of each particle [P], J; NaN becomes infinity."""
+    """Return the kinetic plus elastic energy of each particle [P], J; if it is NaN, return
+    infinity.
+    """
     energy = wp.zeros(len(model), dtype=wp.float64, device=model.device)
     for group in model.groups:
         part = group.particles
@@ -153,7 +156,7 @@ def compute_energies(model: Model, state: State) -> NDArray[np.float64]:
 
 
 def compute_speeds(state: State) -> NDArray[np.float64]:
-    """Return the speed of each particle [P], m/s; NaN becomes infinity."""
+    """Return the speed of each particle [P], m/s; if it is NaN, return infinity."""
     velocities: NDArray[Any] = state.v.numpy()
     return _finite_or_infinity(np.linalg.norm(velocities.astype(np.float64), axis=1))
 

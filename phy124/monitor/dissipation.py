@@ -69,7 +69,7 @@ class Dissipation(Observer):
         return Effect("work of the stress", cls.called_for(subject), why)
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate one row of sums for each worker."""
+        """Allocate an array in which each worker sums the work of the stress in its own row."""
         shape = (workers, STRIDE)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._stress = wp.zeros(len(model), dtype=wp.mat33d, device=model.device)
@@ -79,7 +79,8 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress in a worker's part.
+        """Record the kernel launch that sums the work of the stress on a worker's particles of one
+        law.
 
         Args:
             part: A worker's particles of one law.
@@ -125,15 +126,17 @@ class Dissipation(Observer):
         return {}
 
     def false_gain(self) -> float:
-        """Return the energy [J] that the exchange between liquid and bodies created; never
-        negative.
+        """Return the energy [J] that the exchange of momentum between liquid and bodies has
+        created.
+
+        The result is never negative.
         """
         return 0.0
 
     def open(self) -> None:
-        """Start to sum the work, from the current state on."""
+        """Start to sum the work of the stress, from the current state on."""
 
 
 def split_seconds(timings: Mapping[str, Sequence[float]]) -> float:
-    """Return the time [s] for computing the losses, from the times of the stages."""
+    """Return the time [s] for computing the lost energy, from the times of the substep's stages."""
     return timings.get(STAGE, (0.0, 0))[0]

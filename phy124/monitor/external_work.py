@@ -37,14 +37,14 @@ STAGE = "external work"
 PUSH, WALL, UNIFORM = "push", "wall", "uniform"
 """Causes of external work: forces on particles, walls, and a varying uniform acceleration."""
 MEAN_PUSH, MEAN = "mean_push", "mean"
-"""Further causes, for lattices and for liquids with projected pressure: forces on points, and
-walls. Their work is computed with the mean velocities of a step.
+"""Further causes of external work, for lattices and for liquids with projected pressure: forces on
+points, and walls. The work of these causes is computed with the mean velocities of a step.
 """
 SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Position of the impulse in an array of sums."""
+"""Position of the impulse in an array of impulse and work."""
 Sums = NDArray[np.float64]
 
 
@@ -61,7 +61,9 @@ class Exchange(NamedTuple):
     """Sum of the absolute values of all work [J]."""
 
     def plus(self, sums: Sums) -> Exchange:
-        """Return the sum after adding impulse and work of rigid solids (phy124/kernels/free)."""
+        """Return this impulse and work plus the impulse and work of rigid solids
+        (phy124/kernels/free).
+        """
         work, moved, turned = sums[free.WORK :]
         return Exchange(
             self.impulse + sums[:3], self.work + work, self.moved + moved, self.turned + turned
@@ -83,15 +85,19 @@ class ExternalWork(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that measure walls; kernels for forces are compiled when needed, in 0.3
-        s.
+        """Yield the kernels that measure walls.
+
+        The kernels that measure forces are compiled when they are first needed, which takes 0.3 s.
         """
         if subject.scene.boundaries:
             yield from (kernels.make_wall_copy(real), kernels.make_wall_sums(real))
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the effects report's row for the balance; constant uniform forces need no sums."""
+        """Return the row of the effects report for the balance of energy and momentum.
+
+        A constant uniform force needs no sums.
+        """
         scene, why = (
             subject.scene,
             "checks.balance is off: an unstable run is detected only when values become NaN",
@@ -108,34 +114,42 @@ class ExternalWork(Observer):
         return cls(summed=setup.subject.changes)
 
     def __init__(self, *, summed: bool = False) -> None:
-        """Set all sums to zero.
+        """Set all sums of impulse and work to zero.
 
         If `summed` is set, the work of a constant acceleration is also summed in every substep,
         because forces and boundaries may be replaced during the run.
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums [W,ROOM] of each worker since the launches were last recorded, not yet collected."""
+        """Sums [W,ROOM] of each worker since its kernel launches were last recorded, which are not
+        yet part of the totals."""
         self.stored = 0.0
         """Energy that the object has gained without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
         self._momentum, self._opened = np.zeros(3), 0.0
-        """Momentum of the object at the start of the frame [kg m/s], without sums that are not yet
-        collected; and the initial time of the velocities [s].
+        """Momentum of the object at the start of the frame [kg m/s], without impulses that are not
+        yet part of the totals; and the initial time of the velocities [s].
         """
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Combine all forces; measure the particles before and after the forces act."""
+        """Combine all forces to one force that measures the particles before and after the forces
+        act.
+        """
         return [Measured(forces, self._attach_push)] if forces else []
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> list[Attachable]:
-        """Combine all walls; measure the nodes before and after the walls act."""
+        """Combine all walls to one wall that measures the grid nodes before and after the walls
+        act.
+        """
         return [Measured(inner, partial(self._attach_walls, walls))] if walls else []
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stage that ends each substep; none if the uniform acceleration is constant."""
+        """Return the stage at the end of each substep that measures a uniform acceleration.
+
+        There is none if the acceleration is constant.
+        """
         self._model, self._tracks = model, tracks
         self._base, self._walls_before = (
             wp.zeros(count, dtype=wp.float64, device=model.device) for count in (3, 6)
@@ -143,12 +157,15 @@ class ExternalWork(Observer):
         return [Stage(STAGE, self._record_uniform)] if self.by_momentum else []
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver. Solvers of liquids with projected pressure sum the work of walls."""
+        """Connect the observer to the solver.
+
+        Solvers of liquids with projected pressure sum the work of walls themselves.
+        """
         self._liquid: Any = solver if solver.projects else None
         self._read_impulses()
 
     def change(self, scene: Scene) -> None:
-        """From now on, measure the walls of another scene."""
+        """From now on, measure the impulse and work of the walls of another scene."""
         self._read_impulses()
 
     def _read_impulses(self) -> None:
@@ -157,11 +174,13 @@ class ExternalWork(Observer):
 
     @property
     def by_momentum(self) -> bool:
-        """Whether the work of the uniform acceleration is summed from momenta in every substep."""
+        """Whether the work of the uniform acceleration is computed from the momentum in every
+        substep.
+        """
         return self._summed or self._tracks.acceleration_varies
 
     def open(self, clock: Clock) -> None:
-        """Start to sum impulse and work, from the current state on."""
+        """Start to sum the external impulse and work, from the current state on."""
         for name in SOURCES:
             self._closed[name] = np.zeros(kernels.EXCHANGE)
         for sums in self._device.values():
@@ -175,13 +194,15 @@ class ExternalWork(Observer):
         self._closed[PUSH][[kernels.WORK, kernels.TURNED]] += energy, abs(energy)
 
     def begin(self, momentum: Sums) -> None:
-        """Start a frame with a momentum [kg m/s], which determines the work of varying forces."""
+        """Start a frame; the momentum of the object [kg m/s] determines the work of varying
+        forces.
+        """
         if self.by_momentum:
             self._momentum = momentum - self._sum()[IMPULSES] - self._from_bodies()
             self._set_base()
 
     def total(self, clock: Clock, way: Sums, momentum: Sums) -> Exchange:
-        """Return the impulse and the work since the start.
+        """Return the external impulse and the external work since the start of the run.
 
         Args:
             clock: Clock; its time determines the impulse of a constant acceleration.
@@ -205,7 +226,9 @@ class ExternalWork(Observer):
         return float(self._sum(WALL, MEAN)[kernels.WORK])
 
     def of_grids(self) -> float:
-        """Return the part of the work `of_walls` that walls do on the grids of MPM bodies [J]."""
+        """Return the work of the walls on the grids of MPM bodies [J], which is a part of
+        `of_walls`.
+        """
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
@@ -233,7 +256,7 @@ class ExternalWork(Observer):
         self.stored = snapshot.get("stored", 0.0)
 
     def _sum(self, *names: str) -> Sums:
-        """Return the total over all causes, or over the named causes."""
+        """Return the impulse and the work of all causes, or of the named causes."""
         total = np.zeros(kernels.EXCHANGE)
         for name in names or SOURCES:
             total += self._closed[name]
@@ -242,12 +265,16 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the total of the sums of all workers since their launches were last recorded."""
+        """Return the sums of all workers, added up, since their kernel launches were last
+        recorded.
+        """
         rows: NDArray[Any] = self._device[name].numpy()
         return rows[:, : kernels.EXCHANGE].sum(axis=0)
 
     def _accumulator(self, name: str, grid: Grid) -> wp.array:
-        """Return an array of sums for one launch, so that no two threads add to one array."""
+        """Return the array to which one kernel launch adds, so that no two CPU threads use one
+        array.
+        """
         if grid.worker == 0:
             if name in self._device:
                 self._closed[name] = self._closed[name] + self._open(name)
@@ -258,7 +285,7 @@ class ExternalWork(Observer):
         return wp.zeros((workers, ROOM), dtype=wp.float64, device=self._model.device)
 
     def _record_uniform(self, grid: Grid) -> wp.Launch | None:
-        """Record the launch that adds the uniform acceleration's impulse and work."""
+        """Record the kernel launch that adds the impulse and work of the uniform acceleration."""
         model, tracks, sums = self._model, self._tracks, self._accumulator(UNIFORM, grid)
         self._set_base()
         names = (PUSH, WALL, MEAN_PUSH, MEAN)
@@ -269,8 +296,8 @@ class ExternalWork(Observer):
         return model.launch(kernel, 1, inputs, [self._walls_before, sums])
 
     def _set_base(self) -> None:
-        """Store the momentum at the time when the sums were cleared, and the walls' impulses since
-        then.
+        """Store the momentum at the time when the sums were set to zero, and the impulse of the
+        walls since then.
         """
         self._base.assign(self._momentum + sum(sums[IMPULSES] for sums in self._closed.values()))
         before = [
@@ -281,9 +308,10 @@ class ExternalWork(Observer):
         self._walls_before.assign(np.concatenate([np.zeros(3) + part for part in before]))
 
     def _rows_of_bodies(self) -> list[wp.array]:
-        """Return the summed impulses of freely moving solids, those of pairs of bodies, and the
-        signs of the pairs. The three arrays are empty unless the solver computes work with mean
-        velocities.
+        """Return three arrays: the impulses of freely moving solids, the impulses of pairs of
+        bodies, and the signs of the pairs.
+
+        The arrays are empty unless the solver computes work with mean velocities.
         """
         return [self._zeros(0), self._zeros(0), wp.zeros(0, wp.float64, device=self._model.device)]
 
@@ -294,14 +322,18 @@ class ExternalWork(Observer):
     def _attach_push(
         self, stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return two stages: one that runs before the forces in `stages`, one that runs after."""
+        """Return two stages that measure particles: before the forces in `stages`, and after
+        them.
+        """
         keeps_C = all(stage.keeps_C for stage in stages)
         copied = [wp.empty_like(state.v), wp.empty_like(state.C[:0] if keeps_C else state.C)]
         copy = kernels.make_push_copy(model.real, keeps_C)
         sums = (kernels.make_push_sums_v if keeps_C else kernels.make_push_sums)(model.real)
 
         def copies_for(grid: Grid) -> list[wp.array]:
-            """Return arrays for copies of v and C of the particles on which forces act."""
+            """Return arrays for copies of the velocities v and the matrices C of the particles on
+            which forces act.
+            """
             run = grid.run(len(model))
             return [part_of(array, run) for array in copied]
 
@@ -324,7 +356,7 @@ class ExternalWork(Observer):
     def _attach_walls(
         self, walls: Sequence[Boundary], stages: Sequence[Stage], model: Model, state: State
     ) -> tuple[Stage, Stage]:
-        """Return stages before and after the `stages` of walls."""
+        """Return two stages that measure grid nodes: before the walls' `stages`, and after them."""
         near, kernel = NodesNear(walls, model), kernels.make_wall_sums(model.real)
 
         def after(grid: Grid) -> wp.Launch | None:
@@ -343,19 +375,21 @@ class MeanWork(ExternalWork):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because measuring walls needs no kernels."""
+        """Yield nothing, because the solver measures the walls without further kernels."""
         yield from ()
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
-        """Return the walls unchanged."""
+        """Return the walls unchanged, because the solver sums their work itself."""
         return inner
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> list[Attachable]:
-        """Return the forces unchanged."""
+        """Return the forces unchanged, because the solver sums their work itself."""
         return list(forces)
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let the solver sum impulse and work of forces on particles."""
+        """Connect the observer to the solver, and let the solver sum the impulse and work of
+        forces.
+        """
         super().bind(solver, observers)
         sums = wp.zeros((len(solver.workers), ROOM), dtype=wp.float64, device=solver.model.device)
         self._device[MEAN_PUSH] = sums
