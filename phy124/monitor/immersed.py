@@ -21,14 +21,19 @@ from phy124.monitor.pool_work import PoolWork
 from phy124.scene import Scene
 
 BODIES = MEAN_PUSH
-"""Cause of the work of walls on lattices. The work of forces on points has the cause `PUSH`."""
+"""Cause of external work: walls that act on lattices. The work of forces on the points of a lattice
+is counted under the cause `PUSH`."""
 
 
 class ImmersedWork(PoolWork, MeanWork):
-    """Computes the external impulse and work on lattices and liquid from the sums for walls."""
+    """Computes the external impulse and work on lattices and liquid from the solver's sums for
+    walls.
+    """
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, which sums the impulses of walls on the liquid and on lattices."""
+        """Connect the observer to the solver, which sums the impulses of walls on liquid and
+        lattices.
+        """
         self._solver = self._liquid = solver
         counts = [len(each.workers) for each in (solver.lattice, solver.liquid)]
         sums = wp.zeros((sum(counts), ROOM), dtype=wp.float64, device=solver.model.device)
@@ -38,7 +43,9 @@ class ImmersedWork(PoolWork, MeanWork):
         self.follow_steps(solver)
 
     def change(self, scene: Scene) -> None:
-        """Keep the sums of the previous walls, and read the sums of the new walls from now on."""
+        """Keep the impulses of the previous walls, and from now on also sum those of the new
+        walls.
+        """
         self._closed[BODIES] = self._closed[BODIES] + self._open(BODIES)
         self._read_impulses()
 
@@ -48,12 +55,16 @@ class ImmersedWork(PoolWork, MeanWork):
         self._solver.record()
 
     def of_walls(self) -> float:
-        """Return the work of the walls since the start [J]; negative for walls at rest."""
+        """Return the work of all walls since the start of the run [J]; it is negative for walls at
+        rest.
+        """
         return super().of_walls() + float(self._sum(BODIES)[WORK])
 
 
 class ImmersedWrenches(LatticeWrenches):
-    """Computes wrenches on walls from the sums of the lattices and of the liquid."""
+    """Computes wrenches (forces and torques) on walls from the impulses on lattices and on the
+    liquid.
+    """
 
     def _now(self) -> NDArray[np.float64]:
         rows, impulses = super()._now(), self._solver.impulses

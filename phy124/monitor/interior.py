@@ -41,7 +41,7 @@ Opened = dict[str, NDArray]
 
 
 class Interior(Observer):
-    """The exposed interior of torn material in one run."""
+    """The observer that finds which inner particles are exposed because material is torn."""
 
     def __init__(
         self,
@@ -68,7 +68,8 @@ class Interior(Observer):
         self._real: Any = wp.float32
         self._uploaded: tuple[wp.array, wp.array, wp.array] | None = None
         self._opened: dict[int, Opened] = {}
-        """The exposed particles and their positions, for each frame with torn material."""
+        """The particles that a tear exposes, and their positions, for each frame with torn
+        material."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -90,18 +91,20 @@ class Interior(Observer):
         return cls(setup.shown, setup.particles, materials, **sizes)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver's state, and to the observer that detects tears."""
+        """Connect the observer to the solver's state, and to the observer that detects tears."""
         self._state, self._tearing = solver.state, find(observers, Tearing)
         self._real = solver.model.real
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Find the exposed particles if material is likely torn; return the frame unchanged."""
+        """Find the particles that a tear exposes, if a tear is likely; return the frame
+        unchanged.
+        """
         if self._keep and self._tearing is not None and self._tearing.likely:
             self.look(frame.index, self._state.x)
         return frame
 
     def look(self, index: int, x: wp.array) -> None:
-        """Find the exposed particles of a torn frame, from the positions x [P,3], m."""
+        """Find the particles that a tear exposes in a frame, from the positions x [P,3], m."""
         lost = self._find_lost(x)
         # Gaps are wider than a particle, so the second layer of particles is also visible.
         alone = np.zeros(len(x), bool)
@@ -111,7 +114,7 @@ class Interior(Observer):
         self._opened[index] = {"ids": ids, "x": here.astype(np.float32)}
 
     def _find_lost(self, x: wp.array) -> NDArray[np.bool_]:
-        """Return a mask of the inner particles that have moved too far away from a neighbour.
+        """Return a mask of the inner particles from which a neighbour has moved too far away.
 
         The kernel is compiled at first use, because most runs do not need it.
         """
@@ -130,7 +133,9 @@ class Interior(Observer):
         return np.asarray(lost.numpy(), bool)
 
     def complete(self, clip: Clip) -> Clip:
-        """Return the clip with a Gaussian for each particle that is exposed in any frame."""
+        """Return the clip with an additional Gaussian for each particle that a tear exposes in any
+        frame.
+        """
         exposed = self._list_exposed(len(clip))
         if exposed is None:
             return clip
@@ -145,7 +150,8 @@ class Interior(Observer):
         return clip if motion is None else clip.with_motion(replace(motion, exposed=exposed))
 
     def _list_exposed(self, count: int) -> Exposed | None:
-        """Return the particles that are exposed in any of `count` frames; None if there are none.
+        """Return the particles that a tear exposes in any of `count` frames; None if there are
+        none.
 
         A frame in which nothing has moved is not examined, and has the same exposed particles as
         the frame before.
@@ -163,17 +169,17 @@ class Interior(Observer):
         return Exposed(grains, above.astype(np.int32), *listed)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the exposed particles of all frames so far."""
+        """Return a snapshot of the particles that tears have exposed in all frames so far."""
         return {str(index): dict(opened) for index, opened in self._opened.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the exposed particles from a snapshot."""
+        """Restore the particles that tears have exposed from a snapshot."""
         self._opened = {int(index): opened for index, opened in snapshot.items()}
 
     @cached_property
     def _objects(self) -> list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]]:
-        """For each object: its Gaussians, its particles that may be exposed, and the particles'
-        neighbours.
+        """For each object: its Gaussians, the particles that a tear may expose, and the neighbours
+        of these particles.
         """
         rest = self._rest
         elastic = np.array([s.device_law.project is None for s in self._materials])[rest.material]
@@ -188,7 +194,7 @@ class Interior(Observer):
 
     @cached_property
     def _inside(self) -> NDArray[np.intp]:
-        """Particles that may be exposed, object by object [I]."""
+        """Indices of the particles that a tear may expose, object by object [I]."""
         return np.concatenate([inside for _, inside, _ in self._objects])
 
     @cached_property
@@ -199,7 +205,8 @@ class Interior(Observer):
     def _prepare_object(
         self, gaussians: NDArray[np.intp], particles: NDArray[np.intp], free: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the particles of an object that may become exposed, and the neighbours of each.
+        """Return the particles of an object that a tear may expose, and the neighbours of each
+        particle.
 
         Args:
             gaussians: Indices of the Gaussians of an object.
@@ -218,7 +225,9 @@ class Interior(Observer):
         return particles[inside], particles[near]
 
     def _make_grains(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], Gaussians]:
-        """Return the surface Gaussians nearest to the exposed particles, with their grains."""
+        """Return the surface Gaussian nearest to each exposed particle, and a new Gaussian for the
+        particle.
+        """
         above, grains, first = [], [], 0
         for gaussians, inside, _ in self._objects:
             chosen = ids[(ids >= first) & (ids < first + len(inside))] - first
@@ -236,7 +245,7 @@ class Interior(Observer):
 
 
 def _add_exposed(clip: Clip, exposed: Exposed) -> dict[str, Any]:
-    """Return the arrays of all frames with the exposed Gaussians added."""
+    """Return the arrays of all frames, with the Gaussians of exposed particles added."""
     above, count = exposed.above, len(exposed.above)
     names = ("means", "quats", "scales", "rotations", "velocities")
     known = {name: array for name in names if (array := getattr(clip, name)) is not None}

@@ -40,14 +40,14 @@ if TYPE_CHECKING:
 
 
 class LatticeTotals(Totals):
-    """Sums for bodies on lattices: momentum and kinetic energy over nodes, all other sums over
+    """Sums momentum and kinetic energy over the nodes of lattices, and all else over their
     points.
     """
 
     on_lattice = True
 
     def __init__(self, solver: LatticeSolver) -> None:
-        """Record the launches that compute the sums."""
+        """Record the kernel launches that compute the sums."""
         self._crew = solver.crew
         super().__init__(solver.model, solver.state)
         model, nodes = solver.model, solver.nodes_state
@@ -57,13 +57,15 @@ class LatticeTotals(Totals):
         self._launch = model.launch(kernel, len(nodes.u), inputs, [self._of_nodes])
 
     def _sum(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the launches that sum over the points of a group."""
+        """Record the kernel launches that sum over the points of one group of points."""
         if self._crew.vectors(group):
             return self._crew.totals(group, outputs)
         return super()._sum(group, outputs)
 
     def read(self, clock: Clock) -> Diagnostics:
-        """Move the points with the nodes, then return the diagnostics of the current state."""
+        """Move the lattices' points with their nodes, then return the diagnostics of the current
+        state.
+        """
         points = super().read(clock)
         self._of_nodes.zero_()
         if self._launch is not None:
@@ -83,11 +85,13 @@ class LatticeWatchdog(Watchdog):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because the sums are part of the kernels of lattices."""
+        """Yield nothing, because the kernels of lattices also compute the sums."""
         yield from ()
 
     def totals_of(self, solver: Any) -> Totals:
-        """Return the sums over the solver's nodes and points."""
+        """Return the sums of momentum and energy over the nodes and points of the solver's
+        lattices.
+        """
         return LatticeTotals(solver)
 
     def _energy(self) -> dict[str, Any]:
@@ -100,7 +104,7 @@ class LatticeWatchdog(Watchdog):
 
 
 class LatticeWork(MeanWork):
-    """Computes the external impulse and work from the solver's sums for walls and forces on points.
+    """Computes the external impulse and work from the solver's sums for walls and for forces.
 
     If there are other forces, the work of a constant acceleration is also summed in every substep.
     The product of acceleration and displacement would not be suitable, since positions are known
@@ -112,7 +116,9 @@ class LatticeWork(MeanWork):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that sums the work of a uniform acceleration, if needed."""
+        """Yield the kernel that sums the work of a uniform acceleration, if the scene needs this
+        sum.
+        """
         if _sums_uniform_work(subject):
             yield make_uniform_sums(real)
 
@@ -122,25 +128,31 @@ class LatticeWork(MeanWork):
         return cls(summed=_sums_uniform_work(setup.subject))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose walls hold sums of impulse and work."""
+        """Connect the observer to the solver, whose walls store the sums of impulse and work."""
         self._solver = solver
         self._device[MEAN] = solver.walls.sums
         super().bind(solver, observers)
 
     def change(self, scene: Scene) -> None:
-        """Keep the sums of the previous walls, and read the sums of the new walls from now on."""
+        """Keep the impulses of the previous walls, and from now on also sum those of the new
+        walls.
+        """
         self._closed[MEAN] = self._closed[MEAN] + self._open(MEAN)
         self._device[MEAN] = self._solver.walls.sums
         self._solver.record()
 
     def _rows_of_bodies(self) -> list[wp.array]:
-        """Return the impulses of solids and of pairs of bodies, and the signs of the pairs."""
+        """Return the impulses of freely moving solids and of pairs of bodies, and the signs of the
+        pairs.
+        """
         if self._solver is None:
             return super()._rows_of_bodies()
         return [self._solver.free.rows(), *self._solver.pairs.rows()]
 
     def _from_bodies(self) -> NDArray[np.float64]:
-        """Return the impulse [3] of solids and of fixed bodies since the start of the run, N s."""
+        """Return the impulse [3] of freely moving solids and fixed bodies since the start of the
+        run, N s.
+        """
         if self._solver is None:
             return super()._from_bodies()
         impulse: NDArray[np.float64] = self._solver.free.impulses()[:3]
@@ -155,11 +167,11 @@ def _sums_uniform_work(subject: Subject) -> bool:
 
 
 class LatticeWrenches(Wrenches):
-    """Computes wrenches on walls and between bodies from the solver's sums."""
+    """Computes wrenches (forces and torques) on walls and between bodies from the solver's sums."""
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield nothing, because measuring walls needs no kernels."""
+        """Yield nothing, because the solver measures the walls without further kernels."""
         yield from ()
 
     @property
@@ -173,22 +185,22 @@ class LatticeWrenches(Wrenches):
         return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, whose walls hold the sums of impulses."""
+        """Connect the observer to the solver, whose walls store the sums of impulses."""
         super().bind(solver, observers)
         self._before = self._now()
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Store the sums at the start of the frame."""
+        """Store the sums of the walls' impulses at the start of the frame."""
         self._before = self._now()
 
     def of_wall(self, wall: str, centre: NDArray, fps: float) -> Wrench:
-        """Return the mean wrench on a wall since the start of the frame."""
+        """Return the mean wrench (force and torque) on a wall since the start of the frame."""
         row = (self._before - self._now())[self._names.index(wall)]
         impulse, moment = row[:3], row[MOMENT : MOMENT + 3]
         return Wrench(fps * impulse, fps * (moment - np.cross(centre, impulse)))
 
     def _read_impulses(self) -> None:
-        """Do nothing, because the solver itself stores the sums."""
+        """Do nothing, because the solver itself sums the impulses of walls."""
 
     def _now(self) -> NDArray[np.float64]:
         sums: NDArray[Any] = self._solver.walls.sums.numpy()
@@ -196,25 +208,28 @@ class LatticeWrenches(Wrenches):
 
 
 class LatticeContacts(Contacts):
-    """Computes the walls' force on each Gaussian from impulses on points and clamped nodes."""
+    """Computes the force of walls on each Gaussian from the impulses on points and clamped
+    nodes.
+    """
 
     in_substeps = False
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum impulses."""
+        """Yield the kernels that sum the impulses of walls."""
         if subject.scene.boundaries:
             yield from impulses.kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:
-        """Return the effects report's row for contact forces, which cost less than the contact
-        itself.
+        """Return the row of the effects report for contact forces.
+
+        Its cost is zero, because measuring them costs less than the contact itself.
         """
         return super().effect(subject)._replace(cost=Cost())
 
     def wrap_walls(self, walls: Sequence[Boundary], inner: Sequence[Attachable]) -> Any:
-        """Return the walls unchanged."""
+        """Return the walls unchanged, because the solver sums their impulses itself."""
         return inner
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
@@ -228,11 +243,13 @@ class LatticeContacts(Contacts):
         self.bind(self._solver)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the impulses to zero."""
+        """Set the sums of the walls' impulses to zero."""
         self._solver.walls.impulses.sums.zero_()
 
     def find_nearest(self, setup: Observed) -> NDArray[np.int64]:
-        """Return the Gaussian of the same object nearest to each surface point and node [S+N]."""
+        """Return, for each surface point and node, the nearest Gaussian of the same object
+        [S+N].
+        """
         surface, lattice = self._solver.surface, self._solver.lattice
         x = np.concatenate([surface.x, lattice.x])
         body = np.concatenate([surface.body, lattice.body])
@@ -248,7 +265,9 @@ class LatticeContacts(Contacts):
         return nearest
 
     def read_impulses(self, setup: Observed) -> NDArray[np.float64]:
-        """Return the impulse on each surface point, then the impulse on each node [S+N,3], N s."""
+        """Return the impulse on each surface point, followed by the impulse on each node [S+N,3], N
+        s.
+        """
         sums: NDArray[np.float64] = self._solver.walls.impulses.sums.numpy()
         return sums
 
@@ -276,7 +295,10 @@ class LatticeShock(Observer):
         return Effect(f"{cls.NAME}, if material is compressed nearly as fast as sound")
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the lattices' clock, because it counts the substeps with artificial viscosity."""
+        """Connect the observer to the clock of the lattices.
+
+        This clock counts the substeps with artificial viscosity.
+        """
         self._clock = getattr(solver.lattice, "clock", solver.clock)
 
     def finished_effect(self, subject: Subject) -> Effect:
@@ -310,7 +332,8 @@ class LatticeSelfContact(Observer):
     """Adds a row to the effects report for contact of a body with itself."""
 
     LOOKING = Cost(fixed=40e3)
-    """Cost of the search for parts that are near each other, for an object with 50,000 points."""
+    """Cost of the search for parts of an object that are near each other, for an object with 50,000
+    points."""
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect:

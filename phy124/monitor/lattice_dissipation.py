@@ -16,7 +16,7 @@ from phy124.monitor.observer import Effect, Subject
 
 
 class LatticeDissipation(LiquidDissipation):
-    """Reads the solver's sums of mechanical work on bodies on lattices."""
+    """Reads the solver's sums of the work on bodies on lattices."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -25,7 +25,7 @@ class LatticeDissipation(LiquidDissipation):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work of each cause."""
+        """Yield the kernels that sum the work on lattices by cause."""
         yield from (make_node_work(real), make_contact_work(real))
 
     @classmethod
@@ -35,8 +35,10 @@ class LatticeDissipation(LiquidDissipation):
         return Effect("work of forces, stress and contact", cls.called_for(subject), why)
 
     def divide(self, first: Diagnostics, last: Diagnostics) -> dict[str, float]:
-        """Return the report [J] from two diagnostics: losses, changes of energy, work of each
+        """Return the energy section of the report [J]: losses, changes of energy, work of each
         cause.
+
+        The values are computed from the diagnostics of two states.
 
         All values refer to the time of the velocities, half a substep before that of the positions.
         """

@@ -21,7 +21,7 @@ class LiquidDissipation(Dissipation):
     kept = ("_energies",)
 
     def __init__(self) -> None:
-        """Prepare the sums of work; the summing starts when `bind` is called."""
+        """Prepare the sums of the work on the liquid; the summing starts when `bind` is called."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -30,23 +30,25 @@ class LiquidDissipation(Dissipation):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work of each cause."""
+        """Yield the kernels that sum the work on the liquid by cause."""
         yield from energy_kernels(real)
 
     @classmethod
     def effect(cls, subject: Subject) -> Effect | None:
-        """Return the effects report's row for the work of each cause; None without liquid."""
+        """Return the row of the effects report for the work on the liquid; None without liquid."""
         why = "checks.energy is off: the causes of energy loss are not distinguished"
         name = "work on the liquid by cause"
         return Effect(name, cls.called_for(subject), why) if subject.scene.projects else None
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let the solver sum the work from its first step on."""
+        """Connect the observer to the solver, and let the solver sum work from its first step
+        on.
+        """
         self._energies, self._external = solver.energies, find(observers, ExternalWork)
         solver.keep_works()
 
     def open(self) -> None:
-        """Start to sum the work, from the current state on."""
+        """Start to sum the work on the liquid, from the current state on."""
         self._energies.clear()
 
     def loss(self, gained: float, rubbed: float, stored: float) -> Loss:
@@ -63,8 +65,9 @@ class LiquidDissipation(Dissipation):
         return Loss(viscous, friction, lost - viscous - friction)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return the work [J] that changed the kinetic energy by `change`, and parts of the
-        numerical loss.
+        """Return the work [J] of each cause, and the parts of the numerical loss.
+
+        This work changed the kinetic energy by `change`.
         """
         works = self._energies.read()
         return {

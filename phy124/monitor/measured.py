@@ -1,4 +1,4 @@
-"""Adds measuring stages before and after forces and boundaries.
+"""Adds stages to a substep that measure the effect of forces and boundaries.
 
 Velocities are copied before a force or wall acts, and compared with the velocities afterwards.
 """
@@ -18,7 +18,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Measured:
-    """Combines forces or boundaries, and adds stages that measure their effect."""
+    """Combines several forces or boundaries, and adds stages that measure their joint effect."""
 
     def __init__(
         self,
@@ -28,7 +28,9 @@ class Measured:
         self._inner, self._measure = inner, measure
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the measuring stage, the inner stages, and the measuring stages that follow."""
+        """Return the stages of a substep: a first measurement, the forces or boundaries, and the
+        measurements after them.
+        """
         stages = [stage for item in self._inner for stage in item.attach(model, state, tracks)]
         if not stages:
             return []
@@ -37,20 +39,24 @@ class Measured:
 
 
 class NodesNear:
-    """The nodes that the measured walls may change; call `fit` if the grid's window has changed."""
+    """The grid nodes that the measured walls may change.
+
+    Call `fit` when the range of nodes that the grid stores has changed.
+    """
 
     def __init__(self, walls: Sequence[Boundary], model: Model) -> None:
         self._corners, self._model = _reach(walls, model), model
         self.threads: tuple[int, ...] = ()
-        """Launch shape of a kernel that processes the rows of these nodes in segments."""
+        """Number of threads along each axis for a kernel that processes the rows of these nodes in
+        segments."""
         self.read: list[Any] = []
-        """First inputs of a kernel that runs over these segments: segment length, box, window,
-        nodes."""
+        """First inputs of a kernel that runs over these segments: segment length, box of nodes, the
+        grid's stored range of nodes, and the nodes."""
         self.copy: wp.array | None = None
-        """Memory for a copy of the nodes."""
+        """Memory for a copy of the nodes in the box."""
 
     def fit(self, grid: Grid) -> None:
-        """Determine the nodes for the grid's current window."""
+        """Determine the nodes in the range of nodes that the grid currently stores."""
         start, extent = grid.nodes_within(*self._corners)
         corners = np.stack([start, extent]).astype(np.int32)
         box = wp.array(corners, dtype=wp.vec3i, device=self._model.device)
@@ -59,14 +65,14 @@ class NodesNear:
         self.read = [each, box, grid.window, grid.nodes]
 
     def record_copy(self, grid: Grid) -> wp.Launch | None:
-        """Fit to the grid's current window, and record the launch that copies the nodes."""
+        """Call `fit`, and record the kernel launch that copies the nodes."""
         self.fit(grid)
         kernel = make_wall_copy(self._model.real)
         return self._model.launch(kernel, self.threads, self.read, [self.copy])
 
 
 def _reach(walls: Sequence[Boundary], model: Model) -> Corners:
-    """Return the corners of a box around every node that a wall may change [m]."""
+    """Return the corners of a box around every grid node that one of the walls may change [m]."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for wall in walls:
         corners, track = wall.bounds(model), wall.track(model)

@@ -1,4 +1,4 @@
-"""Observer: measures or checks a run, from the first launch to the report.
+"""Observer: measures or checks a run, from its first kernel launch to its report.
 
 `phy124.monitor.OBSERVERS` lists all classes. `observers_of` creates only the observers that a scene
 requires; all other observers cost no time and no memory. For each of its observers, in the order of
@@ -39,7 +39,7 @@ class Cost(NamedTuple):
     particle: float = 0.0
     """Cost per particle."""
     node: float = 0.0
-    """Cost per node of the window."""
+    """Cost per stored grid node."""
 
     def of(self, particles: int, nodes: int) -> float:
         """Return the cost of the effect per substep [ns]."""
@@ -57,14 +57,14 @@ class Effect(NamedTuple):
     why: str = ""
     """Reason why the effect is omitted; empty if the effect is included."""
     cost: Cost = UNKNOWN
-    """Cost of the effect, if active."""
+    """Cost of the effect, if the scene includes the effect."""
 
 
 class Violation(NamedTuple):
     """An error in a frame, with possible causes."""
 
     what: str
-    """Description of the problem, as a clause."""
+    """Description of the error, as a clause."""
     causes: tuple[str, ...]
     """Possible causes, likeliest first, for which `phy124.budget.remedies` suggests remedies."""
 
@@ -129,10 +129,11 @@ class Observer(Kept):
     absent: ClassVar[dict[str, Any]] = {}
     """The section that the report contains if a run does not have this observer."""
     in_substeps: ClassVar[bool] = False
-    """Whether the observer updates sums in each substep. A rejected substep restores the sums."""
-    in_gathers: ClassVar[bool] = False
-    """Whether the observer records a launch after each gather. A rejected frame restores its
+    """Whether the observer updates sums in each substep. A rejected substep restores the observer's
     sums."""
+    in_gathers: ClassVar[bool] = False
+    """Whether the observer records a kernel launch after each gather (the transfer from grid to
+    particles). A rejected frame restores the observer's sums."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -155,28 +156,32 @@ class Observer(Kept):
         return cls()
 
     def wrap_forces(self, forces: Sequence[Attachable]) -> Sequence[Attachable]:
-        """Return the forces with measuring stages."""
+        """Return the forces, with stages that measure them."""
         return forces
 
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the boundaries with measuring stages; `inner` is `walls` as wrapped by earlier
-        observers.
+        """Return the boundaries, with stages that measure them.
+
+        `inner` contains the `walls`, changed by earlier observers.
         """
         return inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the observer's stages at the end of each substep (if `in_substeps`)."""
+        """Return the stages that the observer adds at the end of each substep (if
+        `in_substeps`).
+        """
         return []
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate sums for a number of workers (if `in_gathers`)."""
+        """Allocate one set of sums for each of the CPU workers (if `in_gathers`)."""
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that follows the gather of a worker's part (if `in_gathers`).
+        """Record the kernel launch that follows the gather of a worker's particles (if
+        `in_gathers`).
 
         Args:
             part: A worker's particles of one law.
@@ -188,7 +193,7 @@ class Observer(Kept):
         raise NotImplementedError
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer]) -> None:
-        """Bind to the solver, and to the other observers whose results this observer reads."""
+        """Connect the observer to the solver, and to the other observers whose results it reads."""
         self._solver: Any = solver
 
     def change(self, scene: Scene) -> None:
@@ -210,7 +215,9 @@ class Observer(Kept):
         """Read the state after a substep, or after several substeps in a CUDA graph."""
 
     def after_attempt(self) -> Violation | None:
-        """Check the state at the end of a frame; return a violation to end the attempt."""
+        """Check the state at the end of a frame; return the error, which ends the attempt, or
+        None.
+        """
 
     def after_frame(self, frame: Frame) -> Frame:
         """Return the frame of the moving Gaussians with this observer's results."""

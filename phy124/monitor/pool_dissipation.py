@@ -37,10 +37,13 @@ class PoolDissipation(LiquidDissipation):
     kept = ("_energies", "_begun", "_others")
 
     _omits_shifts = True
-    """Whether the work of a varying acceleration omits the moves that restore density."""
+    """Whether the work of a varying acceleration omits the displacements that restore the liquid's
+    density."""
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let the solver sum the work from its first step on."""
+        """Connect the observer to the solver, and let the solver sum work from its first step
+        on.
+        """
         self._solver, self._external = solver, find(observers, ExternalWork)
         self._energies = self._liquid(solver).energies
         solver.keep_works()
@@ -51,7 +54,7 @@ class PoolDissipation(LiquidDissipation):
         return solver
 
     def open(self) -> None:
-        """Start counting from the current state."""
+        """Start to sum the work from the current state on."""
         super().open()
         self._begun, self._others = self._sum_exchange(), self._of_solids(every=True)
 
@@ -83,7 +86,9 @@ class PoolDissipation(LiquidDissipation):
         return Loss(material, contact, lost - material - contact)
 
     def details(self, loss: Loss, change: float, stored: float) -> dict[str, Any]:
-        """Return the changes of energy, the work of each cause, and the numerical losses [J]."""
+        """Return the changes of energy, the work of each cause, and the parts of the numerical loss
+        [J].
+        """
         works, bodies = self._energies.read(), self._of_bodies(stored)
         projection = self._projection()
         external = self._external
@@ -106,11 +111,15 @@ class PoolDissipation(LiquidDissipation):
         }
 
     def _projection(self) -> float:
-        """Return the energy [J] that the pressure equation and the coupling have removed."""
+        """Return the energy [J] lost in the pressure equation and in the coupling of liquid and
+        bodies.
+        """
         return 0.0 - self._energies.read().projection - sum(self.exchange().values())
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        """Return the work of moving walls on bodies, and the bodies' losses by cause [J]."""
+        """Return the work of moving walls on the bodies in the liquid, and the bodies' losses by
+        cause [J].
+        """
         return {"walls": 0.0, "material": 0.0, "contact": 0.0}
 
     def _names(self) -> list[str]:
@@ -142,7 +151,7 @@ class MixedDissipation(PoolDissipation):
     _omits_shifts = False
 
     def __init__(self) -> None:
-        """Prepare the sums of the work of the bodies' stress."""
+        """Prepare the sums of the work that the stress in the bodies does."""
         super().__init__()
         self._stress = Dissipation()
 
@@ -153,13 +162,14 @@ class MixedDissipation(PoolDissipation):
         yield from Dissipation.kernels(without_liquids(subject), real)
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate the sums of the work of the bodies' stress."""
+        """Allocate the sums of the work that the stress in the bodies does."""
         self._stress.allocate(model, workers)
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the launch that sums the work of the stress in a worker's part.
+        """Record the kernel launch that sums the work of the stress on a worker's particles of one
+        law.
 
         Args:
             part: A worker's particles of one law.
@@ -178,14 +188,17 @@ class MixedDissipation(PoolDissipation):
         return observer
 
     def change(self, scene: Scene) -> None:
-        """Note whether the walls of a scene move."""
+        """Store whether the walls of a scene move."""
         self._driven = any(wall.moves for wall in scene.boundaries)
 
     def _liquid(self, solver: Any) -> Any:
         return solver.liquid
 
     def _of_bodies(self, stored: float) -> dict[str, float]:
-        """Return the bodies' losses; if walls move, their work on bodies includes friction."""
+        """Return the losses of the bodies in the liquid.
+
+        If walls move, the work of the walls on the bodies includes friction.
+        """
         assert self._external is not None
         work = self._external.of_grids()
         walls, contact = (work, 0.0) if self._driven else (0.0, 0.0 - work)
@@ -208,12 +221,14 @@ class ImmersedDissipation(PoolDissipation):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernels that sum the work of each cause."""
+        """Yield the kernels that sum the work on liquid and bodies by cause."""
         yield from super().kernels(subject, real)
         yield from (make_node_work(real), make_contact_work(real))
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let liquid and lattices sum the work from their first step on."""
+        """Connect the observer to the solver; let liquid and lattices sum work from their first
+        step on.
+        """
         super().bind(solver, observers)
         self._lattice = solver.lattice.energies
 
@@ -221,7 +236,7 @@ class ImmersedDissipation(PoolDissipation):
         return solver.liquid
 
     def open(self) -> None:
-        """Start counting from the current state."""
+        """Start to sum the work from the current state on."""
         super().open()
         self._lattice.clear()
 

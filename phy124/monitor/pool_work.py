@@ -19,28 +19,30 @@ from phy124.mpm.tracks import Tracks
 
 
 class PoolMotion(NamedTuple):
-    """The liquid and the bodies after a step of the liquid."""
+    """The motion of the liquid and of the bodies in it, after a step of the liquid."""
 
     momentum: NDArray[np.float64]
-    """Momentum of the liquid [3], kg m/s."""
+    """Momentum of the liquid after the step [3], kg m/s."""
     wet: NDArray[np.float64]
     """Sum of mass times position over the liquid [3], kg m."""
     dry: NDArray[np.float64]
     """Sum of mass times position over the bodies [3], kg m."""
     pull: NDArray[np.float64]
-    """Uniform acceleration of the liquid in the step [3], m/s^2."""
+    """Uniform acceleration of the liquid during the step [3], m/s^2."""
 
 
 class PoolWork(ExternalWork):
     """Sums the external impulse and work on a liquid and on the bodies in the liquid."""
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return no stage, because nothing is summed in substeps."""
+        """Return no stages, because impulse and work are summed after steps of the liquid, not in
+        substeps.
+        """
         super().attach(model, state, tracks)
         return []
 
     def bind(self, solver: Any, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; after each step of the liquid, its motion is measured."""
+        """Connect the observer to the solver; after each step of the liquid, measure the motion."""
         super().bind(solver, observers)
         self.follow_steps(solver)
 
@@ -50,14 +52,14 @@ class PoolWork(ExternalWork):
         solver.liquid.follower = self._add_step
 
     def begin(self, momentum: NDArray[np.float64]) -> None:
-        """Start a frame: measure the liquid and the bodies."""
+        """Start a frame: measure the motion of the liquid and of the bodies in it."""
         if self.by_momentum:
             self._before = self._measure()
 
     def total(
         self, clock: Clock, way: NDArray[np.float64], momentum: NDArray[np.float64]
     ) -> Exchange:
-        """Return the impulse and the work since the start, as in `ExternalWork`."""
+        """Return the external impulse and work since the start of the run, as in `ExternalWork`."""
         total = super().total(clock, way, momentum)
         if not self.by_momentum:
             return total
@@ -67,7 +69,7 @@ class PoolWork(ExternalWork):
         return total._replace(impulse=total.impulse - late)
 
     def _add_step(self) -> None:
-        """Add impulse and work of a step of the liquid.
+        """Add the external impulse and work of one step of the liquid.
 
         For a constant acceleration, the work is the product of acceleration and displacement, as in
         runs without changes.
@@ -92,13 +94,13 @@ class PoolWork(ExternalWork):
         self._closed[UNIFORM], self._before = sums, now
 
     def _measure(self) -> PoolMotion:
-        """Measure the liquid and the bodies."""
+        """Measure the motion of the liquid and of the bodies in it."""
         liquid, bodies = self._pool.liquid, self._pool.bodies.motions()
         wet = self._pool.clock.wet()
         dry = sum((body.mass * body.centre for body in bodies), np.zeros(3))
         return PoolMotion(wet.momentum, wet.mass * wet.centre, dry, liquid.clock.pull)
 
     def _acceleration(self) -> NDArray[np.float64]:
-        """Return the uniform acceleration [3] in the last substep of the bodies, m/s^2."""
+        """Return the uniform acceleration [3] of the bodies in the last substep, m/s^2."""
         values: NDArray[Any] = self._tracks.values.numpy()
         return values[0, :3].astype(np.float64)

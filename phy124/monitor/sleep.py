@@ -51,7 +51,7 @@ class Sleep(Observer):
     kept = ("anchor", "drift", "speeds", "since", "skipped", "saved", "_last")
 
     def __init__(self, *, size: float, frames: int, fps: float) -> None:
-        """Start with all objects awake.
+        """Start with all objects awake, so that no frame is skipped.
 
         Args:
             size: Size of the smallest object [m].
@@ -66,16 +66,17 @@ class Sleep(Observer):
         self.drift = 0.0
         """Largest distance of a particle from its position in `anchor` [m]."""
         self.speeds: list[float] = []
-        """Largest speed in each frame since the anchor was set [m/s]."""
+        """Largest speed in each frame since `anchor` was set [m/s]."""
         self._fastest, self._last, self._before = 0.0, 0, 0
         self.since: int | None = None
         """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Number of skipped frames; number of saved substeps, estimated from the last frame."""
+        """Number of skipped frames, and number of substeps that this saved. The second number is
+        estimated from the last computed frame."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
-        """Return whether the scene allows sleep."""
+        """Return whether the scene allows frames to be skipped while all objects are at rest."""
         return subject.scene.time.sleep
 
     @classmethod
@@ -94,7 +95,10 @@ class Sleep(Observer):
         return sleep
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; its tracks give the times at which forces and boundaries change."""
+        """Connect the observer to the solver.
+
+        The solver's tracks (values over time) show when forces and boundaries change.
+        """
         self._solver, self._state, self._clock = solver, solver.state, solver.clock
 
     def change(self, scene: Scene) -> None:
@@ -177,7 +181,8 @@ class Sleep(Observer):
         return speed / self._fps / (2 * math.pi)
 
     def _pins_material(self) -> bool:
-        """Return whether something holds the material in place against acceleration `a` [m/s^2].
+        """Return whether something holds the material in place against the acceleration `a`, such
+        as gravity [m/s^2].
 
         Material that nothing holds would move by `a t^2 / 8`.
         """
@@ -198,7 +203,9 @@ class Sleep(Observer):
 
 
 def next_change(track: Track, time: float) -> float:
-    """Return the next time at which a track changes [s]; `time` if it is changing at this time.
+    """Return the next time at which a track (a value over time) changes [s].
+
+    If the value is changing at `time`, the result is `time`.
 
     If the track never changes again, the result is infinity.
     """

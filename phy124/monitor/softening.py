@@ -29,10 +29,13 @@ class Softening(Observer):
     """Multiplies Young's moduli of a run by a factor that changes in time."""
 
     def __init__(self, scene: Scene, material: NDArray) -> None:
-        """Start with the factor 1; `material` holds the index of each particle's material [P]."""
+        """Start with the factor 1 on Young's modulus.
+
+        `material` [P] is the index of each particle's material.
+        """
         self._scene, self._material = scene, material
         self.factor = 1.0
-        """The current factor on Young's modulus."""
+        """The current factor on Young's modulus of all materials."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -45,7 +48,7 @@ class Softening(Observer):
         return cls(setup.scene, setup.particles.material)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Store the parameters for the factor 1."""
+        """Store the parameters of all materials for the factor 1 on Young's modulus."""
         self._solver, self._external = solver, find(observers, ExternalWork)
         model = solver.model
         scaled = np.array([section.scaled for section in model.materials])[self._material]
@@ -60,11 +63,13 @@ class Softening(Observer):
         self._scene = scene
 
     def before_frame(self, time: float) -> None:
-        """Set the factor for the frame that starts at `time` [s]."""
+        """Set the factor on Young's modulus for the frame that starts at `time` [s]."""
         self.follow(self._scene.softness(time))
 
     def follow(self, factor: float) -> None:
-        """Set a factor; add the resulting change of energy to the external work."""
+        """Set the factor on Young's modulus; add the resulting change of energy to the external
+        work.
+        """
         if factor == self.factor:
             return
         before = diagnose(self._solver).elastic
@@ -75,22 +80,25 @@ class Softening(Observer):
         self._solver.clock.expire()
 
     def notes(self) -> list[str]:
-        """Return a note if the stiffness has a period shorter than two frames."""
+        """Return a note if the stiffness varies with a period that is shorter than two frames."""
         profile, fps = self._scene.stiffness_profile, self._scene.time.fps
         if profile is None or not 0 < profile.period < 2 / fps:
             return []
         return [
             f"stiffness_profile repeats every {profile.period:.2g} s and is read once at the start "
-            f"of each frame, every {1 / fps:.2g} s; changes in between are "
+            f"of each frame, every {1 / fps:.2g} s; changes between two frames are "
             "missed. A larger time.fps resolves these changes."
         ]
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the factor."""
+        """Return a snapshot of the factor on Young's modulus."""
         return {"factor": self.factor}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Set the factor; its work is not counted, since the restored state includes it."""
+        """Set the factor on Young's modulus.
+
+        Its work is not counted, because the restored state includes this work.
+        """
         self._multiply(snapshot["factor"])
 
     def _multiply(self, factor: float) -> None:

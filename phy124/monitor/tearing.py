@@ -31,30 +31,35 @@ if TYPE_CHECKING:
     from phy124.liquid import AnySolver
 
 APART = 1.2
-"""Material may separate if the spacing of particles exceeds this [cells]."""
+"""Material may separate if the distance between neighbouring particles exceeds this value [cells].
+"""
 MANY, FEW = 5e-3, 3
 """A tear is likely if the number of particles that are farther apart than `APART` exceeds both
-`MANY` P^(2/3) and `FEW`. P^(2/3) is about the number of particles in a cross-section. At corners, a
-few particles always separate.
+`FEW` and `MANY` P^(2/3), where P is the number of particles. P^(2/3) is about the number of
+particles in a cross-section. At the corners of a body, a few particles always separate.
 
-In tests, ducks were pressed, dropped and bounced. All ducks with fewer than 5.2e-3 P^(2/3) such
-particles stayed whole. A duck with 6.7e-3 P^(2/3) lost its head, but another duck with 7.9e-3
-P^(2/3) stayed whole.
+In tests, ducks were pressed, dropped and bounced. Every duck stayed whole if fewer than 5.2e-3
+P^(2/3) particles were that far apart. With 6.7e-3 P^(2/3) such particles, a duck lost its head.
+With 7.9e-3 P^(2/3), another duck stayed whole.
 """
 REACH = 1.5
-"""Reach of a particle's B-spline [cells]; a wider empty layer separates two pieces."""
+"""Reach of a particle's B-spline [cells]. A wider layer without particles separates two pieces of
+material."""
 LOOSE = 2e-3
-"""Smallest fraction of all elastic particles in a separated piece."""
+"""Smallest fraction of all elastic particles in a piece of material that counts as separated."""
 FLAKE = 8
-"""Smallest number of particles in a separated piece."""
+"""Smallest number of particles in a piece of material that counts as separated."""
 ALONE = 1.0
-"""A particle has no neighbours if its spacing at rest is larger than this [cells]."""
+"""A particle has no neighbours if the distance between particles at rest is larger than this
+[cells]."""
 STURDY = 1e9
-"""Stretch limit that no particle reaches; it excludes particles from the check."""
+"""Stretch limit that no particle reaches. It excludes a particle from the check."""
 FAR = 4096
-"""Number of cubes along an axis above which empty space is removed before pieces are labelled."""
+"""Number of cubes of space along an axis above which empty space is removed before pieces of
+material are labelled."""
 MOST = 50_000_000
-"""Largest number of cubes; if particles are scattered over more, pieces are not determined."""
+"""Largest number of cubes of space in which pieces are searched. If the particles are scattered
+over more cubes, pieces are not determined."""
 REMEDY = (
     "A larger accuracy.particles_per_axis, binding = particles, a stiffer material, more "
     "material.damping or a gentler motion helps; a finer grid does not."
@@ -74,11 +79,12 @@ class Tearing(Observer):
 
     def __init__(self) -> None:
         self.count, self.first, self.stretch = 0, 0, 1.0
-        """Largest number of particles per frame with a spacing above `APART`, lowest index of such
-        a particle, and largest stretch.
+        """Largest number of particles per frame that are farther apart than `APART`, lowest index
+        of such a particle, and largest stretch.
         """
         self.loose = 0
-        """Largest number of particles per frame that were separated from their piece."""
+        """Largest number of particles per frame that were separated from their piece of material.
+        """
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -87,7 +93,7 @@ class Tearing(Observer):
 
     @classmethod
     def kernels(cls, subject: Subject, real: Any) -> Iterator[Any]:
-        """Yield the kernel that measures the stretch."""
+        """Yield the kernel that measures the stretch of the particles."""
         yield make_apart(real)
 
     @classmethod
@@ -98,7 +104,9 @@ class Tearing(Observer):
         return Effect(name, subject.elastic, why)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Select the elastic particles and label their pieces at rest."""
+        """Select the elastic particles, and label the pieces of material to which they belong at
+        rest.
+        """
         self._model, self._state = solver.model, solver.state
         model = solver.model
         self._elastic = [group for group in model.groups if group.law.project is None]
@@ -109,7 +117,8 @@ class Tearing(Observer):
         # A particle that is alone in a cell at rest has no neighbours from which it could separate.
         stretch = np.where(spacing < ALONE, APART / spacing, STURDY)
         self._most = wp.array(stretch**2, dtype=model.real, device=model.device)
-        """Square of the stretch at which the spacing exceeds `APART`, for each particle [P]."""
+        """Square of the stretch above which each particle is farther than `APART` from its
+        neighbours [P]."""
         self._counts = wp.zeros(2, dtype=int, device=model.device)
         self._max_stretch = wp.zeros(1, dtype=model.real, device=model.device)
         self._launches = []
@@ -132,12 +141,14 @@ class Tearing(Observer):
 
     @property
     def torn(self) -> bool:
-        """Whether a visible piece has separated."""
+        """Whether a visible piece of material has separated."""
         return self.loose >= max(FLAKE, LOOSE * int(self._chosen.sum()))
 
     @property
     def likely(self) -> bool:
-        """Whether a piece has separated, or stretched particles suggest that it may have."""
+        """Whether a piece of material has separated, or may have, because particles are far
+        apart.
+        """
         return self.torn or self.count > max(FEW, MANY * len(self._model) ** (2 / 3))
 
     def after_attempt(self) -> None:
@@ -175,7 +186,7 @@ class Tearing(Observer):
 
     @property
     def briefly(self) -> str:
-        """The note about tearing, shortened to a clause."""
+        """The note about torn material, shortened to a clause."""
         if self.torn:
             return "the grid tears the material"
         return f"the material is stretched {self.stretch:.1f} times and the grid may tear it"
@@ -187,7 +198,7 @@ class Tearing(Observer):
 
 
 class Pieces:
-    """Pieces: groups of particles that are connected at rest.
+    """The pieces of material: groups of particles that are connected at rest.
 
     Space is divided into cubes. Particles in one cube, or in cubes that touch, are connected; an
     empty layer of cubes separates two pieces. Particles of different objects never belong to one
@@ -195,7 +206,7 @@ class Pieces:
     """
 
     def __init__(self, rest: NDArray, side: float, object_id: NDArray | None = None) -> None:
-        """Label the pieces at rest.
+        """Label the pieces of material (groups of connected particles) at rest.
 
         Args:
             rest: Positions at rest [P,3], m.
@@ -208,8 +219,10 @@ class Pieces:
             self._sizes = np.bincount(self._body)
 
     def loose(self, x: NDArray) -> int:
-        """Return how many particles at x [P,3], m, have left the largest remaining part of their
-        piece.
+        """Return how many particles have left the largest remaining part of their piece of
+        material.
+
+        The particles are at x [P,3], m.
         """
         now = labels(self._spread(x), self._side)
         if now is None or self._body is None or now.max() == 0:
@@ -220,7 +233,9 @@ class Pieces:
         return int((self._sizes - largest).sum())
 
     def _spread(self, x: NDArray) -> NDArray:
-        """Return the positions with each object shifted away from the others."""
+        """Return the positions, with each object shifted away from the other objects, so that no
+        two objects touch.
+        """
         if self._object is None or not np.isfinite(x).all():
             return x
         shifted = x.astype(np.float64)
@@ -229,7 +244,9 @@ class Pieces:
 
 
 def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
-    """Return the index of each particle's piece [P]; None if the particles are too scattered.
+    """Return the index of the piece of material to which each particle belongs [P].
+
+    The result is None if the particles are too scattered.
 
     Args:
         x: Positions of the particles [P,3], m.
@@ -251,7 +268,7 @@ def labels(x: NDArray, side: float) -> NDArray[np.int64] | None:
 
 
 def _cubes(column: NDArray, side: float) -> NDArray[np.int64]:
-    """Return the index, along one axis, of the cube that contains each particle.
+    """Return the index, along one axis, of the cube of space that contains each particle.
 
     If particles are widely scattered, gaps between occupied cubes are narrowed to two cubes; pieces
     remain separate.

@@ -41,8 +41,9 @@ FEW = 2
 ENERGY_GAIN = 0.25
 """Tolerated spurious energy, relative to the largest supplied energy.
 
-It was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, two particles whose velocity
-is set in every substep, it reached 13 %. An unstable run exceeds any limit within a few frames.
+The spurious momentum was below 0.7 % in 99 % of 6,500 random scenes. In the worst scene, two
+particles whose velocity is set in every substep, it reached 13 %. In an unstable run, the spurious
+energy exceeds any limit within a few frames.
 """
 EXCHANGE_GAIN = 0.25
 """There is a note if the exchange between a liquid and bodies creates more than this fraction of
@@ -55,15 +56,16 @@ MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 PROJECTED = 0.5
 """Tolerated spurious momentum of a liquid with projected pressure, relative to all transferred
 momentum. Layers thinner than a cell exert up to a quarter less than their weight on walls. When
-objects two cells wide hit the floor, the floor's impulse is up to 35 % too small.
+objects that are two cells wide hit the floor, the measured momentum that the floor transfers is up
+to 35 % too small.
 """
 LEVEL = 0.05
-"""Error of a resting liquid's level [cells]. Spurious energy is compared with at least the energy
-that lifts the liquid by this height.
+"""Error of the level of a resting liquid [cells]. Spurious energy is compared with at least the
+energy that lifts the liquid by this height.
 """
 CROWDED = 0.1
-"""Largest mean excess of the density of a liquid with projected pressure. If it is exceeded, the
-space between the walls is too small for the liquid."""
+"""Largest mean excess of the density of a liquid with projected pressure. If this excess is
+exceeded, the space between the walls is too small for the liquid."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss due to rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
@@ -77,8 +79,8 @@ FADING = {"float32": 2e-9, "float64": 4e-18}
 
 F grows by dt C F. In a stiff body that rotates slowly, F changes in a substep by less than its last
 digit, so rounding strains the body. The measured strain per substep in float32 is 3e-10, at any
-distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy is quadratic in the
-strain, and a quarter of the energy is tolerated.
+distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy of a strain is quadratic
+in the strain, and a quarter of the energy is tolerated.
 """
 FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
@@ -104,7 +106,8 @@ class Balance:
     momentum_gain: float = 0.0
     """Spurious momentum, relative to the transferred momentum."""
     trembles: float = 0.0
-    """Energy due to rounding errors relative to the total; set only if above the tolerance."""
+    """Spurious energy that rounding errors explain, relative to `turnover`; 0 if it was never above the
+    tolerance."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
@@ -155,11 +158,13 @@ class Watchdog(Observer):
         self._stopped, self._pushed = solver.pairs.impulse(), solver.free.impulses()
 
     def totals_of(self, solver: AnySolver) -> Totals:
-        """Return the sums over the solver's state."""
+        """Return the sums of momentum and energy over the solver's state."""
         return Totals(solver.model, solver.state)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Start to sum external work; before the first frame, also start the balance.
+        """Start to sum the external work of a frame.
+
+        Before the first frame, the balance of energy and momentum is also started.
 
         If `closely` is set, each substep is checked for non-finite particles, before they affect
         their neighbours.
@@ -182,11 +187,13 @@ class Watchdog(Observer):
             self.external.begin(self.last.momentum)
 
     def restart(self) -> None:
-        """Start the balance again with the next frame; call after changing the state."""
+        """Start the balance of energy and momentum again with the next frame; call after changing
+        the state.
+        """
         self._begun = False
 
     def after_substep(self) -> None:
-        """Record the largest speed.
+        """Store the largest speed of a particle so far.
 
         Raises:
             Unstable: The attempt is checked closely, and the state of a particle is not finite.
@@ -319,7 +326,9 @@ class Watchdog(Observer):
         )
 
     def _check_balance(self, now: Diagnostics) -> Violation | None:
-        """Compare energy and momentum with the initial values plus external work and impulse."""
+        """Check the balance: compare energy and momentum with initial values plus external work and
+        impulse.
+        """
         assert self.external is not None
         outside = self.external.total(self.clock, now.middle - self.first.middle, now.momentum)
         outside = outside.plus(self._solver.free.impulses() - self._pushed)
@@ -386,8 +395,9 @@ class Watchdog(Observer):
         return stiffest * volume * strain**2
 
     def _unresolved_lift(self) -> float:
-        """Return the energy [J] that lifts a liquid with projected pressure by the error of its
-        level.
+        """Return the energy [J] that lifts a liquid with projected pressure by `LEVEL`.
+
+        `LEVEL` is the error of the level of a resting liquid.
         """
         pull = getattr(self.clock, "pull", None)
         if pull is None:

@@ -35,18 +35,21 @@ if TYPE_CHECKING:
 STAGE = "wrenches"
 """Name of the stages that sum wrenches."""
 LIQUID = -1
-"""Key of the sums of a liquid with projected pressure; the other keys are indices of workers."""
+"""Key of the impulses that a liquid with projected pressure exerts. The other keys are indices of
+CPU workers."""
 Vector3 = NDArray[np.float64]
 
 
 class Wrenches(Observer):
-    """Measures the wrenches in each frame: between objects and, if requested, on walls."""
+    """Measures wrenches (forces and torques) in each frame: between objects and, if requested, on
+    walls.
+    """
 
     absent: ClassVar[dict[str, Any]] = {"walls": None}
     in_substeps = True
 
     def __init__(self, *, of_walls: bool = True, of_pairs: bool = False, fps: float = 1.0) -> None:
-        """Create the observer without any sums.
+        """Create the observer; it has not summed anything yet.
 
         Args:
             of_walls: Whether walls are measured.
@@ -55,7 +58,7 @@ class Wrenches(Observer):
         """
         self._of_walls, self._of_pairs, self._fps = of_walls, of_pairs, fps
         self._sums: dict[str, dict[int, wp.array]] = {}
-        """Sums of each wall, per worker."""
+        """Sums of the impulses on each wall, by name and worker."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:
@@ -94,14 +97,17 @@ class Wrenches(Observer):
     def wrap_walls(
         self, walls: Sequence[Boundary], inner: Sequence[Attachable]
     ) -> Sequence[Attachable]:
-        """Return the boundaries with measuring stages before and after each wall."""
+        """Return the boundaries, each with stages that measure its walls before and after they
+        act.
+        """
         if not self._of_walls:
             return inner
         named = zip(wall_names(walls), walls, inner, strict=True)
         return [_Separated(self, name, wall, wrapped) for name, wall, wrapped in named]
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver, and let the solver sum the impulses between objects.
+        """Connect the observer to the solver, and let the solver sum the impulses between
+        objects.
 
         The liquid solver also sums the impulses of walls.
         """
@@ -113,7 +119,7 @@ class Wrenches(Observer):
         self._read_impulses()
 
     def _read_impulses(self) -> None:
-        """Use the liquid solver's sums of the impulses on walls."""
+        """Read the impulses on walls that the solver of the liquid sums."""
         solver: Any = self._solver
         if self._of_walls and solver.projects:
             impulses = solver.impulses
@@ -123,18 +129,22 @@ class Wrenches(Observer):
                 self._sums.setdefault(name, {})[LIQUID] = impulses.wrench(name)
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Set the sums to zero."""
+        """Set the sums of the walls' impulses to zero."""
         for sums in self._arrays().values():
             sums.zero_()
 
     def after_frame(self, frame: Frame) -> Frame:
-        """Return the frame with the mean wrenches since the previous frame."""
+        """Return the frame with the mean wrenches (forces and torques) since the previous frame."""
         if not self._of_walls and not self.names:
             return frame
         return replace(frame, wrenches=self.contacts(self._solver, self._fps))
 
     def contacts(self, solver: AnySolver, fps: float) -> dict[str, Wrench]:
-        """Return the mean wrench on each wall and in each pair since the start of the frame."""
+        """Return the mean wrench (force and torque) on each wall and between each pair of
+        bodies.
+
+        The mean is taken over the time since the start of the frame.
+        """
         arrays = (solver.model.mass, solver.state.x)
         mass, x = (np.asarray(array.numpy(), np.float64) for array in arrays)
         centre = mass @ x / mass.sum()
@@ -145,24 +155,29 @@ class Wrenches(Observer):
         return wrenches
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the report sections of walls and, if there are several objects, of pairs."""
+        """Return the report's sections about wrenches on walls and, if there are several objects,
+        in pairs.
+        """
         report = {"walls": summary(frames, self.walls) if self._of_walls else None}
         if self._of_pairs:
             report["pairs"] = summary(frames, pair_names(self._solver))
         return report
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums of impulses."""
+        """Return a snapshot of the sums of the walls' impulses."""
         return {name: wp.clone(sums) for name, sums in self._arrays().items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums from a snapshot."""
+        """Restore the sums of the walls' impulses from a snapshot."""
         for name, sums in self._arrays().items():
             copy = snapshot.get(name)
             sums.zero_() if copy is None else sums.assign(copy)
 
     def measure(self, name: str, wall: Boundary, model: Model) -> tuple[Stage, Stage]:
-        """Return the stages before and after a wall; `name` identifies the wall's sums."""
+        """Return the stages that measure a wall: before and after it acts.
+
+        `name` is the key of the wall's sums.
+        """
         self._sums[name] = {}
         near, kernel = NodesNear([wall], model), kernels.make_wall_wrench(model.real)
 
@@ -174,7 +189,10 @@ class Wrenches(Observer):
         return Stage(STAGE, near.record_copy), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """Return a worker's array of sums for one wall; no other thread adds to this array."""
+        """Return the array in which a worker sums the impulses on one wall.
+
+        No other thread adds to this array.
+        """
         sums = self._sums[name]
         if grid.worker not in sums:
             sums[grid.worker] = wp.zeros(kernels.SUMS, dtype=wp.float64, device=model.device)
@@ -188,7 +206,10 @@ class Wrenches(Observer):
         }
 
     def of_wall(self, wall: str, centre: Vector3, fps: float) -> Wrench:
-        """Return the mean wrench on a wall, about a centre [3], m, since the start of the frame."""
+        """Return the mean force and torque on a wall since the start of the frame.
+
+        The torque is about a centre [3], m.
+        """
         total = np.zeros(kernels.SUMS)
         for sums in self._sums[wall].values():
             total += sums.numpy()
@@ -197,13 +218,15 @@ class Wrenches(Observer):
 
 
 class _Separated:
-    """A boundary with a stage before and a stage after each of its walls."""
+    """A boundary with a measuring stage before and after each of its walls."""
 
     def __init__(self, wrenches: Wrenches, name: str, wall: Boundary, inner: Attachable) -> None:
         self._wrenches, self._name, self._wall, self._inner = wrenches, name, wall, inner
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the boundary's stages, with measuring stages around all walls or each wall."""
+        """Return the boundary's stages of a substep, with stages that measure all walls or each
+        wall.
+        """
         wall = self._wall
         stages, parts = self._inner.attach(model, state, tracks), wall.parts()
         each, more = divmod(len(stages), len(parts))
@@ -224,7 +247,9 @@ class _Separated:
 
 
 def pair_names(solver: AnySolver) -> tuple[str, ...]:
-    """Return a name for each pair of bodies that may touch; the first body exerts the wrench.
+    """Return a name for each pair of bodies that may touch.
+
+    The first body of a pair exerts the force, and the second body receives it.
 
     Pairs of particle bodies come before pairs with rigid solids.
     """
@@ -254,7 +279,8 @@ def simple_wall_names(walls: Sequence[Boundary]) -> list[str]:
 
 
 def summary(frames: Sequence[Frame], names: Sequence[str]) -> dict[str, Any] | None:
-    """Return for each name the largest force, its time, and the last wrench.
+    """Return, for each wall or pair of objects: the largest force, its time, and the last
+    wrench.
 
     Frames before the first substep have no forces. Names are those of walls or pairs.
     """

@@ -17,7 +17,8 @@ from phy124.motion.blocks import BlockLauncher, Step
 from phy124.runtime.cores import cores
 
 PER_CELL = 2
-"""Mean number of particles per cell of the search grid that finds the carrying particles."""
+"""Mean number of particles per cell of the search grid with which the carriers of Gaussians are
+found."""
 MOST_CELLS = 256
 """Largest number of cells of the search grid along each axis of the particles' bounding box."""
 FARTHEST = 4.0
@@ -64,8 +65,10 @@ def bind(gaussians: Gaussians, particles: Particles | None) -> Binding:
 
 
 def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> NDArray:
-    """Return a value for each Gaussian [N] from values of the particles [P]. The value is that of
-    the particle that represents the Gaussian or, without such a particle, of the nearest particle.
+    """Return a value for each Gaussian [N] from the values of the particles [P].
+
+    The value is that of the particle that represents the Gaussian. Without such a particle, it is
+    the value of the nearest particle.
     """
     # If all values are equal, for example with a single material, no search is needed.
     if len(values) and (values == values[0]).all():

@@ -19,14 +19,16 @@ class Step(NamedTuple):
 
     kernel: Any
     mine: list[Any]
-    """First arguments of the kernel: arrays with an entry per Gaussian; F replaces
-    `DEFORMATION`."""
+    """First arguments of the kernel: arrays that have one entry per Gaussian. `DEFORMATION` stands
+    for the deformation gradients."""
     shared: list[Any]
-    """Next arguments of the kernel: whole arrays, which all threads may read."""
+    """Next arguments of the kernel: arrays without an entry per Gaussian, which all threads may
+    read."""
     out: list[Any]
-    """Last arguments of the kernel: the arrays that it writes, with an entry per Gaussian."""
+    """Last arguments of the kernel: the arrays that the kernel writes, which have one entry per
+    Gaussian."""
     each: int = 1
-    """Number of Gaussians that a thread of the kernel processes."""
+    """Number of Gaussians that one thread of the kernel processes."""
 
 
 class BlockLauncher:
@@ -49,7 +51,7 @@ class BlockLauncher:
         self._others = ThreadPoolExecutor(threads - 1, THREADS) if threads > 1 else None
 
     def run(self, steps: Sequence[Step]) -> None:
-        """Run all steps for each block of Gaussians."""
+        """Launch the kernels of all steps for each block of Gaussians."""
         work = [
             [
                 self._record(step, range(first, min(first + self.block, run.stop)), F)
@@ -66,7 +68,7 @@ class BlockLauncher:
             future.result()
 
     def _record(self, step: Step, block: range, F: wp.array) -> Any:
-        """Return the launch of a step for a block of Gaussians."""
+        """Return the launch of one kernel for a block of Gaussians."""
         count = len(block)
 
         def part(array: Any) -> Any:

@@ -120,7 +120,7 @@ class Deformer:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the state before the first frame."""
+        """Forget all frames, so that the next frame is computed as the first frame."""
         self._quats = self._quats0
         for array in (self._inner, self._turned):
             array.fill_(wp.vec4f(1.0, 0.0, 0.0, 0.0))
@@ -202,7 +202,7 @@ class Deformer:
         return {name: array.numpy().copy() for name, array in axes.items()}
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
-        """Restore a snapshot."""
+        """Restore a snapshot of the Gaussians' axes."""
         self._quats = wp.array(snapshot["quats"], dtype=wp.vec4f, device=self._device)
         self._inner.assign(snapshot["inner"])
         if self.gaussians.sh_degree:

@@ -26,11 +26,11 @@ class Exposed:
     above: NDArray[np.int32]
     """For each Gaussian, the index of the surface Gaussian that hides it [G]."""
     grain: NDArray[np.int32]
-    """For each exposure, the index of the exposed Gaussian [E], 0 to G - 1."""
+    """For each exposure of a Gaussian in a frame, the index of the Gaussian [E], 0 to G - 1."""
     frame: NDArray[np.int32]
-    """For each exposure, the index of its frame [E]."""
+    """For each exposure of a Gaussian in a frame, the index of the frame [E]."""
     x: NDArray[np.float32]
-    """For each exposure, the position of the particle [E,3], m."""
+    """For each exposure of a Gaussian in a frame, the position of its particle [E,3], m."""
 
     @cached_property
     def _by_frame(self) -> NDArray[np.intp]:
@@ -38,8 +38,10 @@ class Exposed:
 
     @cached_property
     def _starts(self) -> NDArray[np.intp]:
-        """Index of the first exposure of each frame if exposures are sorted by frame. The last
-        entry is the number of exposures.
+        """For each frame, the index of its first exposure, if exposures are sorted by frame.
+
+        The last entry is the number of exposures. An exposure is a Gaussian that a tear exposes in
+        a frame.
         """
         frames = np.arange(self.frame.max(initial=-1) + 2)
         return np.searchsorted(self.frame[self._by_frame], frames)
@@ -47,7 +49,7 @@ class Exposed:
     def show(
         self, row: Mapping[str, Array], index: int, grains: NDArray[np.intp]
     ) -> dict[str, Array]:
-        """Return the arrays of a frame after setting the centres and sizes of these Gaussians.
+        """Return the arrays of a frame, with the centres and sizes of the exposed Gaussians set.
 
         Args:
             row: Arrays of M Gaussians by name. A hidden Gaussian has the values of the Gaussian

@@ -143,7 +143,10 @@ def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
 
 
 class Steps:
-    """Rows of a packed array, one per frame; the last chunk that was read stays unpacked."""
+    """The frames of a packed array of the particles.
+
+    The group of frames that was read last stays unpacked.
+    """
 
     def __init__(
         self,
@@ -167,7 +170,7 @@ class Steps:
         return self._count
 
     def __getitem__(self, index: Any) -> NDArray[np.float32]:
-        """Return the row of a frame.
+        """Return the values of the particles in a frame.
 
         Raises:
             InputError: The packed bytes are damaged.
@@ -220,7 +223,7 @@ def hilbert_order(points: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def _base(name: str, rest: NDArray) -> NDArray[np.float64]:
-    """Return the values of the particles at rest, to which rounded differences are added."""
+    """Return the values of the particles at rest, which are the start of the packed differences."""
     return rest if name == "x" else np.broadcast_to(np.eye(3).ravel(), (len(rest), 9))
 
 
@@ -241,13 +244,15 @@ def _mean_volumes(particles: Particles) -> NDArray[np.float64]:
 
 
 def _pack_steps(steps: NDArray[np.int32]) -> bytes:
-    """Pack integers [K,T,P] as differences, first in time and then along the Hilbert curve."""
+    """Pack integers [K,T,P] as differences in time, and then as differences along a Hilbert
+    curve.
+    """
     steps = np.diff(steps, axis=1, prepend=np.int32(0))
     return _compress(_zigzag(np.diff(steps, axis=2, prepend=np.int32(0)), 4))
 
 
 def _unpack_steps(data: bytes, shape: tuple[int, int, int]) -> NDArray[np.int32]:
-    """Return the unpacked integers [K,T,P] of a given shape."""
+    """Return the integers [K,T,P] that `_pack_steps` packed."""
     steps = _unzigzag(_decompress(data, 4)).reshape(shape)
     np.cumsum(steps, axis=2, dtype=np.int32, out=steps)
     for before, after in pairwise(range(shape[1])):
@@ -292,14 +297,17 @@ def _unpack_exact(data: NDArray, facts: Mapping[str, Any]) -> NDArray:
 
 
 def _column_order(name: str, count: int) -> Sequence[int]:
-    """Return the order of columns; the real part of quaternions is last, because it is computed
-    from the other parts.
+    """Return the order in which the columns of an array are packed.
+
+    The real part of quaternions is last, because it is computed from the other parts.
     """
     return (1, 2, 3, 0) if name.endswith("quats") and count == 4 else range(count)
 
 
 def _real_part(columns: NDArray) -> NDArray[np.float32]:
-    """Return the positive real part of unit quaternions, from the bits of the other components."""
+    """Return the real part of unit quaternions, which is positive, from the bits of the other
+    parts.
+    """
     x, y, z = (columns[k].view(np.float32).astype(np.float64) for k in (1, 2, 3))
     return np.sqrt(np.maximum(1 - x * x - y * y - z * z, 0)).astype(np.float32)
 
@@ -313,7 +321,9 @@ def _bits(array: NDArray) -> NDArray:
 
 
 def _columns(array: NDArray) -> NDArray:
-    """Return the bits of an array as integers; each column of the array becomes a row."""
+    """Return the bits of an array as integers, transposed: each column of the array becomes a
+    row.
+    """
     return np.ascontiguousarray(_bits(array).reshape(len(array), math.prod(array.shape[1:])).T)
 
 
@@ -324,7 +334,7 @@ def _zigzag(values: NDArray, size: int) -> NDArray:
 
 
 def _unzigzag(values: NDArray) -> NDArray:
-    """Return the integers from which `_zigzag` made the values, which are overwritten."""
+    """Return the integers that `_zigzag` has mapped to `values`; `values` are overwritten."""
     signed = values.view(f"<i{values.dtype.itemsize}")
     odd = signed & 1
     values >>= 1

@@ -34,11 +34,12 @@ NEAR = 4
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 STATES = 16e6
-"""Largest total size of all stored states [bytes]."""
+"""Largest total size of the stored states of the Gaussians, from which frames can be computed
+[bytes]."""
 BYTES = 40
-"""Number of bytes per Gaussian in a computed frame."""
+"""Size of one Gaussian in a computed frame [bytes]."""
 STATE = 32
-"""Number of bytes per Gaussian in a state."""
+"""Size of one Gaussian in a stored state, from which later frames are computed [bytes]."""
 MOVING = ("means", "quats", "scales", "rotations")
 """Names of the computed arrays of a frame."""
 
@@ -95,19 +96,24 @@ class Motion:
 
 
 class Track:
-    """Displacement of an object in each frame."""
+    """Displacement of an object along its track, in each frame."""
 
     def __init__(self, times: NDArray, displacements: NDArray) -> None:
         """Store the displacements [T,3] at the times [T]."""
         self._times, self._displacements = times, displacements
 
     def values(self, times: NDArray) -> NDArray:
-        """Return the displacements [T,3], m, in the last frame at or before each time."""
+        """Return the displacements [T,3], m, at some times.
+
+        Each is that of the last frame at or before the time.
+        """
         return self._displacements[np.searchsorted(self._times, times, side="right") - 1]
 
 
 class Recorded:
-    """Frames of a motion; each frame is computed when it is read."""
+    """The frames of a clip; each frame is computed from the motion of the particles when it is
+    read.
+    """
 
     def __init__(
         self,
@@ -180,7 +186,9 @@ class Recorded:
             return row
 
     def measurements(self, *, every: bool = True) -> list[Any]:
-        """Return the measurements of all frames, or of frame 0 and the frames computed so far."""
+        """Return what `measure` returned for all frames, or for frame 0 and the frames computed so
+        far.
+        """
         for index in range(len(self) if every else 1):
             if index not in self._measured:
                 self.row(index)
@@ -198,7 +206,9 @@ class Recorded:
         return (part._advance() for _ in range(len(self)))
 
     def _return_to(self, index: int) -> None:
-        """Return to the latest state that was stored at or before a frame."""
+        """Continue from the latest stored state of the Gaussians that belongs to this or an earlier
+        frame.
+        """
         start = max((state for state in self._states if state <= index), default=0)
         self._next = start
         assert self._deformer is not None
@@ -208,7 +218,7 @@ class Recorded:
             self._deformer.reset()
 
     def _advance(self) -> dict[str, Array]:
-        """Return the next frame."""
+        """Compute and return the arrays of the next frame."""
         motion, index = self.motion, self._next
         if self._deformer is None:
             self._prepare()
@@ -296,8 +306,10 @@ class Torn:
             yield self._exposed.show(row, index, grains)
 
     def _split(self, chosen: NDArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return for each chosen Gaussian the index of the carried Gaussian, and the index among
-        the exposed Gaussians or -1.
+        """Return, for each chosen Gaussian, two indices: of the Gaussian that particles carry, and
+        of the exposed Gaussian.
+
+        The second index is -1 if the Gaussian does not become visible by a tear.
         """
         grains = np.maximum(chosen - self._recorded.count, -1)
         return np.where(grains < 0, chosen, self._exposed.above[grains]), grains
@@ -347,18 +359,18 @@ class Computed(NDArrayOperatorsMixin):
         return getattr(ufunc, method)(*whole, **options)
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the array that holds all frames."""
+        """Return the attribute of this name of the array that holds all frames."""
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(np.asarray(self), name)
 
     def first(self, columns: slice) -> Computed:
-        """Return the part of the array for a slice of the Gaussians."""
+        """Return the part of the array for some of the Gaussians, which a slice selects."""
         return Computed(self.recorded, self.name, columns=columns)
 
 
 def frames_of(motion: Motion) -> Frames:
-    """Return the frames of a motion; a frame is computed when it is read."""
+    """Return the frames of a recorded motion; each frame is computed when it is read."""
     frames = Recorded(motion)
     return frames if motion.exposed is None else Torn(frames, motion.exposed)
 

@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from phy124.gaussians import Particles
 
 REACH = 1.25
-"""Distance beyond which particles have no weight [cells]."""
+"""Distance beyond which another particle is not a neighbour in the mean of the motion [cells]."""
 NEIGHBOURS = 64
-"""Largest number of particles with weight."""
+"""Largest number of neighbours over which the motion of a particle is averaged."""
 LARGEST = 0.25
-"""Largest distance by which a particle is displaced [cells]. This distance is larger than the
-height of the waves, but too small to close the gap where material has come apart.
+"""Largest distance by which the smoothing displaces a particle [cells]. This distance is larger
+than the height of the waves that are smoothed, but too small to close a gap in torn material.
 """
 
 
 class Smoothing:
-    """Averages the motion of some particles over their neighbours."""
+    """Smooths the motion of some particles, as a mean over the particles' neighbours."""
 
     def __init__(self, particles: Particles, chosen: NDArray[np.bool_], cell: float) -> None:
-        """Find the neighbours.
+        """Find the neighbours of the particles whose motion is smoothed.
 
         Args:
             particles: P particles at rest.
@@ -68,7 +68,10 @@ class Smoothing:
 
 
 def _weights(x: NDArray, reach: float) -> Any:
-    """Return the weights of the neighbours [P,P] of particles [P,3] m; each row sums to 1."""
+    """Return the weights of the neighbours of each particle [P,P], for the mean of their motion.
+
+    The particles are at [P,3], m. Each row of weights sums to 1.
+    """
     count = min(NEIGHBOURS, len(x))
     result = scipy.spatial.KDTree(x).query(x, count, distance_upper_bound=reach, workers=-1)
     away, index = (np.asarray(array).reshape(len(x), count) for array in result)

@@ -13,11 +13,11 @@ PLY = 4 * 17
 PARTICLE = 48
 """Size of a particle in one frame [bytes], in clips that store particles instead of Gaussians."""
 EXPORTED = {"usd": BYTES_PER_GAUSSIAN, "ply": PLY, "html": 8}
-"""Size of a Gaussian in one frame [bytes], by file format."""
+"""Size of one Gaussian in one frame [bytes], by file format."""
 PIXEL = {"png": 1.0, "gif": 0.5, "webp": 0.1, "mp4": 0.05, "webm": 0.05, "mov": 2.0}
-"""Approximate size of a rendered pixel [bytes], by video format."""
+"""Approximate size of one rendered pixel [bytes], by video format."""
 OUTPUT = 6
-"""Approximate size of a pixel in an additional output such as depth [bytes]."""
+"""Approximate size of one pixel [bytes] in an additional output, such as depth."""
 
 
 def warn_of_disk_space(run: Simulation, out: Path, *, films: bool) -> None:

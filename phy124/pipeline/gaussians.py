@@ -210,7 +210,8 @@ def with_others(
     count: int | None = None,
     on_cutout: Callable[[Cutout], object] = lambda cutout: None,
 ) -> Objects:
-    """Return the first object together with the other objects, made from pictures or files.
+    """Return the first object together with the other objects, which are made from pictures or
+    files.
 
     Args:
         first: The Gaussians of the first object, or of several objects, with `object_id`.

@@ -37,7 +37,8 @@ GUESS = 4e8
 TRIM = 32
 """Number of frames after which freed memory is returned to the system."""
 HEADER, PER_FRAME = 32_000, 120
-"""Space reserved in the clip's file for the report, and for each frame's entries in it [bytes]."""
+"""Space reserved in the clip's file for the report [bytes]: a fixed part, and a part for each
+frame."""
 
 
 class Recording:
@@ -66,8 +67,8 @@ class Recording:
         self.failed = out is None or not disk.LOCKS_AVAILABLE
         """Whether recording has ended because nothing can be written."""
         self.resumed, self.saved = saved > 0, saved
-        """Whether the run was continued, and the number of frames that would be kept if it ended
-        now."""
+        """Whether this run continues an interrupted run, and the number of frames that would be
+        kept if it ended now."""
         self._run: Simulation | None = None
         self._put, self._last, self._cost = 0, time.perf_counter(), 0.0
 
@@ -139,7 +140,10 @@ class Recording:
         self.frames, self.failed = None, True
 
     def drop(self) -> None:
-        """Remove the files of this run, but not the files of the run that it continues."""
+        """Remove the files of this run.
+
+        If this run continues another run, the files of the other run are kept.
+        """
         if self.resumed or not self.saved:
             self.leave()
         else:

@@ -46,9 +46,9 @@ class Substep(TypedDict):
     asked: float | None
     """`time.substep` of the scene [s]; null if the scene sets none."""
     split: bool
-    """Whether the substeps are shorter than `asked`."""
+    """Whether the substeps are shorter than the value of `asked`."""
     fractions: dict[str, float]
-    """For each limit, the fraction of the substeps whose length it determined."""
+    """For each stability limit, the fraction of the substeps whose length this limit determined."""
     rejected: int
     """Number of substeps that were repeated with a shorter length."""
     retried: list[int]
@@ -63,7 +63,7 @@ class Tearing(TypedDict):
     stretch: float
     """Largest stretch of the particles that are stretched apart."""
     loose: int
-    """Number of particles that separated from the rest of their piece."""
+    """Number of particles that separated from the rest of their piece of material."""
     likely: bool
     """Whether the grid probably tore the material."""
 
@@ -239,7 +239,7 @@ class Energy(TypedDict):
     """Part of `numerical`: the rounding error of the energy balance."""
     exchange: NotRequired[dict[str, float]]
     """Work of the liquid's pressure on each body and each free solid. The liquid and the walls
-    supply this energy. The key is present for liquids with bodies.
+    supply the energy for this work. The key is present for liquids with bodies.
     """
     projection: NotRequired[float]
     """Part of `numerical`: energy lost in solving the pressure equation, and in passing its

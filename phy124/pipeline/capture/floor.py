@@ -106,7 +106,10 @@ def _near(x: Vectors, normal: Vectors, offset: float, tolerance: float) -> int:
 
 
 def _fit(x: Vectors, normal: Vectors, offset: float) -> tuple[Vectors, float, float]:
-    """Fit a plane to the points near `(normal, offset)`; return it and the distance limit."""
+    """Fit a plane to the points near the plane `normal . x = offset`.
+
+    Return the fitted plane and the largest distance of points from it.
+    """
     tolerance = THICKNESS
     for _ in range(12):
         on = x[np.abs(x @ normal - offset) <= tolerance]
