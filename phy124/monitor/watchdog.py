@@ -106,8 +106,8 @@ class Balance:
     momentum_gain: float = 0.0
     """Spurious momentum, relative to the transferred momentum."""
     trembles: float = 0.0
-    """Spurious energy that rounding errors explain, relative to `turnover`; 0 if it was never above the
-    tolerance."""
+    """Spurious energy that rounding errors explain, relative to `turnover`; 0 if it was never above
+    the tolerance."""
 
 
 def energy_supplied(start: float, work: float, walls: float) -> float:
