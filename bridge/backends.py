@@ -46,7 +46,10 @@ def sink_names() -> list[str]:
 
 
 def missing(outlet: str) -> InputError | None:
-    """Return the reason why an outlet cannot be used, or None if it can be used."""
+    """Return the error that explains why an outlet cannot be used; None if it can be used.
+
+    An outlet is a kind of output: a recording or the name of a backend.
+    """
     try:
         REQUIREMENTS.get(outlet, lambda: load_plugin("sinks", outlet))()
     except InputError as error:
@@ -55,7 +58,7 @@ def missing(outlet: str) -> InputError | None:
 
 
 def choose(backend: str) -> str:
-    """Return the name of the backend to use.
+    """Return the name of the backend that the option `backend` selects.
 
     Raises:
         InputError: There is no backend with that name, or `auto` finds no usable backend.

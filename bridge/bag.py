@@ -52,25 +52,28 @@ class Counts:
     """Times of the earliest and the latest message [ns since 1970]."""
 
     def announce(self, topics: list[Topic]) -> None:
-        """Add topics, each with a count of 0 messages."""
+        """Add topics to the contents of the bag; no message has been counted for them yet."""
         for topic in topics:
             self.topics[topic.name] = topic
             self.messages[topic.name] = 0
 
     def add(self, topic: Topic, stamp: int) -> None:
-        """Count a message of a topic that was added; `stamp` is in ns since 1970."""
+        """Count one more message of a topic; `stamp` is the time of the message [ns since 1970]."""
         self.messages[topic.name] += 1
         self.start = stamp if self.start is None else min(self.start, stamp)
         self.end = max(self.end, stamp)
 
 
 def mcap_file(bag: Path) -> Path:
-    """Return the .mcap file of a new bag: the path itself, or a file in the folder at this path."""
+    """Return the .mcap file into which a new bag is written.
+
+    If `bag` ends in .mcap, it is this file; otherwise it is a folder that will contain the file.
+    """
     return bag if bag.suffix == SUFFIX else bag / f"{bag.name}_0{SUFFIX}"
 
 
 def recorded_files(path: Path) -> list[Path]:
-    """Return the .mcap files of a recording in order; some of the returned files may not exist.
+    """Return the .mcap files of a recording in order. Some of them may be missing on the disk.
 
     A bag that was renamed keeps the names of its files, and a split bag has several files.
 
@@ -162,8 +165,9 @@ def _topic_entry(topic: Topic, count: int) -> str:
 
 
 def _qos(topic: Topic, *, numbers: bool) -> str:
-    """Return a YAML list of one QoS profile, with numbers (for channels) or with words (for
-    metadata.yaml).
+    """Return a topic's quality of service as a YAML list with a single profile.
+
+    Channels of an MCAP file store the policies as numbers, metadata.yaml stores them as words.
     """
     form = 0 if numbers else 1
     reliability = (1, "reliable") if topic.reliable else (2, "best_effort")

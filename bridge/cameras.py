@@ -63,7 +63,7 @@ class Cameras:
     def __init__(
         self, options: Options, scene: Mapping[str, Any], clip: Clip | None = None
     ) -> None:
-        """Choose the cameras.
+        """Choose the cameras whose pictures are added to the frames.
 
         Args:
             options: Names of the cameras, and kinds of their images.

@@ -66,7 +66,10 @@ def time(nanoseconds: int) -> dict[str, int]:
 
 
 class _Body:
-    """The payload so far, as a list of parts; large data is copied only once, at the end."""
+    """The CDR payload of a message while it is encoded.
+
+    The payload is a list of parts, so that large data is copied only once, at the end.
+    """
 
     def __init__(self) -> None:
         self.parts: list[Any] = []
@@ -163,7 +166,7 @@ def _sequence(member: Field) -> Encoder:
 
 
 def _count(body: _Body, member: Field, count: int) -> None:
-    """Append the length of a sequence, or check the length of an array."""
+    """Append the length to the payload for a sequence; check the length for an array."""
     if member.length == 0:
         body.pack(_LENGTH, 4, count)
     elif count != member.length:
@@ -179,7 +182,10 @@ def _zero(member: Field) -> Any:
 
 
 def _flat(name: str) -> list[str]:
-    """Return the primitives of a message in wire order; empty if any member has another type."""
+    """Return the names of a message's primitives in wire order.
+
+    The list is empty if the message contains a string, an array or a sequence.
+    """
     primitives: list[str] = []
     for member in fields(name):
         inner = [member.base] if member.base in PRIMITIVES else []

@@ -37,7 +37,7 @@ STOPPED_EARLY = 3
 """Exit status of a simulation that stopped early and whose valid frames were saved."""
 log = logging.getLogger(__name__)
 Say = Callable[[str], None]
-"""Function that prints the results, one per line; problems are logged."""
+"""Function that prints a line of a command's results. Problems are logged instead."""
 Messages = Annotated[Options, tyro.conf.arg(name="")]
 Backend = Annotated[
     str,
@@ -124,7 +124,7 @@ class Play:
     rate: float | None = None
     """Largest number of frames per second; by default, every frame is sent."""
     loop: bool = False
-    """Start again after the last frame. The time stamps continue to increase."""
+    """Start again after the last frame. The time stamps of the messages do not start again."""
     paused: bool = False
     """Show the first frame, then wait for the command `play`."""
     stay: bool = False
@@ -196,8 +196,9 @@ class Play:
     def _outlets(
         self, say: Say, duration: float | None, **about: Any
     ) -> Iterator[tuple[LiveSink, list[Sink]]]:
-        """Within this context, keep the live sink and the recordings open; every recording stores
-        `about`.
+        """Within this context, keep the live sink and the recordings open.
+
+        Every recording stores the metadata `about`.
         """
         backend = choose(self.backend)
         with ExitStack() as stack:
@@ -244,8 +245,9 @@ class Steer:
     frames: int | None = None
     """Number of frames after which the simulation ends; by default, there is no limit."""
     session: Path | None = None
-    """File for the session, written at the end. The session is a scene that `phy124 generate
-    --scene` repeats."""
+    """File to which the session is written at the end. The session is a scene that contains
+    all inputs of the run; `phy124 generate --scene` repeats it.
+    """
     record: Path | None = None
     """Also record the frames to this bag folder or .mcap file."""
     overwrite: bool = False
@@ -348,7 +350,7 @@ class Info:
     """A clip.safetensors, a bag folder or an .mcap file."""
 
     def run(self, say: Say) -> int:
-        """Print the description."""
+        """Print what the clip or the recording contains."""
         for line in describe(self.path):
             say(line)
         return 0
@@ -376,7 +378,7 @@ class Doctor:
     """List the outlets that work on this machine, and what the other outlets require."""
 
     def run(self, say: Say) -> int:
-        """Print the list."""
+        """Print which outlets work on this machine."""
         for line in diagnose():
             say(line)
         return 0

@@ -49,7 +49,7 @@ class Delivery:
         *,
         patient: bool = True,
     ) -> None:
-        """Prepare the count; no frame has been sent yet.
+        """Prepare to count unacknowledged frames, before the first frame is sent.
 
         Args:
             acknowledged: Function that waits until all frames are acknowledged or a number of
@@ -68,7 +68,7 @@ class Delivery:
         self._patient, self._stuck = patient, not patient
 
     def before_frame(self, size: int) -> None:
-        """Wait if the new frame would replace an unacknowledged frame.
+        """Wait if the new frame would replace an unacknowledged frame in the writer's history.
 
         A subscriber that no longer answers delays only one frame.
 

@@ -64,7 +64,7 @@ class Discovery:
     """Other machines on which to look for participants, by name or address."""
     domain: int = 0
     network: bool = False
-    """Whether to reach other machines in the range SUBNET."""
+    """Whether other machines of the same subnet are reached (the range SUBNET of ROS)."""
 
     @classmethod
     def from_environment(cls, *, network: bool = False) -> Discovery:
@@ -84,7 +84,7 @@ class Discovery:
             remedy = f"`unset {LOCALHOST_ONLY}` and `export {RANGE}=SUBNET`, or remove network."
             raise InputError("network", network, limit, remedy)
         if peers and reach in ("OFF", "SYSTEM_DEFAULT"):
-            log.warning("%s is ignored in the range %s.", PEERS, reach)
+            log.warning("%s is ignored, because %s is %s.", PEERS, RANGE, reach)
             peers = ()
         return cls(reach, peers, domain_id(), network)
 
@@ -152,7 +152,7 @@ def _range() -> Range:
         if text == known:
             return known
     log.warning(
-        "%s=%s is unknown; this machine only (LOCALHOST) is assumed, as ROS does.", RANGE, text
+        "%s=%s is unknown; as in ROS, only this machine is reached (LOCALHOST).", RANGE, text
     )
     return "LOCALHOST"
 

@@ -70,9 +70,10 @@ class FrameEncoder:
         self.options = self.options.model_copy(update={"max_points": points})
 
     def static(self) -> list[Message]:
-        """Return the static transforms of the world and of all fixed cameras so far.
+        """Return the static transforms of the world and of the fixed cameras.
 
-        The transforms are sent before all frames, and again when a camera is added.
+        A camera is included from its first picture on. The transforms are sent before all frames,
+        and again when a camera is added.
         """
         world = {
             "header": {"stamp": cdr.time(self.epoch), "frame_id": self.options.parent_frame},

@@ -43,7 +43,7 @@ LARGEST_STEP = 32767
 FULL = (*VIZ, "alpha", "sx", "sy", "sz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 OBJECT = "object_id"
 FIRST = 4
-"""Offset of the first splat [bytes], which follows the number of splats."""
+"""Offset of the first splat in a SplatArray [bytes]; the number of splats precedes it."""
 
 
 def cloud(frame: Frame, profile: Profile, header: dict[str, Any]) -> dict[str, Any]:
@@ -137,7 +137,9 @@ def points(frame: Frame, profile: Profile) -> NDArray[Any]:
 
 
 def small_points(frame: Frame) -> tuple[NDArray[Any], bytes]:
-    """Return the rows of `small` [N], and the 16 bytes with the centre and the quantisation step.
+    """Return the points of a frame in the profile `small` [N], and the data needed to decode them.
+
+    These data are 16 bytes: the centre of the frame's bounding box and the quantisation step.
 
     The error of a position is at most half a step along each axis. The step is the longest side of
     the frame's bounding box, divided by 65,534.
@@ -171,8 +173,9 @@ def packed_rgb(gaussians: Gaussians) -> NDArray[np.uint32]:
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.intp] | None:
-    """Choose `limit` of `count` Gaussians, and return their indices; return None if all are within
-    the limit.
+    """Return the indices of the Gaussians to send if a frame has more than `limit` Gaussians.
+
+    The result is None if all `count` Gaussians are sent.
 
     The indices are evenly spaced, so they are the same in every frame and every run.
     """
@@ -213,7 +216,10 @@ def _phases(count: int, sizes: dict[int, int]) -> NDArray[np.int64]:
 
 
 def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
-    """Return the members of a splat whose offset modulo 8 is `phase`, including padding."""
+    """Return the NumPy type of a splat in the payload of a SplatArray, including padding.
+
+    The padding depends on `phase`, the offset of the splat in the payload modulo 8.
+    """
     text = len(frame.encode()) + 1
     gap = -(phase + 12 + text) % 8
     return np.dtype(
@@ -234,7 +240,7 @@ def _layout(phase: int, frame: str, numbers: int) -> np.dtype[Any]:
 
 
 def _rows(gaussians: Gaussians, stamp: int, frame: str, layout: np.dtype[Any]) -> NDArray[np.uint8]:
-    """Return splats as bytes [N, size]."""
+    """Return Gaussians as splats in the byte layout of a SplatArray [N, size]."""
     table = np.zeros(len(gaussians), layout)
     table["stamp"] = divmod(stamp, NANO)
     table["length"], table["frame"] = len(frame.encode()) + 1, frame.encode()

@@ -124,7 +124,7 @@ def follow(
 
 
 def command(player: Player, text: str, now: float) -> None:
-    """Carry out a command.
+    """Carry out a text command that controls the playback of a clip.
 
     Args:
         player: The player.
@@ -154,7 +154,9 @@ class Pacer:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """State of playback that is constant, because a running simulation shows each frame once."""
+    """These values are constant, because a running simulation shows each frame once. A `Playback`
+    needs them.
+    """
 
     def __init__(self, speed: float, clock: Clock) -> None:
         self.speed = checked_speed(speed)
@@ -186,7 +188,7 @@ class Pacer:
         return max(ahead, 0.0)
 
     def note(self, frame: Frame) -> None:
-        """Count a frame that is shown now."""
+        """Count a frame that is shown now, and store its time as the position."""
         self.shown, self.position = self.shown + 1, frame.time
 
     def stamp_at(self, now: float) -> float:
@@ -195,7 +197,7 @@ class Pacer:
         return self.position
 
     def command(self, text: str) -> None:
-        """Pause, play or change the speed.
+        """Carry out a command that pauses, plays or changes the speed.
 
         Raises:
             InputError: The command neither pauses nor plays nor changes the speed.

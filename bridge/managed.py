@@ -91,7 +91,7 @@ class Work:
         self.clean_up()
 
     def run(self) -> None:
-        """Act according to the state until the node or ROS is shut down."""
+        """Play while the node is active, otherwise wait, until the node or ROS is shut down."""
         from rclpy.executors import SingleThreadedExecutor
 
         node = self._node

@@ -180,8 +180,8 @@ TYPE_IDS = {base: number for number, base in enumerate((*INTEGERS, "float32", "f
 TYPE_IDS |= {"bool": 15, "byte": 16, "string": 17}
 """Numbers of the primitives in descriptions of types (REP-2011)."""
 NESTED, BOUNDED_STRING, ARRAY, SEQUENCE = 1, 21, 48, 144
-"""Numbers of types that are not primitive. For an array or a sequence, this number is added to the
-number of the type of its values.
+"""Numbers of types that are not primitive, in descriptions of types (REP-2011). The number of an
+array or a sequence is the sum of ARRAY or SEQUENCE and the number of the type of its values.
 """
 
 

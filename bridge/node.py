@@ -139,7 +139,7 @@ def live_through(
 
 
 def _attempt(node: Any, work: Callable[[Any], None]) -> str | None:
-    """Do the work; if it fails, log and return the reason, otherwise return None."""
+    """Call `work` with the node. If it fails, log and return the reason; otherwise return None."""
     try:
         work(node)
     except Exception as error:
@@ -160,7 +160,7 @@ def _require(name: str, value: str, example: str) -> None:
 
 
 def _options(chosen: dict[str, Any]) -> Options:
-    """Return the options of the messages; a parameter of 0 means None."""
+    """Return the message options from a node's parameters, where 0 stands for None."""
     optional = {
         name: chosen.get(name) or None for name in ("max_points", "epoch", "cameras", "draco")
     }

@@ -32,7 +32,7 @@ class Options(Section):
     profile: Profile | None = None
     """Values of each point: viz (x y z rgb), full (also opacity, scales, orientation, velocity),
     small (10 bytes: int16 positions, 8-bit colours), ply (raw 3DGS values for splat viewers) or
-    splats (a SplatArray for RVizSplat). Default: full in files, viz live.
+    splats (a SplatArray for RVizSplat). The default is `full` for files and `viz` for live topics.
     """
     frame_id: str = Field(default="phy124", min_length=1)
     """Coordinate frame of the object's world."""

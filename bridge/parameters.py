@@ -40,7 +40,9 @@ class Parameter:
     """A parameter of a node."""
 
     default: Any
-    """Default value, which defines the type. A list contains strings, a tuple contains floats."""
+    """Default value, whose type is the type of the parameter. A list is an array of strings, and a
+    tuple is an array of floats.
+    """
     description: str
     limits: tuple[float, float] | None = None
     while_running: bool = False
@@ -77,7 +79,7 @@ MAKING: dict[str, Any] = {
 }
 """Sections of options for making Gaussians from the source, by their name in `LiveOptions`.
 
-Each field of a section is a parameter.
+Each field of such a section is a ROS parameter of the node.
 """
 
 
@@ -108,7 +110,7 @@ SIMULATED = {
 
 
 def section_of(chosen: dict[str, Any], section: type[Made]) -> Made:
-    """Remove the values of a section from the chosen parameters, and return the section."""
+    """Remove the values of a section's fields from `chosen`, and return the section."""
     values = {name: chosen.pop(name) for name in section.model_fields}
     return section(**{name: value for name, value in values.items() if value not in ("", 0)})
 
@@ -291,7 +293,7 @@ KINDS: dict[type, tuple[str, Callable[[Any], Any]]] = {
 }
 """Name in messages, and conversion function, for each type.
 
-The function returns None for values of other types.
+The function converts the ROS value of a parameter, and returns None if the value has another type.
 """
 
 

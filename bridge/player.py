@@ -281,6 +281,6 @@ def checked_speed(speed: float) -> float:
 def _checked_rate(rate: float | None) -> float | None:
     if rate is not None and not rate > 0:
         raise InputError(
-            "rate", rate, "It must be positive.", "Remove the option to show every frame."
+            "rate", rate, "It must be positive.", "To show every frame, remove the option."
         )
     return rate

@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Recovery:
-    """Result of a repair."""
+    """Result of the repair of a recording."""
 
     path: Path
     """The bag folder or file, which is now complete."""

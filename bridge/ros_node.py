@@ -64,7 +64,7 @@ def require_rclpy() -> None:
 
 
 def _start(start: Callable[[], Any]) -> Any:
-    """Return the result of `start`; raise InputError if ROS rejects the arguments."""
+    """Call `start`, which starts a part of ROS; raise InputError if ROS rejects the arguments."""
     try:
         return start()
     except InputError:
@@ -101,7 +101,7 @@ class RosHandler(logging.Handler):
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Log a record.
+        """Pass a log record to the node's logger.
 
         Each level has a separate call, because rclpy allows one level per line of code.
         """

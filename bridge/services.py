@@ -35,7 +35,7 @@ FALLBACK = {"step": "next", "reset": "restart"}
 
 
 def offer_playback(node: Any, ask: Obey, playback: Callable[[], Playback | None]) -> None:
-    """Offer triggers, and the services of a player of rosbag2.
+    """Offer services that play and pause, and the services that the player of rosbag2 also has.
 
     `playback` returns the state of playback, or None before the start.
     """
@@ -95,7 +95,7 @@ def _offer_triggers(node: Any, ask: Obey, commands: Mapping[str, str]) -> None:
 
 
 def offer_standard(node: Any, controls: Controls, ask: Obey) -> None:
-    """Offer the services of `controls`, if there are any."""
+    """Offer the standard services of simulators that `controls` lists, if there are any."""
     if not controls.services:
         return
     try:

@@ -26,7 +26,7 @@ LONGEST_WAIT = 0.2
 
 
 class Sink(Protocol):
-    """Receives frames."""
+    """Receives the frames of a clip or of a running simulation, and sends or records them."""
 
     def __enter__(self) -> Self:
         """Open the sink."""
@@ -49,14 +49,16 @@ class Recorder(Sink, Protocol):
     """A sink that also receives messages that do not belong to a frame."""
 
     def send(self, message: Message) -> None:
-        """Receive a message."""
+        """Receive a message that does not belong to a frame."""
 
 
 class LiveSink(Sink, Protocol):
     """A sink whose viewers can send commands."""
 
     monotonic: bool = True
-    """Whether time must not decrease; if false, time jumps at each loop and seek."""
+    """Whether the time stamps of frames must not decrease. If false, they jump at each loop and
+    seek.
+    """
 
     def listen(self, seconds: float, obey: Obey) -> bool | None:
         """Wait up to `seconds` for a command, and pass the command to `obey`.

@@ -61,7 +61,7 @@ class LiveOptions:
             raise InputError("live", self.live, limit, "Add --live, or remove these options.")
 
     def resolve(self) -> Scene:
-        """Return the scene with all changes; frames have velocities unless a change omits them."""
+        """Return the scene with the changes of `--set`. By default, its frames have velocities."""
         from phy124.scene import Scene, parse_changes
 
         return Scene.named(self.scene).replaced({"velocities": True, **parse_changes(self.set)})
@@ -168,7 +168,7 @@ class FileWatch:
         now = self._state()
         if now and self._before and now[:2] == self._before[:2] and now != self._before:
             limit = "Another program wrote into this file while it was played."
-            remedy = "Write a new clip to another file, and then give that file this name."
+            remedy = "To replace a clip while it is played, write a new file and then rename it."
             raise InputError("clip", self._path, limit, remedy)
 
     def _state(self) -> tuple[int, ...]:

@@ -78,7 +78,8 @@ DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPoin
 MAIN = (POINTS.name, SPLATS.name)
 """Names of the two topics of Gaussians. Every frame is published on one of these topics."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
-"""Topics in recordings, in addition to the topics of `contact`.
+"""Topics that a recording may contain, by name. Topics of contact forces and cameras are recorded,
+too, but not listed here.
 
 The clock is not recorded, because it would conflict with the clock of `ros2 bag play --clock`.
 """
@@ -93,7 +94,7 @@ def contact(at: str) -> Topic:
 
 
 def camera_topic(camera: str, kind: str) -> Topic:
-    """Return the topic of a camera for one of the kinds in `CAMERA`."""
+    """Return the topic of a camera for a kind of data, such as `rgb` (a key of `CAMERA`)."""
     end, message = CAMERA[kind]
     return Topic(f"~/camera/{camera}/{end}", message, depth=5)
 
@@ -141,7 +142,7 @@ class Controls:
     steps: Callable[[int], Any] | None = None
     """Function that computes N steps; it returns an iterator that yields once per step."""
     refused: Callable[[str], object] = lambda sentence: None
-    """Function that receives the message of a refusal."""
+    """Function that receives the error message if an input is refused."""
     clock: bool = False
     """Whether /clock is published."""
     patient: bool = True

@@ -27,7 +27,7 @@ STREAM = "-bf 0 -fps_mode passthrough -x264-params aud=1:repeat-headers=1 -flush
 PROBE = "-probesize 32 -analyzeduration 0"
 """Options that make ffmpeg encode without waiting for further pictures."""
 CHUNK = struct.Struct("<4sI")
-"""Name and length of a chunk in the AVI stream."""
+"""Header of a chunk in the AVI stream of ffmpeg: the chunk's name and length."""
 LISTS = (b"RIFF", b"LIST")
 
 

@@ -32,7 +32,7 @@ class BodyLimit:
     def __init__(
         self, app: ASGIApp, uploads: str, most: tuple[int, str], other: tuple[int, str]
     ) -> None:
-        """Wrap an application.
+        """Wrap the application that receives the requests with permitted bodies.
 
         Args:
             app: The application to wrap.
@@ -102,7 +102,10 @@ def is_plain(body: bytes) -> bool:
 
 
 def _limit(receive: Receive, most: int) -> Receive:
-    """Limit the number of bytes received; above the limit, report a lost connection."""
+    """Return a receive function for a body of at most `most` bytes.
+
+    If the client sends more, the function reports a lost connection to the application.
+    """
     read = 0
 
     async def counted() -> Message:

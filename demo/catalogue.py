@@ -45,7 +45,8 @@ sets."""
 LONGEST, LONGER = 20_000, 200
 """Largest length of a scene as text [characters], and the increase of this limit for each frame.
 
-A saved live run contains a position of the hand for each frame.
+The limit increases because a scene that was saved from a live run contains the position of the hand
+in each frame.
 """
 LISTS, PARTS = ("forces", "boundaries", "objects", "parts", "pairs"), 64
 """Fields of a scene that are lists, each with the largest number of entries allowed."""
@@ -60,9 +61,9 @@ SUBSTANCES: dict[str, dict[str, Any]] = {
     "water": {"law": "fluid", "viscosity": 0.5, "tint": "#1f6fb8", "visibility": 0.1},
     "metal": {"law": "metal", "E": 1e6, "yield_stress": 2e4, "density": 2700},
 }
-"""Everyday names of materials.
+"""Materials that the page offers by everyday names, and their values.
 
-The metal is soft, because a toy of real metal would hardly deform.
+The material `metal` is softer than real metal, because a toy of real metal would hardly deform.
 """
 PREVIEWS = Path(__file__).parent / "previews"
 
@@ -168,7 +169,7 @@ def scene_of(data: Any, settings: Settings, uploads: Path | None = None) -> Scen
 
 
 def check_length(field: str, data: Any, settings: Settings) -> None:
-    """Check that plain data is not too long when it is written as text.
+    """Check that the JSON text of a scene or of other plain data is not too long.
 
     Args:
         field: Name of the data in error messages.

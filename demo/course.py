@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from phy124.scene import Scene
 
 SIMULATING, FILMING, HOPELESS = 0.7, 0.85, 3.0
-"""Fractions of the time limit.
+"""Fractions of the page's time limit for a run.
 
-After the first fraction, no further frame is simulated. After the second, no further video is
-started. A run that exceeds the third fails.
+After `SIMULATING` of the limit, no further frame is simulated. After `FILMING`, no further video is
+started. A run fails if it has taken `HOPELESS` times the limit.
 """
 SOFT, FEW = 1e4, 8
 """A softer material is suggested only above this stiffness [Pa], and a shorter clip only above this
@@ -29,7 +29,7 @@ class Course:
     motion: float
     """Time until the last frame is simulated, without a time limit [s]."""
     after: float
-    """Time of all later stages, if all frames are simulated [s]."""
+    """Time that the run takes after the simulation, to make videos and files of all frames [s]."""
     frames: int
     limit: float
     """The page's time limit [s]."""
@@ -38,7 +38,7 @@ class Course:
 
     @classmethod
     def of(cls, scene: Scene, seconds: float, after: float, limit: float) -> Course:
-        """Return the course of a scene's run.
+        """Predict when the simulation of a scene and its later stages end.
 
         Args:
             scene: The scene.

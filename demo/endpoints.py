@@ -145,7 +145,7 @@ def _unpack(
     model: type[BaseModel],
     components: Sequence[Component],
 ) -> Handler:
-    """Return a handler that collects its arguments in a model.
+    """Return a handler for Gradio that passes its arguments to `run` as an instance of `model`.
 
     Gradio reads the names and defaults of the endpoint's arguments from the handler's signature.
     """
@@ -166,20 +166,23 @@ def _unpack(
 
 
 def _unread(component: Component) -> Any:
-    """Disable the checks of a component, because later checks name the argument in their errors."""
+    """Turn off Gradio's checks of a component's value.
+
+    The value is checked later, because errors then contain the name of the argument.
+    """
     component.preprocess = lambda payload: payload
     return component
 
 
 def _choice(section: type[Section], option: str) -> Any:
-    """Create a component for an option that has a few choices."""
+    """Create a Gradio component for an option that has a few choices."""
     field = section.model_fields[option]
     words = list(get_args(field.annotation))
     return _unread(gr.Radio(words, value=field.default, label=option))
 
 
 def _component(section: type[Section], option: str) -> Any:
-    """Create a component for an option that has a few choices or is a number."""
+    """Create a Gradio component for an option that has a few choices or is a number."""
     field = section.model_fields[option]
     if get_origin(field.annotation) is Literal:
         return _choice(section, option)

@@ -27,7 +27,7 @@ from .source import Cutout, Source
 from .visitors import Visitors
 
 PICTURES = ("side", "back", "depth")
-"""Options whose value is the name of a picture."""
+"""Optional inputs that are uploaded pictures: other views of the object, and a depth map."""
 AXES = ("up", "front")
 """Options for a file of Gaussians: the axes that point upwards and to the front."""
 NO_DEPTH, NO_VIEWS, NO_READING = DepthMap(), OtherViews(), Reading()

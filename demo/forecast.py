@@ -29,7 +29,11 @@ from .studies import Measurement, on_grid
 Measured = tuple[dict[str, Any], Scene]
 """Report and scene of a finished run."""
 SET_UP = 0.4
-"""Time to prepare a grid of a study and to compare its result, as a fraction of the rate `rest`."""
+"""Time that a grid of an error study takes in addition to its simulation, divided by `Rates.rest`.
+
+`Rates.rest` is the time of a run's smaller stages. A study needs the additional time to prepare a
+grid and to compare the grid's result.
+"""
 
 
 @dataclass(frozen=True)
@@ -98,7 +102,9 @@ class Estimator:
 
     @property
     def rates(self) -> Rates:
-        """The current rates: the time of each stage per unit of work."""
+        """The current rates: the time that each stage of a run takes per unit of work on this
+        machine.
+        """
         return self.learned.now
 
     def __call__(
@@ -180,7 +186,10 @@ class Estimator:
         return self.meter.latest if self._occupied() else self.meter.load()
 
     def calibrate(self, small: Callable[[], Measured], usual: Callable[[], Measured]) -> None:
-        """Measure the rates by two runs; correct the rates for the load from other programs."""
+        """Measure by two runs how long each stage takes per unit of work on this machine.
+
+        The times are corrected for the load from other programs.
+        """
         self.learned.calibrate(self._alone(small), self._alone(usual))
 
     def _alone(self, run: Callable[[], Measured]) -> Measured:
@@ -192,19 +201,20 @@ class Estimator:
         return _alone(report, before.mean(self.meter.measure())), scene
 
     def learn(self, report: dict[str, Any], scene: Scene, before: Load) -> None:
-        """Update the rates from a finished run; `before` is the machine load when the run
-        started.
+        """Correct the predicted time per unit of work by the times of a finished run.
+
+        `before` is the load from other programs when the run started.
         """
         self.learned.learn(_alone(report, before.mean(self.meter.measure())), scene)
 
     def minimum(self, scene: Scene, *, gaussians: int = GAUSSIANS) -> float:
-        """Return the time of a run at the fastest rates measured on this machine [s]."""
+        """Return the time of a run at the smallest known costs of its stages [s]."""
         return sum(self.learned.minimum.seconds(Work.of(scene, gaussians)).values())
 
     def min_study(
         self, scene: Scene, levels: Sequence[int], *, gaussians: int = GAUSSIANS
     ) -> float:
-        """Return the time of an error study on several grids, at the fastest measured rates [s]."""
+        """Return the time of an error study on several grids, at the smallest known costs [s]."""
         works = [Work.of(on_grid(scene, n), gaussians) for n in levels]
         return sum(self.learned.minimum.seconds(work)["simulate"] for work in works)
 
@@ -236,7 +246,7 @@ class Estimator:
 
 
 def _alone(report: dict[str, Any], load: Load) -> dict[str, Any]:
-    """Divide the times of a report by the machine load."""
+    """Divide the times of a run's report by the slowdown that other programs caused."""
     stages = [
         {**stage, "seconds": stage["seconds"] / load.of(stage["name"])}
         for stage in report["stages"]

@@ -32,7 +32,9 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses except the page, if a browser opens them as pages."""
+"""Content security policy of all responses except the page. It matters if a browser opens such a
+response in a tab: the response can then run no scripts.
+"""
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")
 NETWORK = 64
@@ -49,7 +51,7 @@ class Doorkeeper:
     def __init__(
         self, app: ASGIApp, hosts: frozenset[str], origins: frozenset[str] = frozenset()
     ) -> None:
-        """Wrap an application.
+        """Wrap the application that answers the permitted requests.
 
         Args:
             app: The application to wrap.
@@ -153,7 +155,7 @@ class Headed:
         self.manner = "SameSite=None; Secure; Partitioned" if embedded else "SameSite=Lax"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on and complete the response with the headers."""
+        """Pass the request on, and add the security headers and the cookie to the response."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         await self.app(scope, receive, _Answer(self, scope, send))

@@ -225,8 +225,9 @@ class Studio:
     def _complete(
         self, estimate: Estimate, choice: Choice, scene: Scene, order: Order | None
     ) -> Estimate:
-        """Complete a forecast by the error bound or the measured error of this object, and by the
-        time and the error of each named accuracy.
+        """Add the expected error to a forecast, and the time and the error of each named accuracy.
+
+        The error was measured on this object or, if it was not, on similar objects.
         """
         visitor, study, proportions = self.visitors.find(choice.name), None, None
         if order is not None and visitor is not None:

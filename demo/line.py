@@ -52,7 +52,7 @@ class Job:
     ) -> None:
         self.kind = kind
         self.subject = subject
-        """Path of the input file of the job."""
+        """Path of the file that the job works on, such as a picture or a clip."""
         self.name = secrets.token_urlsafe(18)
         self.stop = stop
         """File whose existence tells the job to stop."""

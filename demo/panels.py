@@ -76,7 +76,7 @@ PANELS = {
 
 
 def make_panel(name: str) -> gr.HTML:
-    """Create one of the `PANELS`; the function `name` of the script object `Phy124` draws it."""
+    """Create the panel `name` of the page. In the browser, the function `Phy124.name` draws it."""
     head, events = PANELS[name]
     # Gradio searches the text of the script for event names.
     names = " ".join(f"'{event}'" for event in events.split())

@@ -26,8 +26,9 @@ FETCHES_NOTHING = "This page downloads nothing from an address. Send the file it
 
 
 def _refusing(model: Any, name: str) -> Any:
-    """Return a pydantic model of files; it refuses other values with a message that names the
-    argument.
+    """Return a pydantic model that accepts only files.
+
+    For other values, its error message contains the name of the argument.
     """
 
     class Sent(model):

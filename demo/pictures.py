@@ -195,7 +195,7 @@ def _save(cut: Cutout, path: Path) -> None:
             "strokes",
             "empty",
             "Nothing of the object is left.",
-            "Paint the parts to keep in green.",
+            "With the green brush, paint the parts to keep.",
         )
     how = PngInfo()
     how.add_text(HOW, json.dumps(cut.data()))

@@ -25,7 +25,9 @@ class Progress:
     """Content of the progress panel."""
 
     state: str = "waiting"
-    """waiting or running, then done, stopped, refused, full or failed."""
+    """State of the job: first waiting or running, at the end done, stopped, refused, full or
+    failed.
+    """
     message: str = ""
     expected: float = 0.0
     """Predicted duration of the job [s]."""
@@ -91,7 +93,7 @@ class Progress:
         return max(self.duration(slowdowns) - (time.monotonic() - self.start), 0.0)
 
     def data(self, seen: int = 0) -> dict[str, Any]:
-        """Return plain data for the page, including the frames from index `seen` on.
+        """Return the progress as plain data for the page, without the first `seen` frames.
 
         A frame is included only after its picture and its file exist, so that no frame is skipped.
         """
@@ -122,7 +124,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Step:
-    """Progress of a stage."""
+    """Event: a job has completed a part of a stage."""
 
     stage: str
     done: int
@@ -132,28 +134,28 @@ class Step:
 
 @dataclass(frozen=True)
 class Glimpse:
-    """A small JPEG of the frame that was just simulated."""
+    """Event: a frame was simulated. The event contains a small JPEG picture of it."""
 
     picture: bytes
 
 
 @dataclass(frozen=True)
 class Live:
-    """A file with the frame that was just simulated, for the 3D viewer."""
+    """Event: a frame was simulated. The event contains the frame's file for the 3D viewer."""
 
     file: str
 
 
 @dataclass(frozen=True)
 class Reused:
-    """A stage that was skipped because its stored result could be reused."""
+    """Event: a stage was skipped, because its stored result could be used again."""
 
     stage: str
 
 
 @dataclass(frozen=True)
 class Done:
-    """The end of a run, with the folders of the results."""
+    """Event: a run has ended. The event contains the folders of the results."""
 
     clip: Path
     """Folder of the clip, its Gaussians and its scene."""
@@ -164,7 +166,7 @@ class Done:
 
     @property
     def exports(self) -> Path:
-        """Folder of the formats that are created on request."""
+        """Folder for files in further formats, which are created when the visitor requests them."""
         return self.films.parent.parent / "exports" / self.films.name
 
     @property
@@ -175,7 +177,7 @@ class Done:
 
 @dataclass(frozen=True)
 class Measured:
-    """The end of a study of the scene's error."""
+    """Event: a study that measures the error of a scene has ended."""
 
     study: Path
     """File that stores a `demo.studies.Measurement`."""

@@ -32,12 +32,12 @@ measurement.
 
 
 class Learned:
-    """Rates that are corrected by finished runs; thread-safe."""
+    """Costs per unit of work of each stage, which finished runs correct; thread-safe."""
 
     def __init__(self) -> None:
         self.now = Rates()
         self.measured: Rates | None = None
-        """Rates of the first measurement; None before the first measurement."""
+        """Costs per unit of work in the first measurement; None before the first measurement."""
         self._first: Work | None = None
         self._seen: dict[str, deque[float]] = {}
         self._lock = threading.Lock()
@@ -45,7 +45,7 @@ class Learned:
     def calibrate(
         self, small: tuple[dict[str, Any], Scene], usual: tuple[dict[str, Any], Scene]
     ) -> None:
-        """Compute the rates from the reports of a tiny run and of a usual run."""
+        """Compute the costs per unit of work from the reports of a tiny run and of a usual run."""
         (little, spent_little), (much, spent) = _observe(*small), _observe(*usual)
         substep = _per(spent_little["simulate"], little.substeps) or self.now.substep
         video = _per(spent_little["film"], little.videos) or self.now.video
@@ -63,10 +63,10 @@ class Learned:
             self._seen = {name: deque([value] * 2, WINDOW) for name, value in costs.items()}
 
     def assume(self, rates: Rates, work: Work) -> None:
-        """Use these rates in a process that cannot measure rates; finished runs correct the rates.
+        """Use these costs in a process that cannot measure costs; finished runs correct them.
 
         Args:
-            rates: The rates to use.
+            rates: Costs per unit of work.
             work: Amount of work in a typical run.
         """
         with self._lock:
@@ -74,7 +74,7 @@ class Learned:
             self._first = work
 
     def learn(self, report: dict[str, Any], scene: Scene) -> None:
-        """Correct the rates by the report of a finished run."""
+        """Correct the costs per unit of work by the times in the report of a finished run."""
         work, spent = _observe(report, scene)
         with self._lock:
             if self.measured is None or self._first is None:
@@ -93,7 +93,7 @@ class Learned:
 
     @property
     def minimum(self) -> Rates:
-        """For each rate, the smallest of the built-in, the measured and the current value."""
+        """Smallest known costs per unit of work: built-in, first measured, or current."""
         return Rates().minimum(self.measured or self.now).minimum(self.now)
 
 
@@ -109,7 +109,11 @@ def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, floa
 
 
 def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, float]:
-    """Return the costs per unit of work of a run, after subtracting the fixed costs."""
+    """Return the costs per unit of work that a run had, without the fixed costs.
+
+    The fixed costs of a substep and of a video are subtracted from the times `spent` first. Costs
+    that cannot be determined are left out.
+    """
     fixed = {
         "particle": rates.substep * work.substeps + rates.node * work.nodes,
         "pixel": rates.video * work.videos,
@@ -125,15 +129,15 @@ def _variable(rates: Rates, work: Work, spent: dict[str, float]) -> dict[str, fl
 
 
 def _per(seconds: float, amount: float) -> float | None:
-    """Return the seconds per unit of work, or None if they cannot be determined."""
+    """Return the time per unit of work [s]; None if the time or the amount is not positive."""
     return seconds / amount if amount > 0 and seconds > 0 else None
 
 
 def _at_most(fraction: float, seconds: float, amount: float, cost: float) -> float:
-    """Limit a cost per unit, so that all units together take at most a fraction of the time.
+    """Limit the cost of a unit of work, so that all units take at most a part of a stage's time.
 
     Args:
-        fraction: The largest fraction of the time.
+        fraction: The largest fraction of the stage's time.
         seconds: Time that the stage took [s].
         amount: Number of units of work.
         cost: The cost per unit of work [s].

@@ -39,7 +39,10 @@ class Room:
 
     @property
     def runs(self) -> float:
-        """Total limit for uploads, runs and exports [bytes]; the rest is left for new visitors."""
+        """Largest total size of uploads, runs and exports [bytes].
+
+        It is smaller than the disk space of all visitors, so that new visitors find space.
+        """
         return 0.9 * self.all
 
     @property

@@ -22,7 +22,7 @@ class Level(BaseModel):
 
     cells: int
     seconds: float
-    """Time of the simulation and of the Gaussians' shapes [s]."""
+    """Time to simulate the motion and to compute the Gaussians of all frames from it [s]."""
     error: float | None
     """Error as a fraction of the object's size.
 
@@ -66,7 +66,10 @@ class Measurement(BaseModel):
         )
 
     def promise(self, cells: int) -> Promise:
-        """Return the error on a grid; if the object may have torn on any grid, return a message."""
+        """Return the measured error on a grid as a `Promise`.
+
+        If the object may have torn on any grid, the result has no error, but a message.
+        """
         torn = [level.name for level in self.levels if level.torn]
         if torn:
             return promises.refuse_promise(f"{promises.torn(torn)}.")
@@ -98,7 +101,9 @@ def grids(scene: Scene) -> tuple[int, ...]:
 
 
 def on_grid(scene: Scene, cells: int) -> Scene:
-    """Return the scene with another grid and the same solver for elastic objects.
+    """Return a copy of the scene with another number of cells, for an error study.
+
+    Elastic objects keep the solver that they have in the scene.
 
     The scene is computed in single precision, which does not affect the error
     (docs/lab/accuracy.md).

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("phy124.web")
 FILES = (gr.Image, gr.File)
-"""Components of arguments that are files."""
+"""Classes of the Gradio components whose values are files."""
 FILE = "A data: URL with base64, or the path that POST gradio_api/upload of this server returned."
 RUN = "The name of a run, as generate returned it."
 DESCRIPTIONS = {
@@ -170,7 +170,7 @@ def _describe(tool: str, name: str, files: set[str]) -> str:
 
 
 class ToolServer:
-    """Answers agents.
+    """Answers the requests of AI agents that call the page's endpoints as tools.
 
     Each call of `generate` creates a new visitor, and so does a call of `measure` without a run.
     """

@@ -55,7 +55,11 @@ class Present:
     """
 
     def __init__(self, app: ASGIApp, asking: Callable[[str], AbstractContextManager[None]]) -> None:
-        """Wrap an application. A visitor counts as present within the context `asking(name)`."""
+        """Wrap the application to which requests are passed on.
+
+        A visitor counts as present within the context `asking(name)`, where `name` is the name in
+        the visitor's cookie.
+        """
         self.app, self.asking = app, asking
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -89,7 +93,7 @@ class Turns:
         together: int = TOGETHER,
         each: int = EACH,
     ) -> None:
-        """Wrap an application.
+        """Wrap the application that receives the requests after they have waited.
 
         Args:
             app: The application to wrap.
@@ -137,7 +141,7 @@ class Streams:
     """Limits the number of streams per cookie, per address and in total, and their duration."""
 
     def __init__(self, app: ASGIApp, most: int, here: Callable[[str | None], bool]) -> None:
-        """Wrap an application.
+        """Wrap the application whose streams are limited.
 
         Args:
             app: The application to wrap.

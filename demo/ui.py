@@ -31,14 +31,18 @@ Gradio ignores further events until the first event is answered, so a button tha
 acts only once.
 """
 EACH: dict[str, Any] = {**QUIET, "trigger_mode": "multiple"}
-"""Options of events that must not be ignored, because each event has different data."""
+"""Options of events that Gradio must handle one by one, because each event has different data."""
 LAST: dict[str, Any] = {**QUIET, "trigger_mode": "always_last"}
-"""Options of events without data. Only the last event needs an answer, because it shows the latest
-state."""
+"""Options of events without data. If several events wait, Gradio handles only the last of them,
+because its answer shows the latest state.
+"""
 CHANGE = "(globalThis.Phy124 ??= {}).change"
-"""JavaScript expression for the number of changes of the scene so far; undefined before the first
-change. Events that set the forecast send this number in place of the forecast's value. Their
-answers contain the same number."""
+"""JavaScript expression for the number of changes that the visitor has made to the scene.
+
+It is undefined before the first change. Events that update the forecast send this number instead of
+the value of the forecast panel. Their answers repeat the number, so that old answers can be
+ignored.
+"""
 CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
 UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"
 MASTHEAD = """<div id="masthead"><p id="mark"><svg viewBox="0 0 42 42" aria-hidden="true">

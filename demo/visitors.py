@@ -48,7 +48,10 @@ AWAY = 150.0
 An open page sends a request every minute.
 """
 UNUSED = 16
-"""Largest number of idle visitors per address. Beyond it, the longest idle visitors are removed."""
+"""Largest number of idle visitors per address.
+
+If there are more, the visitors that have been idle longest are removed.
+"""
 UNFINISHED = 3
 """Largest number of unfinished jobs per visitor."""
 FULL = "Too many visitors use this server at the moment."

@@ -29,7 +29,10 @@ def warm_up(device: str) -> None:
 
 
 def tiny_run(device: str) -> tuple[dict[str, Any], Scene]:
-    """Return the report and the scene of a minimal run, which shows the fixed costs."""
+    """Make a run with hardly any work, and return its report and its scene.
+
+    The times in this report are mostly the fixed costs of a substep and of a video.
+    """
     few = {"accuracy": {"cells": 8, "particles_per_axis": 1.0}, "time.frames": 2}
     scene = Scene.named("press").replaced({**few, "view.size": 32, "view.views": ["front"]})
     with tempfile.TemporaryDirectory() as folder:

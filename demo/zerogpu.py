@@ -48,7 +48,9 @@ class Durations:
 
 
 def work_on_gpu(longest: float) -> Work:
-    """Return the function that executes orders: `steps`, wrapped to request a GPU on ZeroGPU.
+    """Return the function that executes an order (the request for a run) on a GPU of ZeroGPU.
+
+    The function wraps `steps`, which executes the order.
 
     Args:
         longest: Longest time of a job [s].

@@ -89,7 +89,8 @@ def test_ranges_without_peers(monkeypatch, caplog, reach):
     texts, peers = settings(result)
     assert peers == []
     assert ("Tag" in texts) is (reach == "OFF")
-    assert f"ROS_STATIC_PEERS is ignored in the range {reach}" in caplog.text
+    ignored = "ROS_STATIC_PEERS is ignored, because ROS_AUTOMATIC_DISCOVERY_RANGE is"
+    assert f"{ignored} {reach}." in caplog.text
     assert ("visible to no other process." in result.audience()) is (reach == "OFF")
 
 

@@ -37,7 +37,9 @@ DEPTH = 10
 AT_ONCE = 16
 """Largest number of messages or requests that are read from a topic at a time."""
 HEADER = struct.Struct("<Qq")
-"""Client identity and request number, together 16 bytes, so that later members are aligned."""
+"""Header of a service request: identity of the client, and number of the request. It has 16 bytes,
+so that the members of the request are aligned.
+"""
 
 
 class DdsSink:
@@ -279,10 +281,10 @@ class _Offered(NamedTuple):
 
 
 class DdsServices:
-    """The services of a node."""
+    """The services that the node of a DDS sink offers to ROS 2."""
 
     def __init__(self, participant: Any, services: Sequence[Service], node: str) -> None:
-        """Offer services.
+        """Offer services to the programs in a DDS domain.
 
         Args:
             participant: The participant in the DDS domain.

@@ -53,7 +53,7 @@ class Clients:
         self._flooded = False
         """Whether the loss of messages has been reported."""
         self.closed = False
-        """Whether calls are no longer answered."""
+        """Whether the sink was closed, so that calls of services are no longer answered."""
 
     def advertise(self, client: int, channel: int, topic: str, encoding: str) -> None:
         """Record that a viewer will publish on a topic.
@@ -94,7 +94,7 @@ class Clients:
             self._post(_wake)
 
     def list_services(self) -> list[Any]:
-        """Return the services in the form that the server needs."""
+        """Return the services as the objects that Foxglove's server expects."""
         from foxglove import MessageSchema, Schema, ServiceSchema
         from foxglove import Service as Offered
 
@@ -131,7 +131,7 @@ class Clients:
         return handle
 
     def hear(self, obey: Obey) -> None:
-        """Carry out the waiting messages."""
+        """Pass the waiting messages to the functions that receive them."""
         for _ in range(len(self._waiting)):
             name, data = self._waiting.popleft()
             topic, hear = self._heard[name]
@@ -174,7 +174,7 @@ def schema(name: str) -> dict[str, Any]:
 
 def _message(name: str, content: Any, where: str) -> Any:
     if not isinstance(content, Mapping):
-        raise InputError(where, content, "it must be an object.", REMEDY)
+        raise InputError(where, content, "it must be a JSON object.", REMEDY)
     known = fields(name)
     if unknown := sorted(content.keys() - {member.name for member in known}):
         limit = f"{name} has no {', '.join(map(str, unknown))}."

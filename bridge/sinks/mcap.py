@@ -207,7 +207,7 @@ class McapSink:
         )
 
     def _write_record(self, report: dict[str, Any]) -> None:
-        """Write the settings, the scene and, at the end, the report."""
+        """Write the bridge's metadata: message options, scene and, at the end, the run's report."""
         options = self._encoder.options.model_dump_json()
         parts = {"scene": self._scene, "report": report}
         about = {name: json.dumps(part) for name, part in parts.items() if part}
@@ -229,7 +229,7 @@ class McapSink:
             self._older_metadata.unlink(missing_ok=True)
 
     def _failure(self) -> Incomplete:
-        """Close the file and keep all flushed data; return the error that should be raised.
+        """Close the file after a disk error, keep all flushed data, and return the error to raise.
 
         A file without a frame is removed, and the older recording gets its name back.
         """

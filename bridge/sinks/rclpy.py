@@ -272,7 +272,7 @@ def message_class(name: str) -> Any:
 
 
 def relative(topic: Topic) -> str:
-    """Return a topic's name relative to the node or its namespace; other names stay absolute."""
+    """Return a topic's name without the namespace of the bridge. Other names remain unchanged."""
     return topic.name.removeprefix(f"/{NAMESPACE}/")
 
 

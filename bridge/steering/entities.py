@@ -52,7 +52,7 @@ class Entities:
     """Services that list, describe and move the entities (objects and props)."""
 
     def __init__(self, run: SteeredRun, options: Options) -> None:
-        """Store the run, and the options with the name of the coordinate frame."""
+        """Store the run, and the options, which contain the name of the world's frame."""
         self._run, self._options = run, options
 
     def list(self, request: Any) -> dict[str, Any]:

@@ -28,8 +28,8 @@ import time
 MOST = 32
 """Largest number of coordinate frames in which wrenches may act between two frames of the run."""
 READER_DEPTH = 100
-"""Queue depth of the reader of /tf_static. The queue contains one message of each publishing
-node.
+"""Queue depth of the reader of /tf_static, which limits how many nodes can publish on this topic.
+The queue contains a single message of each node.
 """
 EVERY = 1.0
 """Shortest interval between two lines in the log [s], because peers may send thousands of
@@ -198,7 +198,7 @@ class Inputs:
         return place
 
     def _attempt(self, action: Callable[[], None]) -> None:
-        """Carry out an action; if it is refused, record this in the remarks and continue."""
+        """Apply an input. If the run refuses it, add the reason to the remarks and continue."""
         try:
             # A huge number may overflow to infinity, which the run refuses.
             with np.errstate(over="ignore", invalid="ignore"):
@@ -215,7 +215,7 @@ def _numbers(field: str, point: Any) -> np.ndarray:
 
 
 def _static(options: Options) -> Any:
-    """Return the TFMessage of the sinks' static transform, in the form of a received message."""
+    """Return the static transform that the sinks publish, as if it were a received TFMessage."""
     x, y, z = options.translation
     qx, qy, qz, qw = options.rotation
     transform = SimpleNamespace(
@@ -234,13 +234,13 @@ class Remarks:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.count = 0
-        """Number of sentences so far."""
+        """Number of messages about refused inputs so far."""
         self.last = ""
-        """The latest sentence."""
+        """The latest message about a refused input."""
         self._clock, self._logged = clock, -math.inf
 
     def add(self, sentence: str) -> None:
-        """Store a sentence; log it if enough time has passed since the last line of the log."""
+        """Count a message about a refused input; log it if the last log line is not too recent."""
         self.count, self.last = self.count + 1, sentence
         now = self._clock()
         if now - self._logged >= EVERY:

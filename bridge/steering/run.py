@@ -45,7 +45,7 @@ def checked_duration(name: str, seconds: float) -> float:
     shortest, longest = DURATIONS
     if not shortest <= seconds <= longest:
         limit = f"It must lie between {shortest:g} and {longest:g}."
-        raise InputError(name, seconds, limit, "Remove the option to use the default.")
+        raise InputError(name, seconds, limit, "To use the default, remove the option.")
     return seconds
 
 
@@ -57,7 +57,9 @@ class SteeredRun:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """State of playback that is constant, because a live run shows each frame exactly once."""
+    """These values are constant, because a live run shows each frame exactly once. A `Playback`
+    needs them.
+    """
 
     def __init__(
         self,
@@ -86,7 +88,7 @@ class SteeredRun:
         """
         self.live, self.remarks = live, Remarks()
         self.epoch = options.epoch or 0.0
-        """Time stamp of the start [s since 1970]."""
+        """Time stamp of the first frame [s since 1970]."""
         self.inputs = Inputs(
             live,
             options,
@@ -148,7 +150,7 @@ class SteeredRun:
         self.show(replace(frame, time=self.position))
 
     def steps(self, count: float) -> Iterator[int]:
-        """Compute `count` frames as fast as possible; after each frame, yield the number done.
+        """Compute `count` frames as fast as possible. After each, yield how many were computed.
 
         Raises:
             InputError: The run is not paused, or the number is out of range.

@@ -56,7 +56,7 @@ class Standard:
 
     @property
     def services(self) -> tuple[Service, ...]:
-        """All services."""
+        """All services that a steered run offers, with their names, types and functions."""
         served = {
             "GetSimulatorFeatures": ("get_simulator_features", self.features),
             "GetSimulationState": ("get_simulation_state", self.state),

@@ -55,7 +55,7 @@ class Transforms:
         return np.linalg.inv(here) @ there
 
     def _up(self, frame: str) -> tuple[str, Pose]:
-        """Return the root of the tree that contains a frame, and the pose relative to the root."""
+        """Return the root of the tree with a coordinate frame, and the frame's pose in the root."""
         pose = np.eye(4)
         for _ in range(DEEPEST):
             if frame not in self._links:

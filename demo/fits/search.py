@@ -116,7 +116,7 @@ def declare_fit(done: Done, scene: Scene, seen: Seen, asked: FitOptions) -> Fit:
 
 
 def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any]:
-    """Make the fit in a separate process; reuse stored runs in the folder.
+    """Search for the stiffness in a separate process; reuse runs stored in the folder `out`.
 
     Raises:
         InputError: The stiffness cannot be determined, or the time budget is exceeded.
@@ -132,7 +132,7 @@ def search_softness(wanted: Fit, out: Path, deadline: Deadline) -> dict[str, Any
 
 
 def _search(wanted: Fit, out: Path) -> dict[str, Any]:
-    """Make the fit in this process."""
+    """Search for the stiffness in this process, and write the report to the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
 
     def plan(expected: Outlook) -> None:
@@ -163,7 +163,10 @@ def in_words(error: InputError) -> InputError:
 
 
 def progress(out: Path) -> tuple[int, int, float] | None:
-    """Return runs made, runs expected and time expected [s]; None before the search starts."""
+    """Return the number of runs made, the expected number of runs, and the expected time [s].
+
+    The result is None before the search starts.
+    """
     try:
         plan = json.loads((out / PLAN).read_text("utf-8"))
     except FileNotFoundError:

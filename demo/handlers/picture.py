@@ -114,7 +114,10 @@ def ways(made: GaussianFile) -> dict[str, Any]:
 
 
 def _cutting(studio: Studio, job: Job) -> dict[str, Any]:
-    """Return the picture panel's value for a running job, with the usual duration [s]."""
+    """Return the picture panel's value while a job reads the file or cuts out the object.
+
+    For a cut-out, the value contains the usual duration [s].
+    """
     if job.kind == "read":
         return {"job": job.name, "reads": True}
     seconds = studio.search_seconds
@@ -187,6 +190,10 @@ def on_view_cut(studio: Studio) -> Handler:
 
 
 def _answer(event: gr.EventData, **values: Any) -> dict[str, Any]:
-    """Answer an event. The answer names the option, so that the panel can ignore old answers."""
+    """Return a panel's value that answers an event of this panel.
+
+    The answer repeats the option and the number of the event, so that the panel can ignore answers
+    to older events.
+    """
     asked = {name: value for name, value in data_of(event).items() if name in ("option", "ask")}
     return {"answer": {**asked, **values}}

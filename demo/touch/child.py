@@ -16,7 +16,10 @@ import threading
 from collections import deque
 
 WAITING = 256
-"""Largest number of unread lines; if there are more, the oldest lines are discarded."""
+"""Largest number of lines (messages of the browser) that wait to be read.
+
+If there are more, the oldest lines are discarded.
+"""
 
 
 class Line:
@@ -34,12 +37,12 @@ class Line:
             data = data[os.write(self._answers, data) :]
 
     def take_messages(self) -> list[str]:
-        """Return the lines received since the last call."""
+        """Return the lines (messages of the browser) received since the last call."""
         self._any.clear()
         return [self._heard.popleft() for _ in range(len(self._heard))]
 
     def wait(self, seconds: float) -> None:
-        """Wait up to `seconds` for a line."""
+        """Wait up to `seconds` until a line arrives from the server."""
         self._any.wait(seconds)
 
     def listen(self) -> None:

@@ -1,7 +1,8 @@
-"""Encode a live run for the browser: first the binding, then lattice and walls in each frame.
+"""Encode a live run for the browser: Gaussians and their binding first, then the motion per frame.
 
-A binding contains the constant data of each Gaussian. A frame contains the data of each node.
-Binding and frame are little-endian and planar (array after array):
+The Gaussians are bound to selected particles, the nodes. The binding contains the constant data of
+each Gaussian, and is sent first. A frame contains the current data of each node and the positions
+of the walls. Binding and frame are little-endian and planar (array after array):
 
     binding  position at rest [N,3] float32, covariance at rest [N,6] float32 (xx xy xz yy yz zz),
              largest stretch [N] float32, nodes at rest [P,3] float32, nodes of each Gaussian [N,8]
@@ -24,16 +25,16 @@ from phy124.motion.binding import find_carriers
 from phy124.rendering.stage.solids import floor_heights, place_walls
 
 MOST = 5000
-"""Largest number of nodes, which needs 2.9 MB/s at 24 frames per second."""
+"""Largest number of nodes. Sending the data of all nodes takes 2.9 MB/s at 24 frames per second."""
 REACH = 8.0
-"""Largest magnitude of an entry of F; larger entries are clipped."""
+"""Largest magnitude of an entry of the deformation gradient F. Larger entries are clipped."""
 
 
 class Lattice:
-    """The nodes to which the visible Gaussians of a live run are bound."""
+    """The nodes (selected particles) to which the visible Gaussians of a live run are bound."""
 
     def __init__(self, live: Live, most: int = MOST) -> None:
-        """Bind the Gaussians to the nearest particles; `most` is the largest number of nodes."""
+        """Bind each Gaussian to its nearest nodes; `most` is the largest number of nodes."""
         look, rest = live.look, live.rest
         # In random order, the first Gaussians are an unbiased sample of all Gaussians.
         order = np.random.default_rng(0).permutation(len(look.gaussians))
@@ -49,7 +50,7 @@ class Lattice:
         self._live = live
 
     def binding(self) -> bytes:
-        """Encode the constant data of the binding."""
+        """Encode the data that stay constant in a live run: Gaussians at rest, and their nodes."""
         g = self.gaussians
         sigma = g.covariances()[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
         floats = [g.means, sigma, self._stretch, self.rest]
@@ -71,7 +72,11 @@ class Lattice:
 def _bound(
     gaussians: Gaussians, rest: NDArray, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """Return the particles that carry Gaussians, and eight particles and weights per Gaussian."""
+    """Select at most `most` particles as nodes, and bind each Gaussian to eight of them.
+
+    Return the particles' indices, and for each Gaussian its eight nodes [N,8] and their weights
+    [N,8].
+    """
     nodes = np.arange(len(rest))
     near, weights = find_carriers(gaussians.means, rest)
     used = np.unique(near)

@@ -50,7 +50,7 @@ class Play:
 
     order: Order
     most: Settings
-    """Limits on a saved session."""
+    """Limits of the page, which apply to a session that is saved as a scene."""
 
 
 def play(what: Play, line: Line) -> None:
@@ -106,7 +106,7 @@ class Player:
         self._clock.wait()
 
     def _do(self, message: dict[str, Any]) -> None:
-        """Carry out a message; if it is refused, send the reason."""
+        """Carry out what a visitor's message requests; if it is refused, send the reason."""
         seq, value = message.get("seq"), message.get("value")
         self._heard = seq % 2**32 if isinstance(seq, int) else self._heard
         try:
@@ -160,7 +160,11 @@ class Player:
         self._sent_notes = len(self.live.notes)
 
     def _head(self, text: str) -> bytes:
-        """Encode the head of a binding as JSON, padded to a multiple of four bytes."""
+        """Encode the head of the message with the binding: constant data of the live run, as JSON.
+
+        The JSON text is padded with spaces to a multiple of four bytes. `text` is a sentence for
+        the visitor.
+        """
         head = {
             "splats": len(self._lattice.gaussians),
             "nodes": len(self._lattice.nodes),
@@ -176,7 +180,7 @@ class Player:
 
 
 def _newest_targets(lines: list[str]) -> list[dict[str, Any]]:
-    """Return the messages in order; of several targets in a row, keep only the last one."""
+    """Return the messages in order. Of successive positions of the hand, keep only the last."""
     messages: list[dict[str, Any]] = []
     for message in map(json.loads, lines):
         if messages and message["do"] == "to" == messages[-1]["do"]:

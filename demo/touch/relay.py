@@ -41,9 +41,10 @@ PENDING = 1 << 16
 LARGEST = 1 << 26
 """Largest size of a message from the process [bytes]."""
 SAYINGS = 32
-"""Largest number of unsent sentences; further sentences are discarded."""
+"""Largest number of messages for the visitor that wait to be sent. Further messages are discarded.
+"""
 PARTING = 10.0
-"""Time limit for sending the last sentence to a browser [s]."""
+"""Time limit for sending the message with which a live run ends to the browser [s]."""
 BROKEN = "The live run failed. Start it again."
 IDLE = "The live run ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."
@@ -83,7 +84,7 @@ def socket_route(table: Table, settings: Settings) -> WebSocketRoute:
 
 
 async def _part(socket: WebSocket, text: str) -> None:
-    """Send the last sentence to the browser, and close the socket."""
+    """Send the browser a message that states why the run has ended, and close the socket."""
     await socket.send_text(json.dumps({"kind": "ended", "text": text}))
     await socket.close()
 
@@ -254,7 +255,7 @@ class Refused(Exception):
     def __init__(self, text: str = "") -> None:
         super().__init__(text)
         self.text = text
-        """Sentence for the visitor; empty if the sentence was already sent."""
+        """Reason of the refusal, as a sentence for the visitor; empty if it was already sent."""
 
 
 class Budget:

@@ -26,15 +26,15 @@ FULL = "This server cannot run more live runs at the same time."
 FPS = 24.0
 """Frames per second of a live run."""
 ROOM, TIME = 0.5, 0.1
-"""Two fractions that limit a saved clip.
+"""Two fractions that limit the length of a live run that is saved.
 
-`ROOM` is the size of the clip with the viewer's file, relative to a visitor's disk space. `TIME` is
-the duration of the clip, relative to the time limit of a run.
+The clip and the viewer's file may take the fraction `ROOM` of a visitor's disk space. The motion
+may be as long as the fraction `TIME` of the time limit of a run.
 """
 FORCES = 64
-"""Number of forces and boundaries that is always allowed.
+"""A saved session may always have this number of forces and boundaries.
 
-Each grab and each change of gravity needs one force or boundary.
+In the saved scene, each grab and each change of gravity is a force or a boundary.
 """
 
 
@@ -89,7 +89,7 @@ class Table:
         return ticket
 
     def take(self, visitor: str | None, name: str) -> Ticket | None:
-        """Start to count a visitor's ticket as a live run; return the ticket.
+        """Return the ticket that a visitor's page presents, and count it as a live run from now on.
 
         None if the ticket is unknown or was presented before.
 

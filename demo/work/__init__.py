@@ -51,7 +51,9 @@ __all__ = [
 
 
 def steps(order: Order) -> Iterator[Event | None]:
-    """Execute an order; yield its events, and None whenever `BEAT` seconds pass without an event.
+    """Execute an order (the request for a run), and yield the events of its progress.
+
+    None is yielded if `BEAT` seconds pass without an event.
 
     Raises:
         Cancelled: The stop file exists.

@@ -86,7 +86,10 @@ def film(order: Order, clips: Path, out: Path, limits: Limits) -> None:
 
 
 def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Join the stages of the clip and of the videos; add the times of a stage that is in both."""
+    """Join the times of the stages in the reports of the clip and of the videos.
+
+    The two times of a stage that is in both reports are added.
+    """
     joined = {stage["name"]: stage for stage in stages}
     for stage in others:
         before = joined.get(stage["name"], {"seconds": 0.0})["seconds"]

@@ -17,7 +17,10 @@ from .order import Order
 DEVICE = threading.Lock()
 """Lock that a job holds while it uses the device."""
 BEAT = 0.2
-"""Longest interval between two events [s]; a generator of events can be closed at each event."""
+"""Longest interval between two events of a job [s].
+
+The generator of the events can be closed whenever it has yielded an event.
+"""
 
 
 class Limits:

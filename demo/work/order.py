@@ -25,21 +25,23 @@ from ..visitors import Visitor, key
 from .others import Other, others_of
 
 VIEWED = ("view", "accuracy", "description")
-"""Fields of a scene that do not affect the stored errors of its motion."""
+"""Fields of a scene that change neither its motion nor the errors measured on several grids."""
 
 VECTOR, BYTES_SHOWN, BYTES_AT_REST = 12, 10, 200
 """Bytes per Gaussian: for a vector, for a frame in the viewer, and for the object at rest."""
 BYTES_MOVED = 8
 """Bytes per frame and particle of a clip that stores particles instead of Gaussians.
 
-A swung object needs 7 bytes, and has fewer stored particles than Gaussians (docs/lab/sizes.md).
+The clip of an object that is swung takes 7 bytes, and stores fewer particles than the object has
+Gaussians (docs/lab/sizes.md).
 """
 BYTES_OF_FILMS = 2_000_000
 """Approximate size of a run's videos [bytes]."""
 COMPOSING, EACH = 210, 1800
-"""Cost of matching camera and colours to a photograph.
+"""Cost of matching the camera and the colours of a video to a photograph.
 
-`COMPOSING` is a number of rendered pictures, `EACH` a number of rendered pixels per Gaussian.
+The matching takes as long as rendering `COMPOSING` pictures, and `EACH` more pixels for each
+Gaussian.
 """
 
 

@@ -61,7 +61,7 @@ def others_of(visitor: Visitor, scene: Scene) -> tuple[Other, ...]:
 
 
 def with_crops(scene: Scene, others: tuple[Other, ...]) -> Scene:
-    """Return a copy of the scene in which these objects have the crops of their cut-outs."""
+    """Return a copy of the scene that states how the pictures of these objects are cropped."""
     objects = list(scene.objects)
     for other in others:
         with Image.open(other.cutout) as cutout:
