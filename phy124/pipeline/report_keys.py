@@ -182,7 +182,8 @@ class Forecast(TypedDict):
     substeps: int
     """Predicted number of substeps."""
     limiters: dict[str, int]
-    """For each limit, the predicted number of substeps whose length it determines."""
+    """For each stability limit, the predicted number of substeps whose length this limit
+    determines."""
     caveat: str | None
     """Reason why the prediction may be wrong."""
 
@@ -293,7 +294,7 @@ class Report(TypedDict):
     """Mass of all particles [kg]."""
     thickness: float | None
     """Local thickness, relative to the object's size. Nine tenths of the object's volume are
-    thicker.
+    thicker than this value.
     """
     compliance: float | None
     """Deflection of the object, modelled as a beam under its weight (docs/lab/own-error.md)."""

@@ -23,8 +23,8 @@ STAGE = {
 }
 """One kernel from each module that draws a stage; compiling it compiles the whole module."""
 HOST = (INFLATED.project, HULL.project, push, fill_voxels, fields.fill, discs.find_surface)
-"""One kernel from each module that always runs on the CPU. The modules belong to the generator
-`relief`, to the set-up of lattices, and to the surfaces of liquids.
+"""One kernel from each module that always runs on the CPU. The modules are used by the generator
+`relief`, by the set-up of lattices, and for the surfaces of liquids.
 """
 FEW = {"accuracy.cells": 8, "time.frames": 2, "time.fps": 240.0}
 """Changes that shorten the run of a scene, but do not change which kernels it needs."""

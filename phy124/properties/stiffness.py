@@ -18,7 +18,8 @@ from phy124.schema.bounds import FileName
 from phy124.schema.section import Section
 
 MINIMUM = 1e-4
-"""Smallest factor on E; with this factor, waves are a hundred times slower."""
+"""Smallest factor by which E may be multiplied; with this factor, waves are a hundred times slower.
+"""
 Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
@@ -51,7 +52,9 @@ class Gradient(_Field):
     """Fraction of E at the highest end of the axis."""
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Return fractions [P] that are linear between the ends of the object."""
+        """Return the fraction of E at each particle [P]; it varies linearly along an axis of the
+        object.
+        """
         along = np.asarray(x, dtype=np.float64)[:, "xyz".index(self.axis)]
         return np.interp(along, [along.min(), along.max()], [self.first, self.last])
 
@@ -68,14 +71,16 @@ class Picture(_Field):
     """Fraction of E at white pixels."""
 
     def fractions(self, x: NDArray, means: NDArray, crop: Crop) -> NDArray[np.float64]:
-        """Return fractions [P] that are linear in the grey value."""
+        """Return the fraction of E at each particle [P]; it is linear in the grey value of the
+        picture.
+        """
         grey = sample_brightness(x, self.file, crop, field="stiffness.file")
         return self.black + grey * (self.white - self.black)
 
 
 AnyStiffness = Annotated[Gradient | Picture, Field(discriminator="kind")]
 SOFTEST, STIFFEST = 0.01, 100.0
-"""Smallest and largest factor on E in a profile over time."""
+"""Smallest and largest factor by which E may be multiplied in a profile over time."""
 
 
 def check_profile(profile: Table) -> None:

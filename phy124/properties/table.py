@@ -130,7 +130,9 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
 
 
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
-    """Return columns and centres of all full voxels. Arrays [X,Y,Z] have NaN in empty voxels.
+    """Return the columns and the centres of all voxels that contain values.
+
+    Arrays [X,Y,Z] have NaN in empty voxels.
 
     `lower` and `upper` are the centres of the first and last voxel. Without `lower` and `upper`,
     the voxels fill a box of side 1.

@@ -22,12 +22,12 @@ class Mount(NamedTuple):
     folder: Path
     """Mount point."""
     top: str
-    """The group that is visible at the mount point; in a container this is the container's
-    group."""
+    """The group that is visible at the hierarchy's mount point. In a container, this is the
+    container's group."""
     version: int
     controllers: frozenset[str]
-    """Controllers of a hierarchy of version 1. In version 2, a single hierarchy has all
-    controllers."""
+    """Controllers of a hierarchy of version 1. In version 2 of control groups, a single hierarchy
+    has all controllers."""
 
 
 def memory_left(root: Path = ROOT) -> float:
@@ -92,13 +92,16 @@ def _groups(controller: str, root: Path) -> Iterator[Path]:
 
 
 def _below(path: str, top: str) -> str:
-    """Return the path of a group relative to the mounted group."""
+    """Return the path of a control group relative to the group at the hierarchy's mount point."""
     inside = path.removeprefix(top.rstrip("/")) if f"{path}/".startswith(f"{top}/") else path
     return inside.lstrip("/")
 
 
 def _own_groups(root: Path) -> Iterator[tuple[str, str]]:
-    """Yield each controller (of version 1, or "" for version 2) and its path for this process."""
+    """Yield each controller with the path of this process's control group.
+
+    In version 2 of control groups, the name of the controller is empty.
+    """
     for line in _text(root / "proc/self/cgroup").splitlines():
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")

@@ -59,7 +59,7 @@ def compile_missing(
 
 
 def is_compiled(kernel: Any, device: str = "cpu") -> bool:
-    """Return whether a kernel's module is loaded, or is in the cache in its current version."""
+    """Return whether a kernel's module is loaded, or the cache contains its current version."""
     if kernel.module.execs:
         return True
     file = compiled_file(kernel, device)

@@ -94,7 +94,10 @@ class Driver(NamedTuple):
 
 
 def driver() -> Driver:
-    """Return the versions for this machine's driver; Warp must be running."""
+    """Return the CUDA versions that this machine's driver supports and that Warp needs.
+
+    Warp must have been started.
+    """
     import warp as wp
 
     toolkit = wp.get_cuda_toolkit_version()
@@ -103,7 +106,10 @@ def driver() -> Driver:
 
 
 def _library_version() -> Version | None:
-    """Read the supported version from the driver's library, since Warp loads no old driver."""
+    """Read the CUDA version that the driver supports from its library.
+
+    Warp does not tell the version of an old driver, because Warp does not load such a driver.
+    """
     version = ctypes.c_int()
     for name in LIBRARIES:
         try:

@@ -40,10 +40,10 @@ compilation."""
 LONGEST_WAIT = 120
 """Longest wait for another process that compiles the same module [s]; it may have been paused."""
 INSTANTIATE = "-fpch-instantiate-templates"
-"""Flag with which templates of the headers are instantiated once, in the precompiled headers.
+"""Compiler flag: instantiate the templates of the headers once, when the headers are precompiled.
 
-Otherwise the compiler instantiates them again for each module, which takes 0.1 s. The object files
-are the same.
+Without this flag, the compiler instantiates the templates again for each module, which takes 0.1 s.
+The flag does not change the object files.
 """
 OLD = 600
 """Age at which temporary headers count as abandoned [s]; compiling headers takes only seconds."""
@@ -262,7 +262,7 @@ def _sweep() -> None:
 
 
 def _is_abandoned(folder: Path) -> bool:
-    """Return whether a folder's process has ended."""
+    """Return whether the process that created a temporary folder has ended."""
     number = PROCESS.search(folder.name)
     if number is None:
         return False

@@ -26,7 +26,10 @@ class LateVariants:
 
 
 def declare_late() -> None:
-    """Make Warp declare the variants only when they are called; call before importing Warp."""
+    """Make Warp declare the Python variants of its functions only when one of them is called.
+
+    Call this function before importing Warp.
+    """
     if DECLARING not in sys.modules:
         sys.meta_path.insert(0, LateVariants())  # pyright: ignore[reportArgumentType]
 

@@ -37,7 +37,7 @@ def parse_late() -> None:
 
         parses_late = True
         has_unresolved_static_expressions = False
-        """False, because functions with `wp.static` expressions are not parsed late."""
+        """Always False, because functions with `wp.static` expressions are parsed at once."""
 
         def __init__(self, func: Any, *arguments: Any, **options: Any) -> None:
             code = getattr(func, "__code__", None)

@@ -1,4 +1,4 @@
-"""Lets a part call a method of its owner without keeping the owner in memory."""
+"""Lets an object call a method of the object that owns it, without keeping the owner in memory."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,7 +6,8 @@ from weakref import WeakMethod
 
 
 def weakly(method: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that calls a bound method, but does not keep the method's object.
+    """Return a function that calls a method of an object, but does not keep the object in
+    memory.
 
     If a part kept its owner, owner and part would refer to each other. Python would then free their
     arrays only when it searches for such cycles. The owner must exist whenever the function is

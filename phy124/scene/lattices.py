@@ -18,14 +18,15 @@ Mach 2, 3 and 4, a lattice needs 5, 9 and more than 13 times as many substeps as
 LIGHTEST = 0.03
 """`auto` chooses lattices for bodies without damping if their density is at least this fraction of
 the density of the densest liquid. At a relative density of 0.01, a cube of E = 1 kPa gained energy.
-At 0.03, or with E = 10 kPa, the cube did not.
+At a relative density of 0.03, or with E = 10 kPa, the cube did not gain energy.
 """
 
 FARTHEST_DRIVEN = 0.5
-"""If the object is held, `auto` chooses lattices only up to this displacement by prescribed
-velocities, relative to the object's size. The limit comes from a test in which the upper third of a
-ball is driven into the held foot of the ball. The distance between the two is half the ball's size.
-The run on a lattice stops early; the run with MPM does not.
+"""If the object is held and velocities are prescribed, `auto` chooses lattices only if the
+prescribed displacement is at most this fraction of the object's size. The limit comes from a test
+in which the upper third of a ball is driven into the held foot of the ball. At the start, the
+distance between the driven third and the foot is half the ball's size. In this test, the run on a
+lattice stops early, and the run with MPM does not.
 """
 
 

@@ -244,7 +244,10 @@ def check_pairs(pairs: Sequence[Pair], names: Sequence[str]) -> None:
 
 
 def find_pair(pairs: Sequence[Pair], first: str, second: str) -> Pair:
-    """Return the entry for two objects; an entry that names both objects takes precedence."""
+    """Return the contact that `pairs` declares for two objects.
+
+    An entry that names both objects takes precedence over an entry for any object.
+    """
     fitting = [pair for pair in pairs if set(pair.between) <= {first, second, ANY}]
     return min(fitting, key=lambda pair: pair.between.count(ANY), default=Pair())
 

@@ -108,7 +108,9 @@ def format_schema() -> str:
 def _format_section(
     declared: Declaration, title: str, node: Node, path: str, written: dict[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield the path and the table of a section, and of inner sections that have no table yet.
+    """Yield the path and the table of a section of the scene.
+
+    Inner sections that have no table yet follow.
 
     `written` maps the sections that have a table to the table's heading.
     """
@@ -159,7 +161,10 @@ def _format_table(declared: Declaration, node: Node, written: dict[str, str]) ->
 
 
 def _format_default(node: Node, *, below: bool) -> str:
-    """Return the default of a field; a section whose table is not below is written in full."""
+    """Return the default of a field.
+
+    If the default is a section whose table is not further below, the section is written in full.
+    """
     default = node.get("default")
     if default in (None, [], ""):
         return "none"

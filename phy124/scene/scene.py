@@ -439,7 +439,9 @@ def _known_part(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_known_laws(section: dict[str, Any]) -> dict[str, Any]:
-    """Return a section with its parts and its objects, but without unknown materials."""
+    """Return the plain data of a section with its parts and objects, but without unknown
+    materials.
+    """
     section = dict(section)
     if not LAWS.knows(section.get("material", {})):
         section.pop("material", None)

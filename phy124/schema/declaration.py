@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel
 
 Node = dict[str, Any]
-"""A piece of a JSON schema."""
+"""A part of a JSON schema."""
 COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -17,7 +17,10 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Return the schema to which a node refers; for an optional field, that of its value."""
+        """Return the schema to which a node of the schema refers.
+
+        For an optional field, return the schema of the field's value.
+        """
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:

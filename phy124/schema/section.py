@@ -26,7 +26,8 @@ class Section(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
     AS_TEXT: ClassVar[bool] = False
-    """Whether all values are texts, so that "yes" is accepted as a boolean."""
+    """Whether all values of the section are texts. A boolean field then accepts "yes", for example.
+    """
 
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:

@@ -37,7 +37,8 @@ class Appearance(NamedTuple):
     rounds: NDArray[np.bool_]
     """Mask of the moving Gaussians that become balls when the material is stretched."""
     flows: NDArray[np.bool_]
-    """Mask of the moving Gaussians in materials whose F grows without bound."""
+    """Mask of the moving Gaussians in materials whose deformation gradient F grows without bound.
+    """
     holds: NDArray[np.float64]
     """Largest stretch of each moving Gaussian's material before it tears; may be infinite."""
     kinds: NDArray[np.int64]
@@ -53,13 +54,13 @@ class Appearance(NamedTuple):
         }
 
     def shine(self, materials: Sequence[AnyMaterial]) -> dict[str, list[list[int]]]:
-        """Return the spans (first and end index) of the Gaussians of each glossy law."""
+        """Return the index ranges of the Gaussians of each glossy law, as first and end indices."""
         laws = sorted({section.law for section in materials if section.shines})
         return {law: self._spans(self._has_law(law, materials)) for law in laws}
 
     def liquids(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return for each liquid its visibility [m] or None, its viscosity [Pa s], the spans of its
-        Gaussians, and the volume of a Gaussian in each span [m^3].
+        """Return, for each liquid, its visibility [m] or None, its viscosity [Pa s], the index
+        ranges (spans) of its Gaussians, and the volume of a Gaussian in each range [m^3].
 
         Materials that differ only in their colours are one liquid: they mix, and no surface
         separates them.
@@ -75,8 +76,10 @@ class Appearance(NamedTuple):
         return list(liquids.values())
 
     def matte(self, materials: Sequence[AnyMaterial]) -> list[dict[str, Any]]:
-        """Return for each material that is lit the spans of its Gaussians, and the volume of a
-        Gaussian in each span [m^3]. Without grains, a material is hollow and is not lit.
+        """Return the index ranges (spans) of the Gaussians of each material that a lamp lights, and
+        the volume of a Gaussian in each range [m^3].
+
+        Without grains, a material is hollow and is not lit.
         """
         filled = set(self.kinds[~self.rounds].tolist())
         lit = [
@@ -85,24 +88,29 @@ class Appearance(NamedTuple):
         return [{"runs": runs, "volumes": volumes} for runs, volumes in lit]
 
     def dents(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
-        """Return the spans of the Gaussians of each solid that keeps dents and has no gloss."""
+        """Return the index ranges (spans) of the Gaussians of each solid that keeps dents and has
+        no gloss.
+        """
         solids = [k for k, section in enumerate(materials) if section.dents and not section.shines]
         return self._spans_of(solids)
 
     def fragments(self, materials: Sequence[AnyMaterial]) -> list[list[list[int]]]:
-        """Return the spans of the Gaussians of each material that crumbles and has grains."""
+        """Return the index ranges (spans) of the Gaussians of each material that crumbles and has
+        grains.
+        """
         filled = set(self.kinds[~self.rounds].tolist())
         return self._spans_of(
             [k for k, section in enumerate(materials) if section.crumbles and k in filled]
         )
 
     def _spans_of(self, kinds: Sequence[int]) -> list[list[list[int]]]:
-        """Return the spans of Gaussians, for each material that has Gaussians."""
+        """Return the index ranges (spans) of Gaussians, for each material that has Gaussians."""
         spans = [self._spans(self.kinds == k) for k in kinds]
         return [span for span in spans if span]
 
     def _volumes(self, kind: int) -> tuple[list[list[int]], list[float]]:
-        """Return the spans of a material's Gaussians, and the volume of a Gaussian in each span.
+        """Return the index ranges (spans) of a material's Gaussians, and the volume of a Gaussian
+        in each.
 
         A grain has the volume of a particle. The volume of the particles without a grain is divided
         among the Gaussians on the surface.
@@ -115,7 +123,7 @@ class Appearance(NamedTuple):
         return surface + grains, [left] * len(surface) + [each] * len(grains)
 
     def _spans(self, chosen: NDArray[np.bool_]) -> list[list[int]]:
-        """Return the spans of the chosen moving Gaussians."""
+        """Return the index ranges (spans), among all Gaussians, of the chosen moving Gaussians."""
         inside = np.zeros(len(self.moves) + 2, np.int8)
         inside[np.flatnonzero(self.moves)[chosen] + 1] = 1
         return np.flatnonzero(np.diff(inside)).reshape(-1, 2).tolist()
@@ -168,7 +176,7 @@ class Appearance(NamedTuple):
 
 
 def _count(spans: list[list[int]]) -> int:
-    """Return the total number of Gaussians in spans."""
+    """Return the total number of Gaussians in several spans (index ranges)."""
     return sum(last - first for first, last in spans)
 
 

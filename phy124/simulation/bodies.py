@@ -350,7 +350,9 @@ def _join_appearances(bodies: list[Body]) -> Appearance:
     moves = np.concatenate([look.moves for look in looks])
 
     def reorder(values: NDArray) -> NDArray:
-        """Return the values of all moving Gaussians in the order of the joined appearance."""
+        """Return a value for each moving Gaussian of all objects, in the order of the joined
+        appearance.
+        """
         every = np.zeros(len(moves), values.dtype)
         every[moves] = values
         return every[order][moves[order]]

@@ -123,7 +123,7 @@ def assign_materials(
 def _belong_to(
     x: NDArray, gaussian: NDArray, span: tuple[int, int], means: NDArray | None
 ) -> NDArray[np.bool_]:
-    """Return the mask of the particles whose Gaussian is in a span.
+    """Return a mask of the particles whose Gaussian has an index in the range `span`.
 
     For a particle without a Gaussian, the nearest Gaussian is used.
     """

@@ -27,13 +27,14 @@ class Buried(NamedTuple):
 
     kind: str
     fraction: float
-    """Fraction of the material that starts more than `DEEPEST` cells behind the surface."""
+    """Fraction of the material that starts more than `DEEPEST` cells behind the surface of the
+    wall."""
     depth: float
     """Depth of the deepest particle [m]."""
 
     @property
     def what(self) -> str:
-        """The fraction and the depth, as a clause of a message."""
+        """Describe the overlap with the wall (fraction and depth), as a clause of a message."""
         return (
             f"{self.fraction:.1%} of the material starts inside it, up to {self.depth:.2g} m deep"
         )

@@ -90,7 +90,10 @@ def _gap(below: Gaussians, above: Gaussians, cell: float) -> float | None:
 
 
 def _heights(gaussians: Gaussians, cell: float, sign: float) -> dict[tuple[int, int], float]:
-    """Return the largest height in each square of a grid; for sign -1, minus the smallest."""
+    """Return, for each square of a horizontal grid, the largest height of the Gaussians.
+
+    If `sign` is -1, return the smallest height in each square, multiplied by -1.
+    """
     squares = np.floor(gaussians.means[:, :2] / cell).astype(int)
     reach = np.sqrt(gaussians.covariances()[:, 2, 2])
     height = sign * gaussians.means[:, 2] + reach

@@ -340,12 +340,17 @@ class Simulation:
         return Smoothing(setup.particles, dents, self.scene.dx) if smooth else None
 
     def carrying(self) -> tuple[Any, Any]:
-        """Return the positions and gradients that carry the Gaussians, as arrays of particles."""
+        """Return the positions and deformation gradients of the particles, from which the Gaussians
+        follow.
+        """
         x, F = self.solver.state.x, self.solver.state.deformation
         return self._smoothing(host(x), host(F)) if self._smoothing else (x, F)
 
     def _frames_so_far(self) -> Recorded:
-        """Return the frames if `light` is set; the Gaussians are computed when a frame is read."""
+        """Return the frames of a run whose frames do not contain Gaussians.
+
+        The Gaussians are computed from the motion when a frame is read.
+        """
         motion = self._motion(np.array([frame.time for frame in self.frames]))
         if self._recorded is None:
             measure = self.setup.appearance.elongation(self.setup.materials)
@@ -389,7 +394,10 @@ class Simulation:
 
     @lock_gpu
     def _advance(self, index: int, until: float) -> None:
-        """Take substeps up to a frame's time; after a failure, repeat it with half the substep."""
+        """Take substeps up to the time of a frame.
+
+        After a failure, compute the frame again with half the substep.
+        """
         with self.setup.context.watch.stage("simulate"), self.spent.counting():
             start = (index - 1) / self.scene.time.fps
             prepare = [partial(observer.before_frame, start) for observer in self.observers]
@@ -405,7 +413,7 @@ class Simulation:
 
     @contextmanager
     def _half_substep(self) -> Iterator[None]:
-        """Within this context, halve the substeps and measure the limits often."""
+        """Within this context, halve the substeps and measure their stability limits often."""
         clock = self.solver.clock
         usual = clock.cfl, clock.ceiling, clock.measure_every
         clock.cfl, clock.ceiling = usual[0] / 2, min(usual[1], self._failed_dt) / 2
@@ -453,11 +461,13 @@ class Simulation:
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return a checkpoint for `roll_back`."""
+        """Return the state to which `roll_back` can return: of the solver, and the observers'
+        sums.
+        """
         return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
 
     def roll_back(self, checkpoint: dict[str, Any]) -> None:
-        """Return to a checkpoint: restore the solver and the observers' sums over substeps."""
+        """Return to a checkpoint: restore the solver and the sums of the observers."""
         self.solver.restore(checkpoint["solver"])
         restore_all(self._summing, checkpoint["observers"])
 

@@ -194,7 +194,9 @@ def prepare(
 
 
 def slab_axis(particles: Particles, threads: int) -> int:
-    """Return the axis by which particles are sorted: x for one thread, otherwise the longest."""
+    """Return the axis along which particles are sorted: x for one thread, otherwise the longest
+    axis.
+    """
     return int(np.argmax(np.ptp(particles.x, axis=0))) if threads > 1 else 0
 
 
@@ -227,7 +229,7 @@ def sort_for_slabs(
 
 
 def costliest_scene(scene: Scene, materials: Sequence[AnyMaterial]) -> Scene:
-    """Return the scene for the cost estimate.
+    """Return the scene from which the cost of the run is estimated.
 
     A properties file is replaced by one of its materials: the one with the highest wave speed.
     """

@@ -157,9 +157,9 @@ class About:
     memory: float = 0.0
     """Measured memory of a process that runs the network [bytes]; 0 if it was not measured."""
     work: float = 0.0
-    """Measured work for one picture; 0 if it was not measured.
+    """Measured work of the network for one picture; 0 if it was not measured.
 
-    The unit is the number of operations of a float32 matrix product that takes equally long.
+    The unit is one operation of a product of float32 matrices that takes as long.
     """
 
 
