@@ -15,12 +15,14 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
-"""Distance of hidden particles below the window [nodes]; the gather skips them."""
+"""Hidden particles are placed this far below the lowest node of the grid's window [nodes]. The
+gather ignores particles there.
+"""
 
 
 @build_once
 def make_hide(real: Any):
-    """Kernel: hides chosen particles that were outside the window during the scatter."""
+    """Kernel: hides chosen particles that were outside the grid's window during the scatter."""
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}", real)

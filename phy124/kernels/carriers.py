@@ -12,9 +12,12 @@ CARRIERS = 8
 """Number of particles that carry each Gaussian."""
 CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
-"""Squared distance that stands for a missing particle."""
+"""Value that is stored as the squared distance if a Gaussian has fewer neighbours than requested.
+"""
 SPARE = wp.constant(wp.float64(1e-9))
-"""Lower bound of the weights. Without it, particles at equal distance would all have weight 0."""
+"""Lower bound of the weights of the particles that carry a Gaussian. Without this bound, particles
+at equal distances from the Gaussian would all have weight 0.
+"""
 
 
 @wp.func

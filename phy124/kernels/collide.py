@@ -68,13 +68,16 @@ def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
 
 
 FLAT = {"half_space"}
-"""Shapes with a constant normal, at which no node is in two columns."""
+"""Names of wall shapes with a constant normal. At such a wall, each node of the grid belongs to a
+single column of nodes.
+"""
 
 
 @build_once
 def make_settle(real: Any):
-    """Kernel over the nodes of a sub-box: adds to each node the mean of the velocity changes that
-    the node's columns request.
+    """Kernel over a box of nodes: adds the mean of the velocity changes that columns request.
+
+    A column is a row of three nodes at a wall, and a node can be in several columns.
 
     `changes_out` contains the sums of the weighted changes and of the weights; the kernel resets
     these sums to zero. A column's weight is the size of the velocity change that it requests. The

@@ -78,10 +78,13 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.55)
-"""Exponent in `narrow`. Edges need 1.1 to 1.3, and cones 1.2 to 1.6."""
+"""Exponent in `narrow`. The best exponent is 1.1 to 1.3 for a body that narrows to an edge, and 1.2
+to 1.6 for a cone.
+"""
 OUT_OF_REACH = wp.constant(-1.25)
 """A node behind a wall below this signed distance [cells] gets no mass from a body in front of the
-wall. The body's nearest particles are a quarter of a cell in front of the wall.
+wall. In a body that touches a wall, the particles nearest to the wall are a quarter of a cell in
+front of it.
 """
 
 
@@ -240,14 +243,16 @@ class Response(NamedTuple):
     answer: Any
     """Maps `(v, wall, n, friction)` to the new velocity of a single node."""
     acts: Any
-    """`(m, above, beyond, u, lightest, full)`: returns whether material has reached the wall."""
+    """`(m, above, beyond, u, lightest, full)`: returns whether material has reached a wall, from
+    the masses `m` of the nodes at the distances `u` from the wall.
+    """
     ratios: Any
-    """`(distances, across) -> g`: velocities in a column, relative to the velocity of its first
-    node.
+    """`(distances, across) -> g`: returns the velocities of the three nodes of a column at a wall,
+    as multiples of the velocity of the column's first node.
     """
     pushes: Any
-    """`(pressed)`: returns whether the wall acts; `pressed` is the impulse per mass along its
-    normal.
+    """`(pressed)`: returns whether a wall acts on a column of nodes; `pressed` is the impulse per
+    mass along the wall's normal.
     """
     hold: Any
     """`(along, pressed, friction)`: returns the fraction of the tangential motion that the wall

@@ -42,7 +42,8 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: overwrites each node's copy (`make_contact_copy`) with the velocity change by a wall.
+    """Kernel: replaces each stored node (`make_contact_copy`) by the velocity change that a wall
+    caused.
 
     The kernel also stores the lowest and the highest node that the wall changed.
     """
@@ -116,13 +117,17 @@ def make_contacts(real: Any):
 
 
 IMPULSE, MOMENT, SUMS = 0, 3, 6
-"""Index of the first component of each sum, and the number of sums."""
+"""Indices in the sums of a wall: first component of its impulse, and first component of its moment;
+and the number of sums.
+"""
 
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over the segments of `make_wall_copy`: adds a wrench to the wall's total. The wall has
-    exerted this wrench since the copy was made.
+    """Kernel over rows of nodes: adds the wrench of a wall on the nodes to the wall's total wrench.
+
+    The wrench is the impulse and the moment since `make_wall_copy` stored the nodes. Each thread
+    handles a segment of a row, as in that kernel.
 
     The moment is taken about the origin of the world. The gather preserves the angular momentum of
     the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.

@@ -160,8 +160,9 @@ shapes_of_eight = native_func(
     "shapes_of_eight",
     returns=int,
 )
-"""Deforms the Gaussians `8 thread` to `8 thread + 7`; returns one bit per Gaussian, set if
-`deform_shape` must handle the Gaussian.
+"""Deforms the Gaussians with the indices `8 thread` to `8 thread + 7`. Returns one bit per
+Gaussian, which is set if the vectorised code cannot handle the Gaussian; `deform_shape` then
+handles it.
 """
 
 

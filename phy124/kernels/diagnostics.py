@@ -17,14 +17,19 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law
 
 MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
-"""Index of each sum (of the first component if the sum is a vector), and the number of sums.
+"""Index of each sum over the particles (for a vector, of its first component), and the number of
+sums.
 
 `MIDDLE` is the sum of mass times position; `POWER` is the power of the elastic stress, V tau : C.
 """
 LEAST_J, LARGEST_J = 0, 1
-"""Indices of the smallest and the largest J; the smallest is stored as the maximum of -J."""
+"""Indices of the smallest and the largest volume ratio J of the particles. The smallest J is stored
+as the maximum of -J.
+"""
 BROKEN, INVERTED = 0, 1
-"""Index of each kind of invalid particle: non-finite, and inverted."""
+"""Indices in the counts of invalid particles: particles with non-finite values, and inverted
+particles.
+"""
 
 
 @wp.func
@@ -59,7 +64,9 @@ def spin(C: Any, dx: Any):
 
 @build_once
 def make_totals(law: Law, real: Any, on_lattice: bool = False):
-    """Kernel: computes the `SUMS` over particles and the range of J, and counts invalid particles.
+    """Kernel: sums momentum, energy and the other `SUMS` over particles; counts invalid particles.
+
+    The kernel also determines the range of the volume ratio J.
 
     On lattices, C of inverted points is divided by a small positive number instead of by J
     (`safe_volume`). The forces of laws without a barrier have the sign of J, so

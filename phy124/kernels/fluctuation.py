@@ -49,7 +49,8 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes the part of (v, C) that a round trip over the grid loses.
+    """Kernel: computes the fluctuation, the part of (v, C) that a transfer to the grid and back
+    loses.
 
     For particles outside the grid, this part is 0.
     """
@@ -85,7 +86,10 @@ def make_fluctuation(real: Any, form: str):
 
 @build_once
 def make_keep(real: Any):
-    """Kernel: adds a fraction of the fluctuation, without noise, to the particles' velocities."""
+    """Kernel: adds a fraction of the fluctuation, without noise, to the particles' velocities.
+
+    The fluctuation is the part of the motion that a transfer to the grid and back has lost.
+    """
     t = types(real)
 
     @kernel(f"phy124_keep_{real.__name__}", real)

@@ -14,8 +14,8 @@ MIN_J = wp.constant(1.0e-4)
 """Volume ratio below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
 """Below this volume ratio, the product of J and pressure p rises only as log J. Impacts faster than
-a quarter of the speed of sound compress a few particles further. Without this limit, these
-particles would limit the substep of all particles.
+a quarter of the speed of sound can compress a few particles to smaller volume ratios. Without this
+limit on the pressure, such particles would shorten the substeps of all particles.
 """
 
 

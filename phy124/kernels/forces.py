@@ -88,7 +88,9 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: adds kick * g d / r to v; g is linear up to `radius`, and falls as 1 / d^2 farther
+    """Kernel: attracts particles to a centre.
+
+    The kernel adds kick * g d / r to v; g is linear up to `radius`, and falls as 1 / d^2 farther
     out.
     """
     t = types(real)
@@ -105,7 +107,9 @@ def make_attract(real: Any):
 
 @build_once
 def make_set_velocity(real: Any):
-    """Kernel: sets v = s (u + omega x (x - centre)) and C = s [omega]x while a track is active.
+    """Kernel: sets the velocities of particles to a rigid motion while a track is active.
+
+    The motion is v = s (u + omega x (x - centre)) and C = s [omega]x.
 
     The factor s is the current value of the track.
     """
@@ -125,7 +129,7 @@ def make_set_velocity(real: Any):
 
 
 PLACE, SPEED = 0, 1
-"""Indices of X and V in the array of means."""
+"""Indices of a group's centre X and its velocity V in the array of mean values."""
 FLAT = wp.constant(wp.float64(1e-6))
 """Fraction of the trace of the second moments that is added to the inertia tensor, to make the
 tensor of a line of particles invertible.

@@ -96,7 +96,7 @@ def make_update(real: Any):
 
 @build_once
 def make_merge(real: Any):
-    """Kernel over rows of nodes: adds up the private nodes to which several workers scattered.
+    """Kernel over rows of nodes: adds up the separate nodes to which the workers scattered.
 
     Each worker has a box of private nodes within the window. `boxes` contains the lowest node and
     the extent of each box. `starts` contains the index in `pool` of each box's first node. The

@@ -30,7 +30,7 @@ class Inflated:
     """F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
 
     fields: Fields
-    """Values of w and m, and the slopes of both along x and y [H,W,6]."""
+    """Values of w and m at each pixel, and the slopes of w and m along x and y [H,W,6]."""
 
 
 @wp.struct
@@ -38,15 +38,19 @@ class Hull:
     """F = w(x, y) + s(z, y), but negative beyond two end planes normal to y."""
 
     front: Fields
-    """Values of w and its slopes along x and y [H,W,3]; x = 0 is at the middle column."""
+    """Values of w at each pixel of the front view, and its slopes along x and y [H,W,3]; x = 0 is
+    at the middle column.
+    """
     side: Fields
-    """Values of s and its slopes along z and y [H,D,3]; z = 0 is at the middle column."""
+    """Values of s at each pixel of the side view, and its slopes along z and y [H,D,3]; z = 0 is at
+    the middle column.
+    """
     first: wp.float64
-    """The y coordinate of the first row."""
+    """The y coordinate of the first row of `front` and `side`."""
     pitch: wp.float64
-    """Distance between two rows [px]."""
+    """Distance between neighbouring rows of `front` and `side` [px]."""
     planes: wp.array[wp.vec3d]
-    """Sign, y position and steepness of each plane."""
+    """Sign, y position and steepness of each end plane."""
 
 
 @wp.struct

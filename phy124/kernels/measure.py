@@ -21,13 +21,17 @@ GRADIENT = 1
 STIFFNESS = 2
 """Index of the largest A / rho0 [m^2/s^2], where A is the modulus of the law."""
 LOW = 3
-"""Index of the first of three numbers: minus the lowest corner of the particles [m]."""
+"""Index of the first of three measured numbers: the lowest corner of the particles' bounding box
+[m], with negative sign.
+"""
 HIGH = 6
-"""Index of the first of three numbers: the highest corner of the particles [m]."""
+"""Index of the first of three measured numbers: the highest corner of the particles' bounding box
+[m].
+"""
 COUNT = 9
 """Number of maxima."""
 SPEEDS = 2
-"""Number of maxima that `make_measure_speeds` computes; these maxima come first."""
+"""Number of maxima that `make_measure_speeds` computes; these maxima have the first indices."""
 
 
 @build_once
@@ -126,7 +130,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @build_once
 def make_measure_speeds(real: Any):
-    """Kernel: measures only `SPEED` and `GRADIENT`, over the particles of all constitutive laws.
+    """Kernel: measures only the largest speed and velocity gradient, over particles of all laws.
 
     Thread i handles the same particles as thread i of `make_measure`.
     """

@@ -28,23 +28,27 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.window import place, strides
 
 LIGHTEST = wp.constant(1e-6)
-"""Contact is possible at a node only if both bodies have at least this volume fraction there."""
+"""Contact of two bodies is possible at a node only if both bodies have at least this volume
+fraction there.
+"""
 NARROWEST = wp.constant(0.05)
-"""Smallest volume fraction that counts as a body's interior. The fraction is 1/2 at an edge and 1/4
-at a corner. The fraction is smaller outside the body or around a single particle.
+"""Smallest volume fraction around a node that counts as a body's interior. The volume fraction is
+1/2 at an edge of a body and 1/4 at a corner. The volume fraction is smaller outside a body or
+around a single particle.
 """
 ROUNDING = wp.constant(0.375)
-"""Contact tolerance for curved gaps. A node's gap counts as closed if it is at most this fraction
-of a sum: the gaps at the four neighbouring nodes, each minus the node's gap. The curvature of a gap
-between two splines would give 1/4; the larger value is fitted to measurements with balls
-(docs/lab/contact-force.md).
+"""Contact tolerance for curved gaps between two bodies. The gap at a node counts as closed if it is
+at most this fraction of a sum: the gaps at the four neighbouring nodes, each minus the gap at the
+node. The curvature of a gap between two splines would give a tolerance of 1/4. The larger value is
+fitted to measurements with balls (docs/lab/contact-force.md).
 """
 STEEPER = wp.constant(10.0)
-"""The normal is between the mean of two slopes and the steeper slope. The larger this value, the
-closer it is to the steeper slope.
+"""Weight that determines how close the contact normal of two bodies is to the steeper of the slopes
+of their volumes. With the weight 0, the normal would have the direction of the mean of both slopes.
+The larger the weight, the closer the normal is to the steeper slope.
 """
 TRUSTED = wp.constant(4.0)
-"""Factor on the squared slope of a body that never moves."""
+"""Factor on the squared slope of a body that never moves, in the contact normal of two bodies."""
 
 
 @wp.func

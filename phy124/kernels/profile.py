@@ -15,15 +15,16 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 
 MEAN = 1
-"""Flag of a track that is averaged over the kick."""
+"""Flag of a track whose values are averaged over the kick."""
 JOINS = 2
-"""Flag of a track that is added to the uniform acceleration in slot 0."""
+"""Flag of a track whose value is added to the uniform acceleration (slot 0 of the tracks)."""
 LIMITED = 4
 """Flag of a track whose effect on particles is limited by the stage that uses the track."""
 KICK = 8
-"""Flag of a track that is averaged over the kick even while it is inactive."""
+"""Flag of a track whose values are averaged over the kick even while the track is inactive."""
 DRIFT = 16
-"""Flag of a track that is averaged over the next substep even while it is inactive."""
+"""Flag of a track whose values are averaged over the next substep even while the track is inactive.
+"""
 
 
 @wp.func

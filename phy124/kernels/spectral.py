@@ -18,7 +18,7 @@ import warp as wp
 
 SQRT_3 = wp.constant(wp.float64(1.7320508075688772))
 FIRST, SECOND = wp.constant(wp.float64(1 / 6)), wp.constant(wp.float64(0.016346))
-"""Coefficients of a quadratic that differs from `farthest_root` by at most 4e-3."""
+"""Coefficients of a quadratic approximation of `farthest_root`, with an error of at most 4e-3."""
 
 
 @wp.func

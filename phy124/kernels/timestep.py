@@ -20,75 +20,86 @@ next substep could move a particle too far.
 """
 LIMITS = 5
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
-"""Index of each limit on the length of a substep."""
+"""Index of each limit on the length of a substep: elastic waves, the speed, the velocity gradient,
+the viscosity, and the user's limit.
+"""
 BLOCK = 4
-"""Number of substeps in a block. Within a block, the CUDA graph checks no condition."""
+"""Number of substeps that the CUDA graph runs as a block. The CUDA graph checks conditions only
+between blocks, not within a block.
+"""
 
 
 @wp.struct
 class Limits:
-    """Parameters of the substeps until a given time, set by the host."""
+    """Parameters of a series of substeps up to a target time, set by the host."""
 
     until: wp.float64
-    """Time at which the substeps end [s]."""
+    """Time at which this series of substeps ends [s]."""
     dx: wp.float64
     """Grid spacing [m]."""
     reach: wp.float64
-    """Courant number times the grid spacing [m]."""
+    """Courant number times the grid spacing [m]; this length divided by the wave speed is the
+    elastic limit.
+    """
     stride: wp.float64
     """Largest distance that a particle may move in a substep [m]."""
     turn: wp.float64
-    """Largest allowed |C| dt in a substep."""
+    """Largest allowed product of a particle's velocity gradient |C| and the length dt of a substep.
+    """
     viscous: wp.float64
-    """Longest substep that is stable with viscosity [s]."""
+    """Longest substep that is stable with the viscosity of the materials [s]."""
     ceiling: wp.float64
     """Longest substep according to the user's options [s]."""
     wall: wp.float64
     """Largest speed of a wall [m/s]."""
     acceleration: wp.float64
-    """Upper bound of the acceleration of a particle by forces [m/s^2]."""
+    """Upper bound of the acceleration of a particle by all forces [m/s^2]."""
     memory: wp.float64
-    """Lower bound of the stiffness, relative to an earlier measurement."""
+    """Fraction of an earlier measured stiffness that is used as a lower bound of the stiffness."""
     strain: wp.float64
-    """Sum of |C| dt after which control returns to the host."""
+    """Sum of |C| dt over substeps after which control returns to the host."""
     most: wp.int32
     """Number of substeps after which control returns to the host."""
     apart: wp.int32
-    """Whether particles have left the grid (1 or 0); then only the host can measure them."""
+    """Whether particles have left the grid (1 or 0). Such particles can only be measured by the
+    host.
+    """
     origin: wp.vec3d
     """Position of the grid node with index 0 [m]."""
     margin: wp.int32
     """Margin of the window around the particles [cells]."""
     every: wp.int32
-    """Number of substeps between two measurements."""
+    """Number of substeps between two measurements of the particles."""
 
 
 @wp.struct
 class Progress:
-    """State of the series of substeps."""
+    """State of a series of substeps."""
 
     time: wp.float64
     """Current time [s]."""
     last: wp.float64
-    """Length of the last substep [s]."""
+    """Length of the last substep of the series [s]."""
     next: wp.float64
     """Length of the next substep [s]; 0 if it has not been chosen yet."""
     speed: wp.float64
-    """Largest |v| at the last measurement [m/s]."""
+    """Largest speed |v| of a particle at the last measurement [m/s]."""
     gradient: wp.float64
-    """Largest |C| at the last measurement [1/s]."""
+    """Largest velocity gradient |C| of a particle at the last measurement [1/s]."""
     stiffness: wp.float64
-    """Largest A / rho0 [m^2/s^2]; values of earlier measurements decay."""
+    """Largest modulus divided by rest density, A / rho0, of a particle [m^2/s^2]; values of earlier
+    measurements decay.
+    """
     fastest: wp.float64
-    """Largest speed so far [m/s]."""
+    """Largest speed of a particle in this series of substeps [m/s]."""
     steepest: wp.float64
-    """Largest gradient so far [1/s]."""
+    """Largest velocity gradient |C| of a particle in this series of substeps [1/s]."""
     strain: wp.float64
-    """Sum of |C| dt so far."""
+    """Sum of |C| dt, a bound of the strain, over this series of substeps."""
     taken: wp.int32
     """Number of substeps taken."""
     since: wp.int32
-    """Number of substeps since the last measurement."""
+    """Number of substeps since the last measurement of the particles."""
     reason: wp.int32
     """Reason why the substeps have ended; 0 while they continue."""
 

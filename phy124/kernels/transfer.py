@@ -52,7 +52,7 @@ class Law(NamedTuple):
     """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
     barrier: bool = False
     """Whether the energy rises steeply as det F approaches 0, so that the pressure stays positive
-    for det F < 0. Without a barrier, the stress of an inverted element follows from its energy.
+    for det F < 0. If this is false, the stress of an inverted element follows from its energy.
     """
 
 
@@ -298,8 +298,8 @@ def gather_rows(
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
 """Implementations of the transfers, by name: scalar code, which GPUs use, and vectorised float32
-code for CPUs. "spline" computes stress and strain with the gradients of the weights
-(`scatter_with_stress`).
+code for CPUs. "spline" uses scalar code that computes stress and strain with the gradients of the
+weights (`scatter_with_stress`).
 """
 
 

@@ -10,11 +10,11 @@ import warp as wp
 from phy124.kernels.native import code, native_kernel
 
 HALVINGS = 12
-"""Number of bisection steps for the position of a surface."""
+"""Number of bisection steps that find the position of the surface in a voxel."""
 MOST = 1000
-"""Largest number of samples in a voxel."""
+"""Largest number of samples into which a voxel is divided."""
 AT_ONCE = 8
-"""Number of voxels that a thread fills."""
+"""Number of voxels that a thread fills at a time."""
 
 
 @native_kernel(

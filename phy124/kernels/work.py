@@ -20,10 +20,12 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, member
 
 IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
-"""Index of each sum (of the first component for the impulse), and the number of sums.
+"""Index of each sum of impulse and work (of the first component for the impulse), and the number of
+sums.
 
 `MOVED` is the sum of the norms of all impulses, and `TURNED` the sum of the absolute values of
-work. For forces on particles, each term is the sum over a thread's particles.
+work. For forces on particles, each term of these two sums is itself the sum over a thread's
+particles.
 """
 
 
@@ -83,7 +85,10 @@ def make_push_sums_v(real: Any):
 
 @build_once
 def make_push_sums(real: Any):
-    """Kernel: adds the changes of momentum and energy since `push_copy` to the `EXCHANGE` sums."""
+    """Kernel: adds the changes of momentum and energy by forces on particles to `EXCHANGE` sums.
+
+    The changes are measured since `push_copy` stored the velocities.
+    """
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)

@@ -57,7 +57,11 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Single-thread kernel: applies gravity to a body once per substep, and starts the solution."""
+    """Single-thread kernel: applies gravity to a free body, and initialises the solution for its
+    motion.
+
+    Gravity is applied only once per substep.
+    """
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -73,7 +77,8 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of nodes around a body: adds the nodes' terms to the six equations."""
+    """Kernel over rows of nodes around a free body: adds their contact to the body's six equations.
+    """
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
     @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)

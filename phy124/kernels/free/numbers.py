@@ -5,20 +5,22 @@ from typing import Any
 import warp as wp
 
 PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
-"""Offsets in the array of a body: X [m], q (wxyz), V [m/s], L [kg m^2/s], and 1 if V includes the
-kick of this substep. `SIZE` is the length of the array.
+"""Offsets in the array that stores the state of a free body: centre X [m], orientation q (wxyz),
+velocity V [m/s], angular momentum L [kg m^2/s], and 1 if V includes the kick of this substep.
+`SIZE` is the length of the array of a free body's state.
 """
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
-"""Offsets in a solution: V and w, the previous V and w, and the impulse and moment of the walls.
-`TRIAL` is the length of the array.
+"""Offsets in the array that stores a solution for the motion of a free body: velocity V and angular
+velocity w, the previous V and w, and the impulse and moment of the walls. `TRIAL` is the length of
+the array of such a solution.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Offsets in the array of the six equations: three [3,3] blocks, then the right-hand side. `SYSTEM`
-is the length of the array.
+"""Offsets in the array of a free body's six equations of motion: three [3,3] blocks, then the
+right-hand side. `SYSTEM` is the length of the array of these equations.
 """
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
-"""Offsets of the sums of impulses on nodes, as in phy124/kernels/work.py; `EXCHANGE` is the number
-of sums.
+"""Offsets of the sums of a free body's impulses on nodes, as in phy124/kernels/work.py; `EXCHANGE`
+is the number of sums.
 """
 
 

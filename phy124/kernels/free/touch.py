@@ -14,20 +14,23 @@ from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, o
 
 NARROWEST = wp.constant(0.2)
 """Fraction of a cell's volume above which a cell counts as the interior of a body. With a smaller
-limit, the jelly's thin rim next to the lower edge of a box would count as interior, and a light box
-would hover one cell above the jelly.
+limit, the thin rim of a jelly next to the lower edge of a box would count as interior, and a light
+box would hover one cell above the jelly.
 """
 THINNEST = wp.constant(0.015)
-"""Volume fraction that the solid must fill around a node for the node to be in contact. At a
-distance of one cell from a flat side, the fraction is 0.021. If nodes farther away took part, a
-light box under load would creep.
+"""Volume fraction that the solid must fill around a node for the node to be in contact. At a node
+one cell away from a flat side of the solid, this fraction is 0.021. If nodes farther away from the
+solid took part in its contact, a light box under load would creep.
 """
 ROUND = wp.constant(0.6)
-"""Factor on `ROUNDING` for contact of a particle body with a solid, whose surface is sharp. The
-value is fitted to a ball on a box (docs/lab/contact-force.md).
+"""Factor on the contact tolerance `ROUNDING` if a particle body touches a freely moving solid,
+whose surface is sharp. The factor is fitted to the contact of a ball with a box
+(docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""Slope of a box's volume fraction [1/cell] below which the normal of the nearest face is used."""
+"""If the slope of a box's volume fraction at a node is smaller than this [1/cell], the contact
+normal is the normal of the box's nearest face.
+"""
 
 
 @wp.func

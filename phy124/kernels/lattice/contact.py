@@ -44,9 +44,9 @@ NODES = 27
 SWEEPS = 16
 """Largest number of sweeps over all points, forwards and backwards."""
 MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
-"""Index of the moment of all impulses about the origin [N m s]; index of the work by a clamp's
-motion [J]; length of each wall's sums. The first `EXCHANGE` sums are the sums of
-phy124/kernels/work.py.
+"""Indices in the sums of each wall: the moment of all impulses about the origin [N m s], and the
+work by a clamp's motion [J]; and the number of sums. The first `EXCHANGE` of a wall's sums are the
+sums that phy124/kernels/work.py defines.
 """
 
 

@@ -24,10 +24,10 @@ from phy124.kernels.transfer import first_node, slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
-"""Volume fraction at the surface of the material."""
+"""Volume fraction at which the surface of the material on a grid is assumed to be."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""A point is in contact only if the volume fraction of the material and its slope [1/cell] are at
-least these values.
+"""A surface point of a body touches material on a grid only if the volume fraction of the material
+and its slope [1/cell] are at least these values.
 """
 
 
@@ -53,7 +53,8 @@ def make_grid_near(real: Any, rows: Rows):
 
 @build_once
 def make_grid_touch(real: Any, rows: Rows):
-    """Single-thread kernel: finds the points that touch material, and applies the last impulses.
+    """Single-thread kernel: finds the points that touch material, and applies the last substep's
+    impulses.
 
     `fill` is the volume fraction at a node, divided by the mass of the node. For each listed point,
     `gap_out` receives the normal of the material and the distance from the material (infinite if

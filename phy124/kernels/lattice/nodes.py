@@ -22,10 +22,10 @@ from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
 """Viscosity acts on a weighted mean of two velocities: the present velocity, with this weight, and
-the velocity one substep earlier. A vibration whose sign changes in every substep is therefore
-damped only half as much as by the present velocity alone, and the longest stable substep is
-shortened only half as much. With a smaller weight, vibrations whose sign changes every second
-substep would grow.
+the velocity one substep earlier. Therefore, a vibration whose sign changes in every substep is
+damped only half as much as if viscosity acted on the present velocity. The longest stable substep
+is also shortened only half as much. With a smaller weight of the present velocity, vibrations whose
+sign changes every second substep would grow.
 """
 
 
@@ -70,8 +70,8 @@ def make_kick(real: Any):
 
 @build_once
 def make_try(real: Any):
-    """Kernel over the nodes from `start` on: updates a trial displacement by the accelerations, and
-    moves the nodes by the result.
+    """Kernel over the nodes from `start` on: computes a new trial displacement, and displaces the
+    nodes.
 
     The new trial displacement is `gain` times the old one plus `share` times the accelerations. The
     nodes move by `size` times the trial displacement; tied nodes follow their donors.
@@ -104,7 +104,9 @@ def make_try(real: Any):
 
 @build_once
 def make_compare(real: Any):
-    """Kernel over the nodes from `start` on: computes how a trial changes the accelerations."""
+    """Kernel over the nodes from `start` on: computes how a trial displacement changes
+    accelerations.
+    """
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
@@ -258,7 +260,7 @@ def make_pin(real: Any):
 
 @build_once
 def make_drift(real: Any):
-    """Kernel over the nodes `start` to `stop`: moves the nodes; tied nodes follow their donors.
+    """Kernel over the nodes `start` to `stop`: moves the nodes. Tied nodes follow heavier nodes.
 
     `lagging_out` receives the velocity on which viscosity acts in the next substep. This velocity
     is a mean of the present velocity, with the weight `RECENT`, and the velocity one substep

@@ -12,21 +12,33 @@ from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.native import code
 
 SIDEWAYS = 0.75
-"""Largest distance along the surface between a point and the opposite position [cells]."""
+"""Largest distance, along the surface, between a surface point and the position that it touches on
+another surface [cells].
+"""
 APART = wp.constant(3.0)
-"""Points belong to different parts if they are farther apart than this at rest [cells]."""
+"""Two surface points of a body belong to different parts if they are farther apart than this at
+rest [cells].
+"""
 FACING = wp.constant(1.0)
-"""Points face each other if, at rest, each is at least this far in front of the other [cells]."""
+"""Two surface points of a body face each other if, at rest, each is at least this far in front of
+the other [cells].
+"""
 NEARER = wp.constant(0.6)
-"""Two samples may touch if their distance is below this fraction of their distance at rest."""
+"""Two sampled surface points of a body may touch if their distance is below this fraction of their
+distance at rest.
+"""
 BEYOND = wp.constant(0.05)
-"""A point may touch a flat side up to this distance beyond the edge of the side [cells]."""
+"""A surface point may touch a flat side of a body up to this distance beyond the edge of the side
+[cells].
+"""
 OTHER = wp.constant(-0.2)
-"""Two points are on one side of a part if the cosine between their normals is at least this."""
+"""Two surface points are on the same side of a thin part if the cosine between their normals is at
+least this.
+"""
 DEEPEST = wp.constant(0.5)
-"""A point counts as inside a part only up to this depth below the surface of the part [cells].
-Two thin parts may lie on each other. Without this limit, contact would push the outer sides through
-the parts, which creates energy.
+"""A surface point counts as inside another body or part only up to this depth below the other
+surface [cells]. Two thin parts of a body may lie on each other. Without this limit, contact would
+push the outer side of each part through the other part, which would create energy.
 """
 
 

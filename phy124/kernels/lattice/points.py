@@ -145,7 +145,10 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the forces m (v - v_kept) / kick of pushes to the nodes' forces."""
+    """Kernel over points: adds the forces of pushes on the points to the forces on nodes.
+
+    The force of a push is m (v - v_kept) / kick.
+    """
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
     def push(start, low, mass, clock, rows, offset, v, v_kept, force_out):

@@ -11,8 +11,8 @@ import warp as wp
 from phy124.kernels.columns import xyz
 
 RELAXED = wp.constant(0.6)
-"""Fraction of each point's correction that is applied. Neighbouring points have most nodes in
-common, so full corrections of all points would overshoot.
+"""Fraction of the correction of each point's contact impulse that is applied. Neighbouring points
+have most nodes in common, so full corrections of all points would overshoot.
 """
 
 
@@ -67,9 +67,9 @@ def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
 LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
 """Functions that limit a corrected impulse, by name of the surface's response.
 
-The arguments of the function are the normal component of the corrected impulse, the normal
-component of the last impulse, the tangential part of the corrected impulse, the normal, the
-distance of the point and the friction coefficient.
+The arguments of these functions are the normal component of the corrected impulse, the normal
+component of the last impulse, the tangential part of the corrected impulse, the normal of the
+surface, the distance of the point from the surface, and the friction coefficient.
 """
 
 

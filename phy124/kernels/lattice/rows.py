@@ -82,7 +82,7 @@ def strike_rows(
 
 
 class Rows(NamedTuple):
-    """The functions on rows of nodes, either scalar or vectorised."""
+    """The functions on the nodes of a surface point, either scalar or vectorised."""
 
     name: str
     """Prefix in the names of Warp modules."""

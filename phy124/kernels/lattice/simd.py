@@ -36,7 +36,9 @@ GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
 cells.
 """
 ALIGNED = 1e-4
-"""A cell is full only if each of its points is at most this far from a Gauss point [cells]."""
+"""A cell of a lattice is full only if each of its integration points is at most this far from a
+Gauss point [cells].
+"""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
 """Names of the C++ snippets that compute the strains and the strain rates of a block's points."""
 
@@ -55,13 +57,13 @@ class Blocks(NamedTuple):
     """Cells, grouped in blocks of sixteen."""
 
     order: NDArray[np.int32]
-    """Cells of each block [blocks,16]."""
+    """Indices of the cells in each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the points [blocks,8,4,16]. If cells are missing in the last block, their points
-    have no volume.
+    """Constants of the integration points in each block [blocks,8,4,16]. If the last block has
+    fewer than sixteen cells, the points of the missing cells have no volume.
     """
     full: int
-    """Number of blocks of full cells; these blocks come first."""
+    """Number of blocks in which all cells are full; these blocks come first."""
 
 
 def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:

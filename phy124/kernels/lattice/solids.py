@@ -150,7 +150,7 @@ def way_out(p: Any, half: Any, m: Any):
 
 @build_once
 def make_solid_touch(shape: str, real: Any, rows: Rows):
-    """Single-thread kernel: finds the points near a solid, and applies the last impulses.
+    """Single-thread kernel: finds the points near a solid, and applies the last substep's impulses.
 
     For each listed point, `gap_out` receives the normal of the solid and the distance from the
     solid (infinite if out of reach); `place_out` receives the position of the point. If a flat body

@@ -17,17 +17,17 @@ from phy124.kernels.lattice.points import PER_CELL, inverse_rows, slopes_at, spr
 from phy124.kernels.transfer import Law
 
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
-"""Index of each measured maximum, and the number of maxima."""
+"""Indices in the array of measured maxima, and the number of maxima."""
 FLAT = wp.constant(0.05)
 """Volume ratio below which the strain rate of a flat or inverted point is reduced."""
 
 QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""
 STEEPEST = wp.constant(6.0)
-"""Upper bound [1/cell^2] of a sum over the nodes of a point: the sum of |dw/dx|^2 / w, where w is
-the weight along one axis. The bound limits the rate at which the viscosity stops a compression. The
-mass of a node is at least the sum of w m over its points, so the limit does not depend on how much
-of a cell is filled.
+"""Upper bound [1/cell^2] of the sum of |dw/dx|^2 / w over the nodes of an integration point, where
+w is the weight of a node along one axis. This bound limits the rate at which the artificial
+viscosity stops a compression. The mass of a node is at least the sum of w m over its points. The
+limited rate therefore does not depend on how much of a cell is filled.
 """
 
 
@@ -116,7 +116,7 @@ def compression(C: Any):
 
 @build_once
 def make_lattice_measure(real: Any):
-    """Kernel over points: finds the largest speed, rate of compression and closing rate.
+    """Kernel over points: finds the largest speed, rate of compression, and closing rate of cells.
 
     The closing rate is the speed at which opposite sides of a cell approach each other, relative to
     the side of the cell at rest. This rate is the rate of compression times the volume ratio. In

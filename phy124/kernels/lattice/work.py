@@ -20,21 +20,24 @@ STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
 points, and two parts of the stress (viscosity and artificial viscosity).
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""For each kind of contact, the index of the first of three sums of work [J]. The kinds are:
-contact of a body with walls, contact of a body with itself, contact between bodies, and contact
-with freely moving rigid solids. In these sums, such a solid counts as a wall at rest.
+"""For each kind of contact, the index of the first of its three sums of work [J]. The kinds of
+contact are: contact of a body with walls, contact of a body with itself, contact between bodies,
+and contact with freely moving rigid solids. In the sums of contact work, a freely moving rigid
+solid counts as a wall at rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
-"""Indices of three sums of work: by the wall's motion, by normal impulses, and by tangential
-impulses. The last two are computed with the velocity relative to the wall.
+"""Indices among the three sums of work for a kind of contact: work by the wall's motion, by normal
+impulses, and by tangential impulses. The work by normal and by tangential impulses is computed with
+the velocity relative to the wall.
 """
 COUNT = 17
-"""Number of sums of work."""
+"""Number of sums of work on bodies on lattices."""
 
 
 @build_once
 def make_node_work(real: Any):
-    """Kernel over the nodes from `start` on: adds the work of the forces on nodes to the sum `at`.
+    """Kernel over the nodes from `start` on: adds the work of forces on nodes to the sum number
+    `at`.
 
     The work of the uniform acceleration is added to the sum `UNIFORM`.
     phy124/kernels/lattice/nodes.py explains `pool` and tied nodes. Tied nodes move with their
@@ -100,8 +103,9 @@ def make_push_work(real: Any):
 
 @build_once
 def make_contact_work(real: Any):
-    """Single-thread kernel: computes three kinds of work of the impulses on points; adds them to
-    the sums `at`, `at` + 1 and `at` + 2.
+    """Single-thread kernel: adds the work of contact impulses on points to three sums of work.
+
+    The sums have the indices `at`, `at` + 1 and `at` + 2.
 
     The three kinds are the work of the wall's motion, of the normal impulses, and of friction.
 

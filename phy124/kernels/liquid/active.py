@@ -21,14 +21,16 @@ REACH = wp.constant(4)
 cells, and the particle's B-splines reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""In cells without liquid, this distance to the surface is stored [cells]."""
+"""Value that is stored as the distance to the surface in cells without liquid [cells]."""
 NONE = 1 << 30
-"""For a column without particles, this value is stored as the lowest cell."""
+"""Value that is stored as the lowest cell with particles in a column without particles."""
 
 
 @build_once
 def make_sweep(real: Any):
-    """Kernel over particles: extends the range of each column to include the particle's cell."""
+    """Kernel over particles: extends the range of cells of each column to include the particles'
+    cells.
+    """
 
     @kernel(f"phy124_liquid_sweep_{real.__name__}", real, seconds=0.2)
     def sweep(lattice, window, x, lowest_out: Ints, highest_out: Ints):
@@ -74,7 +76,9 @@ def widen(
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over groups of columns: extends the ranges of `widen` along x and z; counts cells.
+    """Kernel over groups of columns of cells: extends each column's range of cells along x and z.
+
+    The ranges were extended along y by `widen`. The kernel also counts the cells.
 
     Cells whose B-spline lies inside walls are counted only if `all` is set.
     """

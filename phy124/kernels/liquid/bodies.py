@@ -24,7 +24,9 @@ MOMENTS = 16
 """Number of sums for each body: mass, mass times position [3], momentum [3], angular momentum about
 the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz."""
 LIGHT = wp.constant(0.02)
-"""Smallest mass of a body's surface layer, relative to the mass of a cell full of liquid."""
+"""Smallest mass of the surface layer of a body in a liquid, relative to the mass of a cell full of
+liquid.
+"""
 Motions = wp.array2d(dtype=wp.vec3d)
 Row = wp.types.vector(MOMENTS, wp.float64)
 
@@ -78,7 +80,8 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds bodies' motion and surface response to the pressure equation.
+    """Kernel over cells: adds the motion and the surface response of bodies to the pressure
+    equation.
 
     `free` is the number of rigid solids, which are numbered before the first body; `scale` is rho
     dx^3 [kg]. `present` contains the rigid motions of all solids at the start of the step, and
@@ -135,7 +138,7 @@ def make_yield(real: Any):
 
 @build_once
 def make_answer(real: Any):
-    """Kernel over solids and bodies: writes the rigid motions; sums the pressure's impulses.
+    """Kernel over solids and bodies: writes their rigid motions; sums the impulses of the pressure.
 
     `impulses_out` contains the impulse on each solid or body, and its moment about the origin.
     """

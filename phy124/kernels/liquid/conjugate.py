@@ -20,12 +20,13 @@ TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
 relative to the diagonal entry.
 """
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
-"""Rows in the table of sums: largest residual, largest right-hand side, and s A s.
+"""Rows in the solver's table of sums: largest residual, largest right-hand side, and s A s.
 
-Rows 0 and 1 alternately contain r M r of the present and the previous iteration.
+Rows 0 and 1 of the table alternately contain the sum r M r of the present iteration and of the
+previous iteration.
 """
 ROWS = 5
-"""Number of rows in the table of sums of a liquid without solids."""
+"""Number of rows in the solver's table of sums if the liquid contains no solids."""
 
 
 @wp.func
@@ -202,7 +203,9 @@ FORMS = {
 
 @build_once
 def make_begin(form: str):
-    """Kernel over parts: computes the residual of x, and factorises a part's block."""
+    """Kernel over parts of the list of cells: computes the residual of x, and factorises each
+    part's block of the matrix.
+    """
     factorise, precondition, _, _ = FORMS[form]
 
     @kernel(f"phy124_liquid_begin_{form}", seconds=0.5)
@@ -260,7 +263,8 @@ def make_begin(form: str):
 
 @build_once
 def make_advance(form: str):
-    """Kernel over parts: computes the next direction s = z + beta s, and A s."""
+    """Kernel over parts of the list of cells: computes the next direction s = z + beta s, and A s.
+    """
     _, _, turn_in, _ = FORMS[form]
 
     @kernel(f"phy124_liquid_advance_{form}", seconds=0.3)
@@ -316,8 +320,10 @@ def make_advance(form: str):
 
 @build_once
 def make_improve(form: str):
-    """Kernel over parts: moves x along the direction s to the least error; preconditions the
-    residual.
+    """Kernel over parts of the list of cells: takes a step of conjugate gradients along the
+    direction s.
+
+    The step moves x along s to the least error. The kernel then preconditions the residual.
     """
     _, precondition, _, descend = FORMS[form]
 

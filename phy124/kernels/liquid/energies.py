@@ -23,13 +23,13 @@ VISCOUS, PRESSED, SHIFTED = 0, 1, 2
 uniform acceleration along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
-"""Indices of three sums: the work of walls from the start of a step up to the drag, the pressure,
-or the end. These sums are computed with the velocities of the walls. The sum at the next index (for
-example `AT_DRAG + 1`) is the same work, but computed with the velocities of the liquid, as in
-`WallImpulses`.
+"""Indices of three sums of the work of walls on a liquid in a step: from the start of the step up
+to the drag, up to the pressure, and up to the end. These sums of work are computed with the
+velocities of the walls. The sum at the next index (for example `AT_DRAG + 1`) is the same work of
+the walls, but computed with the velocities of the liquid, as in `WallImpulses`.
 """
 COUNT = 9
-"""Number of sums of work."""
+"""Number of sums of work on a liquid."""
 
 
 @build_once
@@ -184,7 +184,10 @@ def make_wall_work(real: Any):
 
 @build_once
 def make_shift_work(real: Any):
-    """Kernel: adds `sign` times the product of acceleration, mass and position to `sums_out`.
+    """Kernel: adds `sign` times the work of the uniform acceleration up to each particle's
+    position.
+
+    This work is the product of acceleration, mass and position; it is added to `sums_out`.
 
     Two launches add the work of displacements: one with the sign -1 before particles are displaced,
     and one with the sign 1 afterwards.

@@ -12,9 +12,13 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 
 FILL = 3
-"""Index of a sum of particle volumes [m^3]; the weights are quadratic around the cell's centre."""
+"""Index of a cell's sum of particle volumes with quadratic weights around the centre of the cell
+[m^3].
+"""
 HAT = 7
-"""Index of a sum of particle volumes [m^3]; the weights are linear around the cell's centre."""
+"""Index of a cell's sum of particle volumes with linear weights around the centre of the cell
+[m^3].
+"""
 
 
 @build_once

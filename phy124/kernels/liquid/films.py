@@ -104,7 +104,9 @@ def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=
 
 @build_once
 def make_head(real: Any):
-    """Kernel over cells: sums q without its hydrostatic part around a body's contact with walls.
+    """Kernel over cells: sums the pressure around a body's contact with walls.
+
+    The kernel sums the pressure solution q without its hydrostatic part.
 
     The direction of a contact (-x, +x, -y, +y, -z or +z) is the direction in which a film pushes
     the body. `rows_out` [6] contains three numbers for each direction. The first is the sum over

@@ -101,7 +101,11 @@ def head_along(
 
 @build_once
 def make_gains(real: Any):
-    """Kernel: adds each particle's mass, and momentum gained since `v_kept`, to eight cells."""
+    """Kernel: adds each particle's mass and its momentum gained by forces to eight surrounding
+    cells.
+
+    The gain is the change of velocity since `v_kept`, times the mass.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_gains_{real.__name__}", real, seconds=0.3)

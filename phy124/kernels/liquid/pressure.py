@@ -164,8 +164,10 @@ def rise_to(
 
 @build_once
 def make_anticipate(real: Any):
-    """Kernel over cells: adds `factor` times the last differences of q to the velocities at the low
-    faces.
+    """Kernel over cells: adds `factor` times the last step's pressure differences to the face
+    velocities.
+
+    The differences of the pressure solution q act on the low face of each cell along each axis.
 
     Viscosity then acts on velocities that include the pressure, as in a steady flow (incremental
     projection, Goda 1979). The differences are subtracted again before the next solution.
@@ -205,7 +207,9 @@ def make_anticipate(real: Any):
 
 @build_once
 def make_gradient(real: Any):
-    """Kernel over cells: subtracts the differences of q from the velocities at the low faces.
+    """Kernel over cells: subtracts the pressure differences from the velocities at the low faces.
+
+    The pressure solution q is p dt / (rho dx), so its differences are velocities.
 
     If `shifts` is above 0, the kernel writes only the negated differences, as displacements [m] of
     at most `shifts` cells. `known_out` receives a bit for each open face that touches liquid. The

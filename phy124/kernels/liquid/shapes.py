@@ -198,7 +198,7 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 
 @build_once
 def make_body_volume(real: Any):
-    """Kernel over the cells of a region: sums the volume inside a body's surface and outside walls.
+    """Kernel over the cells of a region: sums a body's volume outside walls.
 
     `volumes_out` receives this volume [cells], and the change of the volume if the surface is
     shifted by one cell. `vacant` contains the fraction of each eighth of a cell that is outside

@@ -78,7 +78,10 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
 
 @build_once
 def make_jumps(real: Any):
-    """Kernel over cells: computes the rows of J for a solid's velocity and angular velocity.
+    """Kernel over cells: computes each cell's flux per unit velocity and angular velocity of a
+    solid.
+
+    These fluxes are the rows of the matrix J.
 
     `wall` is the index of the first wall that is a solid; all later walls are solids as well.
     """

@@ -97,7 +97,7 @@ FORMS = {"plain": around, "simd": around_rows}
 
 @build_once
 def make_spread(real: Any, form: str):
-    """Kernel over cells: sets the velocities at unknown faces from their known neighbours.
+    """Kernel over cells: extrapolates velocities to unknown faces, from their known neighbours.
 
     `cells` contains the sums over the particles. If `cells` is empty, `velocity_out` contains
     displacements, and every unknown face gets the mean of its known neighbours. The walls from the
@@ -200,7 +200,8 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 
 @build_once
 def make_slide(real: Any):
-    """Kernel over cells: velocities inside walls follow the walls; next to walls, friction acts.
+    """Kernel over cells: sets velocities inside walls to the walls' velocities; applies wall
+    friction.
 
     `frictions` contains two numbers for each wall: the coefficient of friction, and 1 if the wall
     is sticky. The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass

@@ -215,7 +215,9 @@ def make_levels(real: Any):
 
 @build_once
 def make_refill(real: Any):
-    """Kernel over cells: computes densities and the distance to the surface only from volumes."""
+    """Kernel over cells: computes densities and the distance to the surface from the volumes of
+    particles.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)

@@ -100,8 +100,7 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 
 @build_once
 def make_wall_distance(shape: str, real: Any):
-    """Kernel over points at half the grid spacing: stores the minimum of the stored distance and
-    the distance from the walls.
+    """Kernel over points at half the grid spacing: updates the distance to the nearest wall.
 
     `walls` contains the indices of the walls, and `geometries` their shapes. Each point stores the
     index of the nearest wall. `slots` contains the index of each wall's displacement, or 0 for a
@@ -335,7 +334,9 @@ def make_openings(shape: str, real: Any):
 
 @build_once
 def make_eighths(shape: str, real: Any):
-    """Kernel over eighths of cells: multiplies their open fractions by each wall's open fraction.
+    """Kernel over the eight octants of each cell: multiplies open fractions by those of each wall.
+
+    An octant is an eighth of a cell. Its open fraction is the fraction of its volume outside walls.
 
     The product is exact if the walls are perpendicular to each other. The kernel has the same
     arguments as the kernel of `make_wall_distance`.
@@ -388,7 +389,8 @@ def make_eighths(shape: str, real: Any):
 
 @build_once
 def make_solid_shares(real: Any):
-    """Kernel over cells: computes which fractions of two B-splines are inside walls.
+    """Kernel over cells: computes the fractions of two B-splines around the cell that are inside
+    walls.
 
     The two B-splines are the linear and the quadratic B-spline around the cell's centre.
     """

@@ -12,146 +12,165 @@ from phy124.kernels.splat.fields import Grid, interpolate, nearest
 HIDDEN = wp.constant(0)
 """Kind of a Gaussian that is not drawn."""
 DISC = wp.constant(1)
-"""Kind of a Gaussian that is drawn as a disc on the surface."""
+"""Kind of a liquid's Gaussian that is drawn as a disc on the surface."""
 BALL = wp.constant(2)
-"""Kind of a Gaussian in dense spray."""
+"""Kind of a liquid's Gaussian that lies in dense spray."""
 DROP = wp.constant(3)
 """Kind of a Gaussian that is drawn as a drop."""
 FLECK = wp.constant(4)
 """Kind of a Gaussian that is drawn as a fleck of foam."""
 BLUR = wp.constant(0.85)
-"""Standard deviation of the filter that smooths fields."""
+"""Standard deviation of the filter that smooths fields of a liquid on the grid."""
 LEVEL = wp.constant(0.45)
 """Fraction of space that is filled with liquid at the liquid's surface."""
 AHEAD = wp.constant(1.2)
-"""Distance outwards from a disc at which phi shows whether the disc is inside the liquid."""
+"""Distance outwards from a disc at which phi, the filled fraction, shows whether the disc is inside
+the liquid.
+"""
 FILLED = wp.constant(wp.vec2(0.22, 0.42))
-"""Two values of phi at the distance `AHEAD`.
+"""Two values of phi, the filled fraction, at the distance `AHEAD` from a disc.
 
-The disc begins to fade at the first value, and has vanished at the second value.
+A disc of the surface begins to fade at the first value of phi, and has vanished at the second
+value.
 """
 STEEP = wp.constant(wp.vec2(0.2, 0.35))
-"""Two values of the gradient of phi relative to phi, per cell.
+"""Two values of the gradient of phi, the filled fraction, divided by phi [1/cell].
 
-Discs are invisible below the first value, and do not fade above the second value.
+Discs are invisible below the first value of this gradient, and do not fade above the second value.
 """
 MOVES = wp.constant(wp.vec2(-0.35, 0.9))
-"""Largest displacements of a Gaussian onto the surface: inwards and outwards."""
+"""Largest displacements of a liquid's Gaussian onto the surface: inwards and outwards."""
 OVERLAP = wp.constant(0.95)
-"""Radius of a disc relative to the distance between discs."""
+"""Radius of a liquid's disc, relative to the distance between neighbouring discs."""
 NARROW = wp.constant(0.4)
-"""Lower bound of the radius of a disc."""
+"""Lower bound of the radius of a liquid's disc."""
 BROAD = wp.constant(0.55)
-"""Lower bound of a disc's radius in a film on a wall."""
+"""Lower bound of the radius of a liquid's disc in a film on a wall."""
 WIDEST = wp.constant(0.7)
-"""Upper bound of the radius of a disc."""
+"""Upper bound of the radius of a liquid's disc."""
 STRETCHED = wp.constant(1.1)
-"""Upper bound of a disc's radius in a film on a wall, if the film is stretched evenly."""
+"""Upper bound of the radius of a liquid's disc in a film on a wall, if the film is stretched
+evenly.
+"""
 FLAT = wp.constant(0.3)
-"""Thickness of a disc relative to its radius."""
+"""Thickness of a liquid's disc, relative to its radius."""
 EVEN = wp.constant(0.3)
 """Largest distance of a Gaussian from the midpoint between its two neighbours in an evenly
 stretched liquid, relative to the distance between rows of Gaussians.
 """
 CLOSED = wp.constant(0.5)
-"""Smallest radius of discs relative to the distance between rows of Gaussians."""
+"""Smallest radius of a liquid's discs, relative to the distance between rows of Gaussians."""
 TOUCH = wp.constant(0.75)
-"""Largest distance from a wall at which Gaussians are drawn on the wall."""
+"""Largest distance from a wall at which Gaussians of a liquid are drawn on the wall."""
 FILM = wp.constant(wp.vec2(1.5, 2.5))
-"""Two thicknesses of a film on a wall. The film's face on the wall begins to appear at the first
-thickness, and is complete at the second thickness.
+"""Two thicknesses of a film of liquid on a wall, between which the film's face on the wall appears.
+The face begins to appear at the first thickness of the film, and is complete at the second
+thickness.
 """
 EDGE = wp.constant(0.5)
-"""Smallest depth below the free surface at which Gaussians are drawn on a wall."""
+"""Smallest depth below the free surface of a liquid at which Gaussians are drawn on a wall."""
 WETTED = wp.constant(0.6)
-"""Smallest value of phi at which a liquid touches a wall."""
+"""Smallest filled fraction phi at which a liquid touches a wall."""
 WET = wp.constant(0.03)
-"""Adjacent cells along an axis form an interval of liquid if their phi exceeds this value."""
+"""Adjacent cells along an axis form an interval of liquid if their filled fraction phi exceeds this
+value.
+"""
 LEAST_LENGTH = wp.constant(0.1)
-"""Lower bound of the length of such an interval [cells]."""
+"""Lower bound of the length of an interval of liquid along an axis [cells]."""
 LONG = wp.constant(3.0)
-"""Upper bound of the liquid's thickness at a disc, relative to the shortest of the three intervals
-of liquid there (one along each axis).
+"""Upper bound of the liquid's thickness at a disc. It is a multiple of the shortest of the three
+intervals of liquid through the disc's cell, which lie along the three axes.
 """
 RIM = wp.constant(0.3)
-"""Length of the normals of discs at the rim of a liquid on a wall.
+"""Length of the normals of a liquid's discs at the rim of the liquid on a wall.
 
-Short normals reduce the gloss, because these normals differ from disc to disc.
-"""
+Short normals reduce the gloss of the rim, where normals differ from disc to disc."""
 ALONE = wp.constant(0.4)
-"""Largest phi at a drop's centre, relative to the drop's volume."""
+"""Largest filled fraction phi at the centre of a drop, relative to the volume of the drop."""
 SIZE = wp.constant(0.42)
-"""Standard deviation of a drop, relative to the edge of a cube of the same volume."""
-TORN = wp.constant(0.62)
-"""A liquid is a jet only if its spread is below this value (see `phy124.rendering.liquid`)."""
-THINNER = wp.constant(0.85)
-"""A liquid is a jet only if the ratio of its spread to its spread at rest is below this value."""
-KEPT = wp.constant(0.6)
-"""Fraction of a jet's Gaussians that are not drawn."""
-GOLDEN = wp.constant(wp.float64(0.618034))
-"""The multiples of this number are evenly distributed modulo 1."""
-OPAQUE = wp.constant(6.0)
-"""Largest optical depth of a surface."""
-LEAST = wp.constant(0.35)
-"""Smallest opacity of a surface."""
-LEAST_DEPTH = wp.constant(0.4307829)
-"""Optical depth of the opacity `LEAST`: -log(1 - LEAST)."""
-PALE = wp.constant(wp.vec3(0.9, 0.97, 1.0))
-"""Colour of thin liquid and of spray."""
-THIN = wp.constant(0.2)
-"""Largest fraction of the pale colour in a thin layer."""
-SPRAY = wp.constant(0.6)
-"""Fraction of the pale colour in a drop."""
-FAST = wp.constant(wp.vec2(0.6, 1.5))
-"""Two speeds [m/s]: foam begins to appear at the first, and is complete at the second.
-
-The order of magnitude is that of the speed above which water entrains air (Chanson 1996).
+"""Standard deviation of the Gaussian of a drop, relative to the edge of a cube with the volume of
+the drop.
 """
+TORN = wp.constant(0.62)
+"""A liquid is a jet only where its spread, the factor by which smoothing lowers its filled
+fraction, is below this value (see `phy124.rendering.liquid`).
+"""
+THINNER = wp.constant(0.85)
+"""A liquid is a jet only where the ratio of its spread to its spread at rest is below this value.
+The spread is the factor by which smoothing lowers the filled fraction.
+"""
+KEPT = wp.constant(0.6)
+"""Fraction of the Gaussians of a liquid's jet that are not drawn."""
+GOLDEN = wp.constant(wp.float64(0.618034))
+"""Golden ratio minus 1; its multiples are evenly distributed modulo 1."""
+OPAQUE = wp.constant(6.0)
+"""Largest optical depth of a Gaussian on the surface of a liquid."""
+LEAST = wp.constant(0.35)
+"""Smallest opacity of a Gaussian on the surface of a liquid."""
+LEAST_DEPTH = wp.constant(0.4307829)
+"""Optical depth that corresponds to the opacity `LEAST`: -log(1 - LEAST)."""
+PALE = wp.constant(wp.vec3(0.9, 0.97, 1.0))
+"""Colour of thin layers of liquid and of spray."""
+THIN = wp.constant(0.2)
+"""Largest fraction of the pale colour `PALE` in the colour of a thin layer of liquid."""
+SPRAY = wp.constant(0.6)
+"""Fraction of the pale colour `PALE` in the colour of a drop."""
+FAST = wp.constant(wp.vec2(0.6, 1.5))
+"""Two speeds of a liquid [m/s]: foam begins to appear at the first speed, and is complete at the
+second.
+
+Water entrains air above a speed of about this order of magnitude (Chanson 1996)."""
 THINNED = wp.constant(wp.vec2(0.72, 0.92))
-"""Two ratios of the spread to the spread at rest: at the first, foam begins to disappear; at the
-second, none is left.
+"""Two ratios of a liquid's spread to its spread at rest (see `TORN`): foam begins to disappear at
+the first ratio, and has disappeared at the second.
 """
 ALOFT = wp.constant(wp.vec2(0.75, 1.5))
-"""Two distances from a wall: foam begins to appear at the first, and is complete at the second."""
+"""Two distances of a liquid from a wall: foam begins to appear at the first distance, and is
+complete at the second.
+"""
 FOAM = wp.constant(wp.vec3(0.96, 0.98, 1.0))
 """Colour of foam."""
 WHITE = wp.constant(0.9)
-"""Fraction of the colour of foam in a Gaussian that is all foam."""
+"""Fraction of the foam's colour in the colour of a Gaussian that is all foam."""
 MILKY = wp.constant(0.5)
 """Smallest opacity of a disc that is all foam."""
 THICK = wp.constant(0.65)
-"""Thickness / radius of a disc that is all foam; the player draws it without gloss."""
+"""Thickness of a disc that is all foam, relative to its radius; the player draws such a disc
+without gloss.
+"""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
-"""Two fractions of foam: flecks begin to appear at the first, and have their full number at the
-second.
+"""Two fractions of foam in a liquid: flecks of foam begin to appear at the first fraction, and have
+their full number at the second.
 """
 FLECKS = wp.constant(0.7)
-"""Largest fraction of a foam's Gaussians that are flecks."""
+"""Largest fraction of the Gaussians in foam that are drawn as flecks."""
 LITTLE = wp.constant(wp.vec2(0.07, 0.21))
-"""Standard deviations of the smallest and of the largest fleck."""
+"""Standard deviations of the smallest and of the largest fleck of foam."""
 FAR = wp.constant(1.0e9)
-"""Value of the distance from the nearest wall if there are no walls."""
+"""Value that is stored as the distance from the nearest wall if there are no walls."""
 
 
 @wp.struct
 class Shape:
-    """Result of `find_surface` for a Gaussian."""
+    """Result of `find_surface` for a Gaussian: how the Gaussian is drawn."""
 
     kind: int
     normal: wp.vec3
     """Unit normal, outwards."""
     gloss: wp.vec3
-    """Normal that the reflections use. A normal shorter than 1 reflects less light."""
+    """Normal that the Gaussian's reflections use. A normal shorter than 1 makes the Gaussian
+    reflect less light.
+    """
     move: float
-    """Distance from the Gaussian to the surface, along the normal."""
+    """Distance from the Gaussian to the surface of the liquid, along the normal."""
     fade: float
-    """A disc is drawn with this fraction of its opacity."""
+    """Fraction of its opacity with which the Gaussian is drawn if it is a disc."""
     lower: float
-    """The drawn fraction of the liquid's face on the wall."""
+    """Fraction with which the liquid's face on the wall is drawn."""
     here: float
     """Value of phi."""
     foam: float
-    """Fraction of foam in the liquid."""
+    """Fraction of foam in the liquid around the Gaussian."""
 
 
 @wp.func

@@ -16,11 +16,11 @@ class Grid:
     """Position and size of the grid of a field."""
 
     corner: wp.vec3
-    """Centre of the first cell, m."""
+    """Centre of the first cell of the field's grid, m."""
     cell: float
-    """Edge of a cell, m."""
+    """Edge of a cell of the field's grid, m."""
     size: wp.vec3i
-    """Number of cells along each axis."""
+    """Number of cells of the field's grid along each axis."""
 
 
 @wp.func

@@ -16,8 +16,9 @@ RIM = wp.constant(0.50)
 WIDTH = wp.constant(1.5)
 """Width of an edge, and width of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""A ray omits a face that almost coincides with the surface behind the face. The distance to the
-face is then more than this fraction of the distance to the surface.
+"""A ray of light ignores a face of glass that almost coincides with the surface behind the face.
+The face is ignored if its distance along the ray is more than this fraction of the surface's
+distance.
 """
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
 """Colour of the glass."""

@@ -9,7 +9,7 @@ from phy124.kernels.splat.arguments import DRAWN
 
 NARROW = wp.constant(0.9)
 """Width [cells] below which a Gaussian is treated as a point between four cells. The point is
-dropped unless all four cells are on the map.
+ignored unless all four cells are on the shadow map.
 """
 REACH = wp.constant(3.0)
 """Distance up to which a wider Gaussian is evaluated [standard deviations]."""
@@ -125,6 +125,6 @@ cover_simd = native_kernel(
     name="cover_simd",
 )(cover.func)
 """Add optical depth as `cover` does, with vector instructions of a CPU, for maps of at least
-sixteen cells. Each thread handles sixteen Gaussians. tests/test_stage_shadow.py compares both
-versions.
+sixteen cells. Each thread handles sixteen Gaussians. The vectorised and the plain version are
+compared by tests/test_stage_shadow.py.
 """
