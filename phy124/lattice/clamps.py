@@ -25,12 +25,13 @@ from phy124.mpm.tracks import STILL, Tracks
 
 HELD = 0.5
 """A clamped node within this distance of the clamp's surface [cells] moves opposite to its free
-neighbour, so that the motion vanishes at the surface. Nodes farther inside the clamp do not move.
+neighbour, so that the motion vanishes at the surface. Clamped nodes farther inside the clamp do not
+move.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion of the material is set to zero [cells]. A B-spline that
-vanishes at a surface is also flat there. A plate that is clamped at the surface would therefore be
-too short by about this depth.
+vanishes at the surface of a clamp is also flat there. A plate that is clamped exactly at the
+surface of the clamp would therefore be too short by about this depth.
 """
 
 
@@ -83,7 +84,7 @@ class Clamp:
         """Indices of the nodes at the clamp's surface, inside and outside [K,2]."""
         self._ratios = model.array(ratios, model.real)
         self.nodes = np.concatenate([self.held, self.pairs.ravel()])
-        """Indices of the nodes whose velocities change."""
+        """Indices of the nodes whose velocities the clamp changes."""
 
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
         """Record the kernel launches of one substep.
@@ -123,7 +124,7 @@ class PassedOn:
         sums: wp.array,
         impulses: Impulses | None,
     ) -> None:
-        """Store the arrays of a run.
+        """Store the arrays of a run from which contact impulses are passed on to clamps.
 
         Args:
             model: The constants of the run.
@@ -146,7 +147,9 @@ class PassedOn:
         force: wp.array,
         sums: wp.array | None = None,
     ) -> wp.Launch:
-        """Record the kernel launch for listed points, with one thread per point.
+        """Record the kernel launch that passes contact impulses on to clamps.
+
+        The kernel has one thread for each listed point.
 
         Args:
             near: Indices of the points.
@@ -165,8 +168,9 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each column of nodes that enters the clamp, return the last clamped node, the first free
-    node, and the ratio of their motions.
+    """For each column of nodes that enters a clamp, return three values.
+
+    The values are the last clamped node, the first free node, and the ratio of their motions.
 
     Args:
         lattice: The lattice at rest.

@@ -15,18 +15,22 @@ from numpy.typing import NDArray
 
 
 class Layout(NamedTuple):
-    """Order of D distinct nodes in memory; some nodes are stored repeatedly."""
+    """Order of D distinct nodes of lattices in memory; some nodes are stored repeatedly."""
 
     node: NDArray[np.int64]
-    """Index of the distinct node at each position in memory [N]."""
+    """Index of the distinct node that is stored at each position in memory [N]."""
     home: NDArray[np.int64]
-    """Main position in memory of each distinct node [D]; other positions repeat the node."""
+    """Main position in memory of each distinct node [D]; at other positions, the node is
+    repeated.
+    """
     rows: NDArray[np.int64]
     """For each cell, positions in memory of its nine rows of three nodes along z [C,9]."""
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
-        """Whether each position in memory repeats a node whose main position is elsewhere [N]."""
+        """For each position in memory, whether it repeats a node whose main position is elsewhere
+        [N].
+        """
         mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
         return mask
 
@@ -36,7 +40,8 @@ class Layout(NamedTuple):
         ties: scipy.sparse.csr_matrix,
         pushes: scipy.sparse.csr_matrix,
     ) -> tuple[NDArray[np.int64], scipy.sparse.csr_matrix, scipy.sparse.csr_matrix]:
-        """Return tied nodes (with repeated nodes), their weights [T,N], and the force matrix [N,N].
+        """Return tied nodes (with repeated nodes), their weights [T,N], and the matrix of pushes
+        [N,N].
 
         Args:
             tied: Indices of the distinct nodes that are tied.
@@ -58,7 +63,7 @@ class Layout(NamedTuple):
 
 
 def lay_out(index: NDArray[np.int64], copy: NDArray, cells: NDArray[np.int64]) -> Layout:
-    """Arrange nodes with copies in memory.
+    """Arrange the nodes of lattices, including copies of nodes, in memory.
 
     Args:
         index: Indices of the distinct nodes, sorted by x, y, z and copy [D,3].

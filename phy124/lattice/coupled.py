@@ -22,7 +22,7 @@ from phy124.mpm.pairs import fill_of
 from phy124.mpm.timestep import Substep
 
 STATE = ("x", "v", "C", "F")
-"""Names of the arrays of `State` that exist for the points of a lattice."""
+"""Names of the arrays of `State` that exist for the integration points of a lattice."""
 
 
 class CoupledClock(Clock):
@@ -194,14 +194,16 @@ class CoupledSolver(Solver):
 
 
 class _Lattices(Kept):
-    """The lattices in a substep of the particles; a rejected substep restores their state."""
+    """The lattices during a substep of the particles. If the substep is rejected, their state is
+    restored.
+    """
 
     kept = ("_lattice", "_materials")
 
     def __init__(self, lattice: LatticeSolver, materials: list[Material]) -> None:
         self._lattice, self._materials = lattice, materials
         self.times = (0.0, 0.0)
-        """Kick and drift of the substep [s]."""
+        """Times for which the substep changes velocities (kick) and positions (drift) [s]."""
 
     def launch(self) -> None:
         """Apply forces and then all contact impulses to the nodes of the lattices.

@@ -72,7 +72,7 @@ class Crew:
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
         self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
-        """The slice of each worker in a pool, an array that contains the forces of all workers."""
+        """The slice of each worker in an array that contains the forces of all workers (a pool)."""
         self._pool, self._pushes = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
         )
@@ -96,15 +96,19 @@ class Crew:
             for w in range(count)
         ]
         self.tied = self._sparse(lattice, lattice.ties.tocsr())
-        """The donors of each tied node (phy124/kernels/lattice/nodes.py)."""
+        """For each tied node, the heavier nodes from which its motion is extrapolated
+        (phy124/kernels/lattice/nodes.py).
+        """
         self._donors = self._sparse(lattice, lattice.ties.T.tocsr())
         self._push_donors = self._sparse(lattice, lattice.pushes)
         self.stray, self._uncounted = (wp.zeros(1, dtype=int, device=device) for _ in range(2))
         self._read_stray = reader(self.stray)
         self.no_pull = wp.zeros(1, dtype=t.vec4, device=device)
-        """A uniform acceleration of zero."""
+        """A uniform acceleration of zero, for launches without gravity."""
         self._middle = wp.zeros_like(nodes.u)
-        """Unused output [N,3]: velocities after pushes and before all other forces."""
+        """Output of a kernel that nothing reads [N,3]: velocities after pushes and before all other
+        forces.
+        """
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress kernels measure the largest speed and strain rate in every substep."""
@@ -112,7 +116,11 @@ class Crew:
             worker.tasks = {MEASURE: self._measure(worker), PLACE: self._follow(worker)}
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> Any:
-        """Return a sparse matrix of tied nodes or donors on the device; each node is a row."""
+        """Return a sparse matrix on the device that relates tied nodes and their donors.
+
+        Each node is a row. The motion of a tied node is extrapolated from heavier nodes, its
+        donors.
+        """
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
         if ties.shape[0] != count:  # The rows of nodes that are not tied are empty.
@@ -154,7 +162,9 @@ class Crew:
         return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
 
     def press(self, pushes: wp.array, turns: wp.array) -> None:
-        """Replace the lasting forces on the nodes by the forces that accelerate the points.
+        """Replace the lasting forces on nodes, which act until the next call.
+
+        The new forces accelerate the points.
 
         `pushes` [P,3], m/s^2, are the accelerations, and `turns` [P,3,3] are their moments (see
         `make_press`).
@@ -170,11 +180,14 @@ class Crew:
             wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
 
     def lasting_forces(self) -> list[Any]:
-        """Return the arguments of `force_on` (kernels/lattice/nodes.py) for the lasting forces."""
+        """Return the arguments with which `force_on` (kernels/lattice/nodes.py) adds the lasting
+        forces.
+        """
         return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
-        """Return the kernel launches that sum the forces due to trial displacements.
+        """Return a worker's kernel launches that sum the forces due to trial displacements of the
+        nodes.
 
         Args:
             worker: The worker.
@@ -208,11 +221,14 @@ class Crew:
 
     @property
     def viscous(self) -> list[Group]:
-        """The groups whose stress depends on the rate of strain."""
+        """The groups of points with viscous materials, whose stress depends on the rate of
+        strain.
+        """
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return the kernel launches that, after the kick, add a worker's viscous forces to a pool.
+        """Return a worker's kernel launches that sum viscous forces after the velocities have
+        changed.
 
         The viscous forces are computed as the forces of a material without stiffness.
         """
@@ -230,7 +246,7 @@ class Crew:
         return wp.zeros_like(self._pool)
 
     def part_of(self, pool: wp.array, index: int) -> wp.array:
-        """Return the part of a pool that belongs to a worker."""
+        """Return the part of an array of forces that belongs to a worker (see `new_pool`)."""
         return cast("wp.array", pool[self._parts[index]])
 
     def work(
@@ -286,7 +302,7 @@ class Crew:
     def _over_blocks(
         self, kernel: Any, span: slice, constants: list[Any], motion: Sequence[Any], outputs: list
     ) -> wp.Launch | None:
-        """Record the launch of a kernel over the blocks of cells in a span of points."""
+        """Record the kernel launch over the blocks of cells that a span of points fills."""
         if (span.start, span.stop) not in self._blocks:
             device = self._model.device
             volume = np.asarray(self._model.volume.numpy(), np.float64)[span]
@@ -299,14 +315,17 @@ class Crew:
         return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
 
     def _stress(self, worker: Worker, u: wp.array, outputs: list[wp.array]) -> list[Named]:
-        """Return the kernel launches that sum the forces of the stress, as in `_stress_of`."""
+        """Return a worker's kernel launches that sum the forces of the stress of all groups of
+        points.
+        """
         records = [self._stress_of(worker, group, u, outputs) for group in self._model.groups]
         return [("clear", outputs[0].zero_), *launches(records)]
 
     def _stress_of(
         self, worker: Worker, group: Group, u: wp.array, outputs: list[wp.array]
     ) -> Recorded:
-        """Record the kernel launch that adds the forces of a group's stress to the nodes.
+        """Record the kernel launch that adds the forces of the stress in a group's points to the
+        nodes.
 
         Args:
             worker: The worker.
@@ -406,7 +425,7 @@ class Crew:
         return largest
 
     def take_maxima(self) -> list[float]:
-        """Return the maxima and reset them."""
+        """Return the largest speed, strain rate and closing rate, and reset these maxima."""
         largest = self.maxima()
         self._maxima.zero_()
         return largest
@@ -453,7 +472,7 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 
 def _sections(group: Group, model: Model) -> list[Any]:
-    """Return the materials that have a group's constitutive law."""
+    """Return the materials with the constitutive law of a group of points."""
     return [section for section in model.materials if section.device_law.name == group.law.name]
 
 

@@ -27,9 +27,11 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name of the stages in reports; the name is the same for all materials."""
+"""Name under which reports list the time to sum the work; it is the same for all materials."""
 EXTERNAL = "external work"
-"""Name of the stage that sums impulse and work of forces on points, for the balances."""
+"""Name under which reports list the time to sum the impulse and work of forces on points, which are
+needed for balances.
+"""
 ROOM = 24
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
@@ -67,7 +69,7 @@ class Energies(Kept):
     kept = ("_sums", "_clamps")
 
     def __init__(self, model: Model, nodes: Nodes, crew: Crew, clock: LatticeClock) -> None:
-        """Store the parts of a solver that stay the same during a run.
+        """Store the parts of a lattice solver that stay the same during a run.
 
         Args:
             model: The constants of the run.
@@ -83,17 +85,21 @@ class Energies(Kept):
         self.pushes: wp.array | None = None
         """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed."""
         self._clamps = np.zeros(2)
-        """Work [J] of clamps that have been replaced, and the part due to the clamps' motion."""
+        """Work [J] of clamps that have been replaced during the run, and the part of this work that
+        is due to the clamps' motion.
+        """
 
     def start(self) -> None:
-        """Start to sum the work when the launches are recorded again."""
+        """Start to sum the work of all causes, from the next time that the kernel launches are
+        recorded.
+        """
         crew = self._crew
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:
             self._pools[at.VISCOUS] = crew.new_pool()
 
     def attach(self, tracks: Tracks, walls: Walls, meetings: Meetings, free: Solids) -> None:
-        """Add the sums of contact work; call this before the launches of contact are recorded
+        """Let contact sum its work; call this before the kernel launches of contact are recorded
         again.
 
         Args:
@@ -110,7 +116,7 @@ class Energies(Kept):
             walls.work = meetings.work = free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases that sum work before the nodes move.
+        """Insert the phases of a substep that sum the work of forces before the nodes move.
 
         `pushed` states whether forces act on points.
         """
@@ -187,5 +193,5 @@ class Energies(Kept):
 
 
 def _rename(launches: Sequence[Named]) -> list[Named]:
-    """Rename the launches, so that reports count their time as time for summing work."""
+    """Rename kernel launches, so that reports count their time as time for summing work."""
     return [(STAGE, launch) for _, launch in launches]

@@ -18,7 +18,7 @@ from phy124.mpm.tracks import Tracks
 
 
 class Impulses:
-    """The impulses since the sums were last cleared."""
+    """The sums of contact impulses on surface points and nodes since they were last cleared."""
 
     def __init__(self, model: Model, points: int, nodes: Any, tracks: Tracks) -> None:
         """Set all sums to zero.
@@ -47,8 +47,9 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the kernel launches of clamps, together with launches that sum the momenta of the
-        nodes `held`.
+        """Return the kernel launches of clamps, and launches that sum the clamps' impulses.
+
+        An impulse is the change of the momenta of the nodes `held`.
         """
         model, nodes = self._model, self._nodes
         chosen = wp.array(held.astype(np.int32), dtype=int, device=model.device)
@@ -61,16 +62,18 @@ class Impulses:
 
 
 def kernels(real: Any) -> Iterator[Any]:
-    """Yield the kernels that sum impulses."""
+    """Yield the kernels that sum contact impulses on points and nodes."""
     yield make_add_impulse(real)
     yield make_add_momentum(real)
 
 
 class ContactWork:
-    """The sums of contact work in a run, and the arrays that all launches read."""
+    """The sums of the work of contact in a run, and the arrays that all their kernel
+    launches read.
+    """
 
     def __init__(self, model: Model, nodes: Any, tracks: Tracks, sums: wp.array) -> None:
-        """Store the nodes of a run.
+        """Store the arrays of a run from which the work of contact is summed.
 
         Args:
             model: The constants of the run.
@@ -91,7 +94,7 @@ class ContactWork:
         *,
         clamped: bool = False,
     ) -> wp.Launch:
-        """Record the kernel launch that sums the work on listed points.
+        """Record the kernel launch that sums the work of contact on the listed points.
 
         Parameter 1 of the launch is the number of listed points.
 

@@ -35,12 +35,16 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED = 0.6
-"""Two parts of a body are compared again after a relative displacement of twice this value [cells].
+"""The surfaces of two parts of a body are compared again after a relative displacement of twice
+this value [cells].
 """
 BETWEEN = 0.15
-"""Two bodies are compared again after a relative displacement of twice this value [cells]."""
+"""The surfaces of two bodies are compared again after a relative displacement of twice this value
+[cells].
+"""
 SLID = 0.4
-"""The pairs are determined again after a point has moved this far along the other surface [cells].
+"""The pairs of touching points are determined again after a point has moved this far along the
+other surface [cells].
 """
 FRICTION = 0.5
 """Friction coefficient for contact of a body with itself, and default for pairs of objects."""
@@ -64,7 +68,7 @@ class Meeting:
         sticky: bool = False,
         sums: wp.array | None = None,
     ) -> None:
-        """Prepare the contact; the list of pairs is initially empty.
+        """Prepare the contact of surfaces; the list of pairs of touching points is initially empty.
 
         Args:
             surface: Points that may touch.
@@ -83,7 +87,7 @@ class Meeting:
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction
         self.reach = REACH * model.dx
-        """Largest distance for which contact is computed [m]."""
+        """Largest distance between two surface points for which contact is computed [m]."""
         self._response = "sticky" if sticky else "separate"
         self._surface, self._model, self._nodes, self._tracks = surface, model, nodes, tracks
         self._partners = partners
@@ -97,24 +101,26 @@ class Meeting:
                 _, nearest = KDTree(surface.x[sample[chosen]]).query(surface.x[self._mine[those]])
                 self._nearest[those] = np.flatnonzero(chosen)[nearest]
         self._points: NDArray[np.int64] = np.zeros(0, np.int64)
-        """Points that have a partner [K]."""
+        """Indices of the surface points that touch a partner on another surface [K]."""
         self.most = 0
-        """Largest number of pairs so far."""
+        """Largest number of pairs of touching points so far."""
         self._work: ContactWork | None = None
         self._passed: PassedOn | None = None
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
-        """For each sampled point, whether pairs near the point were determined."""
+        """For each sampled point, whether pairs of touching points near it were determined."""
         self.slack = 0.0
-        """Relative displacement [m] that is left before the parts' distances are compared again."""
+        """Relative displacement [m] that is left before the distances between the surfaces are
+        compared again.
+        """
         self._away = self._between or bool(surface.side[sample].any())
-        """Whether the next call must determine the pairs, because bodies were far apart or pieces
-        may be near each other at rest.
+        """Whether the pairs must be determined in the next call, because bodies were far apart or
+        separate pieces may be near each other at rest.
         """
 
     def _reserve(self, count: int) -> None:
-        """Allocate arrays for pairs of points, and record the launches on them."""
+        """Allocate arrays for pairs of touching points, and record the kernel launches on them."""
         model, nodes, clock = self._model, self._nodes, self._tracks.clock
         real, device, t = model.real, model.device, types(model.real)
 
@@ -132,8 +138,8 @@ class Meeting:
             "force": zeros(t.vec3, count),
             "sign": zeros(real, count),
         }
-        """For each pair: the arguments of `make_meet`, the mean force on the pair's point, and 1 if
-        the point is on the second body or -1 if it is on the first.
+        """For each surface point with a partner: the arguments of `make_meet`, the mean force on
+        the point, and 1 if the point is on the second body or -1 if it is on the first.
         """
         self._launches: list[Any] = []
         if not count:
@@ -207,7 +213,10 @@ class Meeting:
                 launch.set_param_at_index(2, reach)
 
     def follow(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs again if the samples' positions x [K,3], m, have moved enough."""
+        """Determine the pairs of touching points again if the sampled points have moved enough.
+
+        The sampled points have the positions x [K,3], m.
+        """
         moved = x - self._seen
         most = 2 * (BETWEEN if self._between else MOVED) * self._model.dx
         self.slack = most - (np.ptp(moved, axis=0).max() if len(x) else 0.0)
@@ -216,11 +225,13 @@ class Meeting:
             self.slack = most
 
     def part(self) -> None:
-        """Remove all pairs of points, because the bodies are far from each other."""
+        """Remove all pairs of touching points, because the two bodies are far from each other."""
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs of the sampled points with positions x [K,3], m."""
+        """Determine the pairs of touching points near the sampled points with positions x
+        [K,3], m.
+        """
         self._seen, self._away = x, False
         flagged = self._flag(x)
         if not flagged.any():
@@ -238,7 +249,10 @@ class Meeting:
         return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of some points; points with a partner keep their contact force."""
+        """Determine the pairs of touching points for some surface points.
+
+        Points that already had a partner keep their contact force.
+        """
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
         a, b = partners.pop("a"), partners.pop("b")
@@ -256,7 +270,8 @@ class Meeting:
         self._fill(a, {**pairs, **partners})
 
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how deep the surfaces of separate pieces overlap at rest, for each pair [K], m.
+        """Return how deep surfaces of separate pieces of a body overlap at rest, for each pair of
+        points [K], m.
 
         Surfaces are only as exact as voxels, so they may overlap at rest. Contact does not push
         such surfaces apart.
@@ -269,7 +284,7 @@ class Meeting:
         return np.where(apart, overlap, 0)
 
     def _fill(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
-        """Copy pairs to the device."""
+        """Copy the pairs of touching points to the device."""
         self._points, self.most = points, max(self.most, len(points))
         if len(points) > len(self._pairs["sign"]):
             self._reserve(min(len(self._mine), 2 * len(points)))
@@ -280,7 +295,7 @@ class Meeting:
                 launch.set_param_at_index(place, len(points))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the pairs and their forces."""
+        """Return a snapshot: the pairs of touching points and their forces."""
         count = len(self._points)
         pairs = {name: array.numpy()[:count].copy() for name, array in self._pairs.items()}
         places = {"seen": self._seen.copy(), "flagged": self._flagged.copy(), "away": self._away}

@@ -25,13 +25,17 @@ from phy124.mpm.workers import run_timed
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN = 0.25
-"""The largest frequency is measured again after this strain. If the frequency is steady, it is
-measured after twice this strain.
+"""The largest frequency of the bodies is measured again after this strain. If the largest frequency
+is steady, it is measured again only after twice this strain.
 """
 WAY = 0.25
-"""Largest motion of a point between two measurements of its distance from walls [cells]."""
+"""Largest distance that a point may move between two measurements of its distance from walls
+[cells].
+"""
 TRAVEL = 3.0
-"""Largest approach of points to walls before distances are measured again [cells]."""
+"""The distances of points from walls are measured again after points may have approached walls by
+this distance [cells].
+"""
 VIOLENT = 0.35
 """If the strain rate times the substep's length exceeds this value, limits are measured in every
 substep.
@@ -52,7 +56,8 @@ class Limits(Kept):
         spectrum: Spectrum,
         free: Solids,
     ) -> None:
-        """Store the parts of a solver that stay the same during a run; nothing is measured yet.
+        """Store the parts of a lattice solver that stay the same during a run; nothing is measured
+        yet.
 
         Args:
             model: The constants of the run.
@@ -68,20 +73,24 @@ class Limits(Kept):
         self.substep_at_rest = clock.cfl * spectrum.substep_at_rest
         """Length of a substep of the undeformed bodies [s]."""
         self.softened = 1.0
-        """Current factor on the stiffness of all materials."""
+        """Current factor on the initial stiffness of all materials."""
         self.probing = False
-        """Whether the next substep measures the largest frequency."""
+        """Whether the next substep measures the largest frequency of the bodies."""
         self._strain, self._probed = math.inf, 0
-        """Bound of the strain since the last measurement of the frequency, and the number of
-        substeps up to this measurement.
+        """Upper bound of the strain since the last measurement of the largest frequency, and the
+        number of substeps before this measurement.
         """
         self._travel = 0.0
-        """Bound of the motion of points and walls since points near walls were listed [m]."""
+        """Bound of the motion of points and walls [m] since the last listing of the points near
+        walls.
+        """
         self.measured = 0.0
         """Time of the last measurement [s]."""
 
     def bind(self, walls: Walls, meetings: Meetings, rejection: StepRejection) -> None:
-        """From now on, use these walls, contacts between bodies, and bounds of forces."""
+        """Bind the measured limits to the walls, the contacts between bodies, and bounds of
+        forces.
+        """
         self._walls, self._meetings, self._rejection = walls, meetings, rejection
 
     def measure_if_due(self) -> bool:
@@ -92,7 +101,7 @@ class Limits(Kept):
         return due
 
     def shorten(self, drift: float) -> float:
-        """Return a duration of at most `drift` [s] in which no point is squeezed too much."""
+        """Return a duration of at most `drift` [s] in which walls squeeze no point too much."""
         clock = self._clock
         self._runner.join()
         run_timed(self._timings, "measure", lambda: self._runner.complete(MEASURE))
@@ -171,7 +180,9 @@ class Limits(Kept):
         raise Unstable(f"the body was squeezed so fast that {what}")
 
     def measure_frequency(self) -> None:
-        """Measure the largest frequency, after forces are summed and before they act."""
+        """Measure the largest frequency of the bodies, after forces are summed and before
+        they act.
+        """
         clock = self._clock
         self.probing, self._strain, self._probed = False, 0.0, clock.substeps
         self._runner.join()

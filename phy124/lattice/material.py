@@ -41,7 +41,7 @@ class Material(Kept):
         body: int,
         moves: bool,
     ) -> None:
-        """Prepare the contact; the list of points is initially empty.
+        """Prepare the contact with particles; the list of surface points is initially empty.
 
         Args:
             surface: Surface points of all bodies on lattices.
@@ -65,13 +65,15 @@ class Material(Kept):
         self._gap, self._on, self._place = zeros(t.vec4), zeros(t.vec4), zeros(t.vec3)
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
-        """Impulse of the particles on the body, and the impulse's moment about the origin."""
+        """Impulse of the particles on the body on a lattice, and the moment of this impulse about
+        the origin.
+        """
         self._points = nodes.points
         self.due = True
-        """Whether the points near the particles must be listed in the next substep."""
+        """Whether the surface points near the particles must be listed in the next substep."""
         self._passed: wp.Launch | None = None
         self.most = 0
-        """Largest number of points near the particles so far."""
+        """Largest number of surface points near the particles so far."""
 
     def record(self, grid: Grid, clock: wp.array, recovery: float) -> None:
         """Record the kernel launches for the current window of the particles' grid.
@@ -101,7 +103,8 @@ class Material(Kept):
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum the impulses of
+        contact.
 
         `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
         any.
@@ -126,7 +129,7 @@ class Material(Kept):
         return act
 
     def _list_near(self) -> None:
-        """List the points with material around them."""
+        """List the surface points of the body that have particle material around them."""
         self.due = False
         if self._look is None:
             return

@@ -45,7 +45,7 @@ class Meetings(Kept):
         restore: float,
         division: Division,
     ) -> None:
-        """Prepare the contact; there are initially no pairs of points.
+        """Prepare the contact of bodies; there are initially no pairs of touching points.
 
         Args:
             surface: Points that may touch.
@@ -61,9 +61,13 @@ class Meetings(Kept):
         summed.
         """
         self.way = math.inf
-        """Upper bound of all points' displacements since sampled points were last compared [m]."""
+        """Upper bound of the displacements of all points since the surfaces were last
+        compared [m].
+        """
         self._slack = 0.0
-        """Relative displacement [m] after which the parts are compared again."""
+        """Relative displacement [m] after which the surfaces of bodies and parts are compared
+        again.
+        """
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
@@ -103,11 +107,12 @@ class Meetings(Kept):
 
     @property
     def every(self) -> list[Meeting]:
-        """All contacts; first the contacts of bodies with themselves."""
+        """The contacts of bodies with themselves, followed by the contacts of pairs of bodies."""
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum the impulses of
+        contact.
 
         `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
         any.

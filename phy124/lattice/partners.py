@@ -21,16 +21,22 @@ from phy124.mpm.model import Model
 FAR = 3.0
 """If two sampled points are closer than this [cells], the surfaces around the points may touch."""
 REACH, NEAR = 1.4, 1.0
-"""Largest distance at which two points may touch [cells], if they belong to one body or to two."""
+"""Largest distance at which two surface points may touch [cells]: for two points of the same body,
+and for points of two bodies.
+"""
 LEAST = 0.05
-"""Least volume ratio J by which the map from the surface to the body at rest is divided."""
+"""Smallest volume ratio J that is used as a divisor when positions are mapped from the surface to
+the body at rest.
+"""
 AT_ONCE = 16
 """Number of points that are compared at a time (phy124/kernels/native/partners.h)."""
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
 EXPOSED = "nodes", "weights", "slopes", "rest", "normal"
 SEARCHED = "flat", "body", "side", "rest", "normal"
-"""Names of the arrays that the kernels `make_expose` and `make_partner` read, in their order."""
+"""Names of the arrays of surface points that the kernels `make_expose` and `make_partner` read, in
+the kernels' order.
+"""
 
 
 class Partners:
@@ -48,7 +54,7 @@ class Partners:
         self._surface, self._model, self._nodes = surface, model, nodes
         self._division = division
         self._known = np.zeros(surface.count, bool)
-        """Whether the slopes and the flatness of each point are on the device."""
+        """For each surface point, whether its slopes and its flatness are already on the device."""
 
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
@@ -108,7 +114,9 @@ class Partners:
         return {"a": points[a], "b": points[b], "normal": normals[a], "back": back}
 
     def _learn(self, points: NDArray[np.int64]) -> None:
-        """Copy slopes and flatness of points to the device, except for points copied earlier."""
+        """Copy the slopes and the flatness of surface points to the device, unless they are already
+        there.
+        """
         new = points[~self._known[points]]
         if len(new):
             put(self._arrays["slopes"], self._surface.slopes[new], new)
@@ -117,8 +125,9 @@ class Partners:
 
     @cached_property
     def _results(self) -> dict[str, wp.array]:
-        """Results of the search for the points in `chosen`; the arrays have space for all
-        points.
+        """Results of the search for partners of the surface points listed in the array `chosen`.
+
+        Each array has space for all surface points.
         """
         vec3, mat33 = types(self._model.real).vec3, types(self._model.real).mat33
         kinds = {"chosen": int, "x": vec3, "normal": vec3, "turned": mat33}
@@ -127,7 +136,7 @@ class Partners:
 
     @cached_property
     def _expose(self) -> Callable[[int], None]:
-        """Function that computes the positions and normals of the first chosen points."""
+        """Function that computes the positions and normals of the first chosen surface points."""
         results, arrays = self._results, self._arrays
         inputs = [results["chosen"], *(arrays[name] for name in EXPOSED), self._nodes.u]
         outputs = [results[name] for name in ("x", "normal", "turned", "J")]
@@ -136,12 +145,12 @@ class Partners:
 
     @cached_property
     def _match_parts(self) -> Callable[[int], None]:
-        """Function that finds partners, on the same body, of the first chosen points."""
+        """Function that finds the partners of the first chosen points on the same body."""
         return self._match(REACH, between=False)
 
     @cached_property
     def _match_bodies(self) -> Callable[[int], None]:
-        """Function that finds partners, on another body, of the first chosen points."""
+        """Function that finds the partners of the first chosen points on other bodies."""
         return self._match(NEAR, between=True)
 
     def _match(self, reach: float, *, between: bool) -> Callable[[int], None]:
@@ -154,7 +163,7 @@ class Partners:
 
     @cached_property
     def _arrays(self) -> dict[str, wp.array]:
-        """Arrays of the surface on the device."""
+        """Arrays of the surface points on the device."""
         surface, model = self._surface, self._model
         t = types(model.real)
         return {

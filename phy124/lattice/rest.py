@@ -56,17 +56,17 @@ class RestLattice:
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights of all nodes in the motion of each tied node [T,N]."""
+    """Weights with which the motions of all nodes determine the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
-    """Weights with which pushes on other nodes are added to the push on each node [N,N]. A push on
-    a tied node, or on mass that was moved to another node, then acts on the node with the mass. A
-    uniform push therefore accelerates all nodes equally.
+    """Weights with which the push on each node gets the pushes on other nodes [N,N]. A push on a
+    tied node, or on mass that has been moved from a light node to a heavier node, then acts on the
+    heavier node. With these weights, a uniform push accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Body index of each node [N]."""
     source: NDArray[np.int64]
-    """For each node, the index of the node that it repeats [N], or of the node itself if it repeats
-    none.
+    """For each node, the index of the node of which it is a copy [N]; the index of the node itself
+    if it is not a copy.
     """
 
     @classmethod
@@ -182,7 +182,7 @@ class RestLattice:
 
     @cached_property
     def copied(self) -> NDArray[np.bool_]:
-        """Whether each node has copies or is a copy [N]."""
+        """For each node, whether separate pieces of the body use separate copies of it [N]."""
         mask = np.zeros(len(self), bool)
         if (self.source == np.arange(len(self))).all():
             return mask
@@ -195,7 +195,9 @@ class RestLattice:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """For each cell, the number of its piece [C]; 0 if the cell's nodes have no copies.
+        """For each cell, the number of the separate piece of the body that it contains [C].
+
+        The number is 0 if the nodes of the cell have no copies.
 
         Cells that use the same copy of a node belong to the same piece.
         """
@@ -258,12 +260,14 @@ class RestLattice:
 
     @property
     def across(self) -> int:
-        """Sum of the largest extents of all bodies [cells]."""
+        """Sum of the largest extents of all bodies on lattices [cells]."""
         bodies = [self.index[self.body == body] for body in np.unique(self.body)]
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the accelerations of points [P], m/s^2, due to forces [P], N, in one direction.
+        """Return the accelerations of integration points [P], m/s^2, due to forces [P], N.
+
+        Forces and accelerations have the same direction.
 
         Accelerations are computed only in cells on which forces act, and are 0 elsewhere.
         """
@@ -302,7 +306,9 @@ class RestLattice:
 
 
 def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
-    """Return the `copies` [C,27] of nodes that the cells of a body use; None if there are none."""
+    """Return the numbers of copies [C,27] of the nodes in a body's cells; None if no node has
+    copies.
+    """
     if copies is None:
         return None
     start, stop = (end // PER_CELL if end is not None else None for end in (span.start, span.stop))

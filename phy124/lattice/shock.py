@@ -16,28 +16,30 @@ from phy124.mpm.stage import Named
 from phy124.mpm.timestep import Extremes, Substep, decay
 
 FAST = 0.25
-"""Closing rate above which the artificial viscosity acts, relative to c / dx. If an undamped block
-is pressed to a fifth of its height, points penetrate walls by up to 0.36 cells; with a value of
-0.6, this would be 0.66 cells.
+"""Closing rate of a cell above which the artificial viscosity acts, relative to the speed of sound
+divided by the side of a cell. With this value, points penetrate walls by up to 0.36 cells if an
+undamped block is pressed to a fifth of its height. With a value of 0.6, it would be 0.66 cells.
 """
 LEAST = 0.1
-"""Largest compression in a substep while the artificial viscosity acts. The viscosity grows with
-the rate of compression, so it is stable up to a fixed compression per substep. With a value of 0.2,
-cells would invert in impacts at ten times the speed of sound.
+"""Largest compression of a point in a substep while the artificial viscosity acts. The viscosity
+grows with the rate of compression, so it is stable up to a fixed compression per substep. With a
+largest compression of 0.2, cells would invert in impacts at ten times the speed of sound.
 """
 IMPACT = 0.3
-"""If a point moves farther in a substep [cells], a wall may squeeze it too much."""
+"""If a point moves farther than this in a substep [cells], a wall may squeeze the point too
+much.
+"""
 UNSEEN = 0.6
-"""Longest distance that a point may move after its velocity was last measured [cells]. At a wall,
-several short substeps squeeze a point as much as one long substep.
+"""Longest distance that a point may move before its velocity is measured again [cells]. At a wall,
+several short substeps without a measurement squeeze a point as much as one long substep.
 """
 FORGET = 4
-"""The clock lets earlier frequencies and closing rates decay. This factor makes the decay faster
-than in the particle solver, because the frequency and the closing rate depend on a few points that
-are squeezed only for a short time.
+"""Factor on the decay of the frequency and the closing rate that were measured earlier. The
+frequency and the closing rate depend on a few points that are squeezed only for a short time. Their
+decay is therefore faster than the decay of measured values in the particle solver.
 """
 COLLAPSED = 1e-6
-"""Smallest valid substep, relative to the substep of the undeformed body."""
+"""Smallest valid length of a substep, relative to the substep of the undeformed body."""
 STALLED = 1000
 """A run is unstable if this number of substeps together is shorter than one substep at rest."""
 
@@ -48,15 +50,19 @@ class LatticeClock(Clock):
     kept = (*Clock.kept, "closing", "lasting", "seen")
 
     calm = math.inf
-    """Closing rate above which the artificial viscosity acts [1/s]."""
+    """Closing rate of a cell above which the artificial viscosity acts [1/s]."""
     shocked = 0
     """Number of substeps with artificial viscosity."""
     closing = lasting = 0.0
-    """Largest closing rates [1/s]: in the last measurement, and recently (decays slowly)."""
+    """Largest closing rates of cells [1/s]: the rate in the last measurement, and the recent
+    maximum, which decays slowly.
+    """
     seen = 0.0
     """Time of the last measurement of velocities [s]."""
     _marked = (0, 0.0)
-    """Number of substeps and time [s] when progress was last examined."""
+    """Number of substeps and time [s] when the clock last examined whether the run makes
+    progress.
+    """
 
     @property
     def _rate(self) -> float:

@@ -31,8 +31,8 @@ from phy124.mpm.stage import Named, launches
 from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
-"""If a point on a flat body is at most this deep in a box [cells], the contact force may have the
-direction of the normal at this point.
+"""If a point on a flat part of a body's surface is at most this deep inside a box [cells], the
+contact force may have the direction of the normal of the body's surface.
 """
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""
@@ -64,14 +64,19 @@ class Solids(FreeBodies):
         """
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
-        """Sums of the impulses of each solid on each body [F,bodies,16]; layout as for walls."""
+        """Sums of the impulses of each solid on each body [F,bodies,16], in the same layout as for
+        walls.
+        """
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Speed at which points inside a solid are moved out, per unit depth [1/s]."""
+        """Speed at which surface points inside a solid are moved out, divided by their
+        depth [1/s].
+        """
         self._touches: list[_Touch] = []
         self._reach_points = 0.0
-        """Points at most this far from a solid may touch the solid before the next measurement [m].
+        """Surface points at most this far from a solid may touch the solid before the next
+        measurement [m].
         """
 
     def _total(self) -> NDArray[np.float64]:
@@ -85,7 +90,7 @@ class Solids(FreeBodies):
         return self._sums.reshape((len(self.all) * self._model.bodies, SUMS))
 
     def bind(self, planes: Sequence[Plane], tracks: Tracks) -> None:
-        """Replace the flat walls for the solids; keep the impulses of the last substep.
+        """Replace the flat walls that stop the solids; keep the impulses of the last substep.
 
         The walls' displacements are added to the tracks.
         """
@@ -113,7 +118,8 @@ class Solids(FreeBodies):
         self._list(turn=not earlier)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum the impulses of
+        solids.
 
         `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
         any.
@@ -139,7 +145,7 @@ class Solids(FreeBodies):
         return [[*launches(begin), *touch], [*resist, *launches(finish)], account]
 
     def list_near(self, step: float) -> None:
-        """List the points that may touch a solid until the next measurement.
+        """List the surface points that may touch a solid until the next measurement.
 
         A point or a solid moves at most `step` [m] in a substep.
         """
@@ -148,7 +154,8 @@ class Solids(FreeBodies):
         self._list(turn=True)
 
     def _list(self, *, turn: bool) -> None:
-        """List the points near each solid; if `turn` is set, also update the normals near boxes.
+        """List the surface points near each solid; if `turn` is set, also update the normals near
+        boxes.
 
         The normals are updated only when a run measures its limits, and not when a run is restored.
         """
@@ -194,7 +201,9 @@ class _Touch(Kept):
             [self._gaps],
         )
         self.side = wp.zeros_like(self.force)
-        """Normals at points that are near a box and on flat parts of the surface [S,3]."""
+        """Normals of the surface points that are near a box and on flat parts of the
+        surface [S,3].
+        """
         deepest = DEEPEST * model.dx
         inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self.side]
         inputs += [nodes.movable, nodes.u, tracks.clock, state]
@@ -226,8 +235,9 @@ class _Touch(Kept):
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Append launches that sum work, or pass on impulses, to the last stage; None means no
-        launch.
+        """Append to the last stage kernel launches that sum the work or pass impulses on to clamps.
+
+        If an argument is None, the stage has no such launches.
         """
         near = self._list, self._points, self.force
         self._passed = None if passed is None else passed.of(*near, self._sums)
@@ -235,7 +245,9 @@ class _Touch(Kept):
         self._work = None if work is None else work.of(SOLIDS, *known)
 
     def list_near(self, reach: float, more: float, *, turn: bool) -> None:
-        """List the points within `reach` + `more` [m] of the solid; `turn` as in `Solids`."""
+        """List the surface points within `reach` + `more` [m] of the solid; `turn` as in
+        `Solids`.
+        """
         if self._look is None:
             return
         self._look.launch()
@@ -257,7 +269,7 @@ class _Touch(Kept):
         account.set_dim(max(1, len(near)))
 
     def _turn(self, points: NDArray[np.int64]) -> None:
-        """Update the normals at points on flat parts of the surface."""
+        """Update the normals of the surface points on flat parts of the surface."""
         surface = self._surface
         points = points[surface.flat[points]]
         side = np.zeros((surface.count, 3))

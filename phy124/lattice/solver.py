@@ -115,12 +115,13 @@ class LatticeSolver(Kept):
         self.outliers = Outliers(model, self.state)
         self.boundaries: Sequence[Stage] = ()
         self.guests: list[Any] = []
-        """Further kinds of contact, whose kernels are launched together with the kernels of walls.
+        """Objects that compute further kinds of contact; their kernels are launched together with
+        those of walls.
         """
         nodes, lattice = self.nodes_state, self.lattice
         with self.runner.on_threads():
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, self.runner.complete)
-        """The largest frequency of the bodies, which limits the substep."""
+        """The largest angular frequency of the bodies, which limits the length of a substep."""
         parts = self.crew, self.runner, self.spectrum, self.free
         self.limits = Limits(model, self.clock, *parts)
         """Measured values that limit the substep."""
@@ -206,11 +207,12 @@ class LatticeSolver(Kept):
         self.workers[0].phases[-1] += launches(last)
         self.energies.extend(pushed=pushed)
         self._summed = 2 if pushed else 0
-        """Index of the phase that completes the forces on all nodes."""
+        """Index of the phase of a substep that completes the forces on all nodes."""
 
     def _contact(self) -> list[Named]:
-        """Return the kernel launches of all contact; all impulses are applied before any is
-        corrected.
+        """Return the kernel launches of all kinds of contact.
+
+        All impulses of the last substep are applied before any impulse is corrected.
         """
         passed, parts = self.walls.passed_on(), (self.walls, self.meetings, self.free, *self.guests)
         everything = [part.stages(passed) for part in parts]
@@ -239,7 +241,7 @@ class LatticeSolver(Kept):
 
     @property
     def softened(self) -> float:
-        """Current factor on the stiffness of all materials."""
+        """Current factor on the initial stiffness of all materials."""
         return self.limits.softened
 
     @softened.setter
@@ -275,7 +277,9 @@ class LatticeSolver(Kept):
             self.follow()
 
     def pinch(self) -> tuple[float, int, int]:
-        """Return the result of `Walls.pinch` for the current positions of the walls."""
+        """Return the result of `Walls.pinch`, the depth of points inside walls, for the walls'
+        current positions.
+        """
         self._place_walls()
         return self.walls.pinch()
 
@@ -312,7 +316,7 @@ class LatticeSolver(Kept):
         self.follow()
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep; stable substeps of this length divide the remaining time evenly."""
+        """Take one stable substep, whose length divides the remaining time evenly."""
         self.limits.measure_if_due()
         clock = self.clock
         limit = run_timed(self.timings, SCHEDULE, clock.stable)

@@ -23,23 +23,28 @@ from phy124.lattice.walls import Nodes
 from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, SMALL = 60, 8, 1e-3
-"""`ROUNDS`: power iterations for the largest frequency at rest. `DAMPED`: further iterations for
-the largest rate of damping. These iterations start from the shape of the fastest vibration; if
-materials differ, additional iterations start from an arbitrary shape. `SMALL`: size of trial
-displacements [cells].
+"""`ROUNDS`: number of power iterations for the largest frequency at rest. `DAMPED`: number of
+further iterations for the largest rate of damping. The iterations for damping start from the shape
+of the fastest vibration. If materials differ, additional iterations start from an arbitrary shape.
+`SMALL`: size of the trial displacements in these iterations [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
-"""A measurement takes one iteration. A measurement in motion takes `FOLLOWED` iterations if the
-squared frequency exceeds its value at rest by the factor `SQUEEZED`, and the damping ratio of the
-fastest vibration is below `UNDAMPED`. The fastest vibration then moves through the body too fast
-for single iterations, and would grow without viscosity.
+"""A measurement of the largest frequency normally takes a single power iteration. The measurement
+takes `FOLLOWED` iterations if two conditions hold: the squared frequency exceeds its value at rest
+by the factor `SQUEEZED`, and the damping ratio of the fastest vibration is below `UNDAMPED`. In
+this case, the fastest vibration moves through the body too fast for single iterations, and would
+grow without viscosity.
 """
 MIXED = 0.1
-"""Size of the accelerations added to the shape before an iteration, relative to the shape."""
+"""Size of the accelerations that are added to the trial shape before an iteration, relative to the
+shape.
+"""
 STEADY = 0.05
-"""A frequency is steady if its square changes by at most this fraction between measurements."""
+"""The largest frequency is steady if its square changes by at most this fraction between two
+measurements.
+"""
 MISSED = 1.1
-"""Factor on squared frequencies, because the iterations underestimate frequencies."""
+"""Factor on squared frequencies, because power iterations underestimate the largest frequency."""
 
 
 class Spectrum:
@@ -82,7 +87,7 @@ class Spectrum:
             fastest = max(section.sound_speed() for section in model.materials)
             self._least = (2 * fastest / model.dx) ** 2
         self._delay = 0.0
-        """Ratio of viscosity to stiffness in the fastest vibrations [s]."""
+        """Ratio of viscosity to stiffness in the fastest vibrations of the bodies [s]."""
         if any(math.isfinite(section.viscous_limit(model.dx)) for section in model.materials):
             self._size *= math.sqrt(self._least)
             rate = self._iterate(0.0, DAMPED, velocities=nodes.lagging)
@@ -97,7 +102,9 @@ class Spectrum:
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
         self.steady = False
-        """Whether the last two measurements agree, and the fastest vibration is damped."""
+        """Whether the last two measurements of the largest frequency agree, and the fastest
+        vibration is damped.
+        """
         self._stiffened = 1.0
         """Factor (at least 1) on the initial stiffness of all materials."""
 
@@ -122,7 +129,9 @@ class Spectrum:
 
     @property
     def stiffness(self) -> float:
-        """dx^2 / dt^2 [m^2/s^2] of the longest stable substep, as last measured."""
+        """dx^2 / dt^2 [m^2/s^2], where dt is the longest stable substep according to the last
+        measurement.
+        """
         return self.square * (self._model.dx / 2 * _shorten(self._damping_ratio)) ** 2
 
     @property
@@ -173,11 +182,13 @@ class Spectrum:
         return square
 
     def _peak(self) -> float:
-        """Return the largest component of the shape."""
+        """Return the largest component of the trial shape."""
         return float(np.abs(self._read_shape()).max())
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the last shape, its frequency, and whether the frequency is steady."""
+        """Return a snapshot: the last trial shape, its frequency, and whether this frequency is
+        steady.
+        """
         shape, factor = self._trials.shape.numpy().copy(), self._stiffened
         known = {"square": self.square, "steady": self.steady, "stiffened": factor}
         return {"shape": shape, **known}

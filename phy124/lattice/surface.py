@@ -27,13 +27,19 @@ from phy124.lattice.tips import exact_weights, points_in_tips, rows_of
 from phy124.particles.lattice import APART, PER_CELL
 
 INSIDE = 0.25
-"""Depth below the surface at which a point's weights are computed [cells]."""
+"""Depth below the surface at which a surface point's weights of nodes are computed [cells]."""
 SUPPORTED = 0.5
-"""Points are removed if the sum of their weights on untied nodes is smaller than this."""
+"""Surface points are removed if the sum of their weights on nodes with mass is smaller than
+this.
+"""
 FLAT = 0.9
-"""A point counts as lying at an edge if the mean normal within a cell is shorter than this."""
+"""A surface point counts as lying at an edge if the mean normal within a cell is shorter
+than this.
+"""
 REGULAR = 1e-5
-"""Second moments are inverted by cofactors if det / trace^3 is at least this fraction."""
+"""A matrix of second moments is inverted by cofactors if its det / trace^3 is at least this
+value.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,19 +47,20 @@ class Surface:
     """Points at which bodies can touch walls, with the points' weights."""
 
     x: NDArray[np.float64]
-    """Positions at rest [S,3], m."""
+    """Positions of the surface points at rest [S,3], m."""
     normal: NDArray[np.float64]
-    """Outward normals at rest [S,3]; zero on sheets."""
+    """Outward normals of the surface points at rest [S,3]; zero on sheets."""
     body: NDArray[np.int64]
     """Body index of each point [S]."""
     side: NDArray[np.int64]
-    """For each point, the number of the piece to which it belongs [S]; 0 if the point's nodes have
-    no copies. Points with different numbers above 0 belong to different pieces.
+    """For each surface point, the number of the separate piece of the body to which it belongs [S];
+    0 if the point's nodes have no copies. Surface points with different numbers above 0 belong to
+    different pieces of the body.
     """
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
     weights: NDArray[np.float64]
-    """Weights of the nodes [S,27], with sum 1."""
+    """Weights of each surface point's nodes [S,27], with sum 1."""
     of_nodes: NDArray[np.float64]
     """Positions at rest of all nodes [N,3], m."""
     dx: float
@@ -91,7 +98,7 @@ class Surface:
 
 
 class Lazy:
-    """One value for each surface point, computed when it is first needed."""
+    """A value for each surface point, which is computed only when it is first needed."""
 
     def __init__(
         self, values: NDArray[Any], compute: Callable[[NDArray[np.int64]], NDArray]
@@ -104,7 +111,7 @@ class Lazy:
         self._known = np.zeros(len(values), bool)
 
     def __getitem__(self, points: NDArray[np.int64]) -> NDArray[Any]:
-        """Return the values at the points with these indices."""
+        """Return the values at the surface points with these indices."""
         new = points[~self._known[points]]
         if len(new):
             self._values[new], self._known[new] = self._compute(new), True
@@ -204,7 +211,8 @@ def _nearest_pieces(
 
 
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
-    """Return weights [S,27] that are 0 in every group except at three consecutive nodes.
+    """Return weights [S,27] that are 0 except at three nodes per group that are consecutive in
+    memory.
 
     In each group, the three consecutive `nodes` with the largest sum of weights keep their weights.
     A copy of a node may be far away in memory from the other nodes of a group.

@@ -10,17 +10,18 @@ import scipy
 from numpy.typing import NDArray
 
 LIGHTEST = 1e-3
-"""A node is tied if its mass is less than this fraction of the mass of a node inside the body. With
-a value of 0.01, plates with a thickness of 0.3 cells would be 4 to 14 % too stiff.
+"""A node that belongs to several cells is tied if its mass is less than this fraction of the mass
+of a node inside the body. With a fraction of 0.01, plates with a thickness of 0.3 cells would be 4
+to 14 % too stiff.
 """
 CORNER = 0.01
-"""Like `LIGHTEST`, but for a node that belongs to a single cell. Even if such a node moves by many
-cells, the points of the cell are only slightly strained, so large forces would turn the cell inside
-out.
+"""A node that belongs to a single cell is tied if its mass is less than this fraction of the mass
+of a node inside the body. If such a node moved by many cells, the points of its cell would be only
+slightly strained. Large forces would therefore turn the cell inside out.
 """
 LIGHT = 0.02
-"""Least mass of untied nodes, relative to the mass of a node inside the body. Lighter nodes would
-vibrate too fast.
+"""Smallest mass of nodes that are not tied, relative to the mass of a node inside the body. Nodes
+with less mass would vibrate too fast.
 """
 GIVING = 0.2
 """A node gives mass to light nodes only if its mass is at least this fraction of the mass of a node
@@ -28,17 +29,19 @@ inside the body.
 """
 BENT, THIN = 3.0, 0.6
 """In thin parts of a body, the weights of the donors are fitted so that they also reproduce
-products of two coordinates. `BENT` is the weight of these products in the fit. A part is thin if
-each donor has less than `THIN` of the mass of a node inside the body. Without the products, the
-outer nodes of a bent plate would not follow its curvature: a plate with a thickness of 0.3 cells on
-the border of two layers of cells would be 20 % too stiff.
+products of two coordinates. `BENT` is the weight of these products in the fit of the donors'
+weights. A part of a body is thin if each donor has less than `THIN` of the mass of a node inside
+the body. Without the products, the outer nodes of a bent plate would not follow its curvature. A
+plate with a thickness of 0.3 cells on the border of two layers of cells would be 20 % too stiff.
 """
 DONORS = 27
 """Largest number of nodes from which the motion of a tied node is extrapolated (its donors)."""
 NEAR = 3.0
-"""Largest distance of a donor from the tied node [cells]."""
+"""Largest distance of a tied node from the nodes that determine its motion (donors) [cells]."""
 FAR = 6.0
-"""Largest distance of a donor if the nodes within `NEAR` do not determine the motion [cells]."""
+"""Largest distance of a donor from the tied node if the nodes within `NEAR` do not determine its
+motion [cells].
+"""
 
 
 def tie_light(
@@ -162,7 +165,7 @@ def _tie(
 
 
 def _are_determined(weight: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether weights of donors [T,K] reproduce a constant [T]."""
+    """Return whether the weights of each tied node's donors [T,K] reproduce a constant [T]."""
     determined: NDArray[np.bool_] = np.abs(weight.sum(axis=1) - 1) < 1e-6
     return determined
 
@@ -182,7 +185,8 @@ def _nearest_in_cells(
     chained: bool = False,
     near: float = NEAR,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return, for each node in a list, the heavy nodes in a common cell, sorted by distance.
+    """Return, for each node in a list, the heavy nodes that share a cell with it, sorted by
+    distance.
 
     Args:
         index: Indices of the nodes [N,3].
@@ -220,7 +224,7 @@ def _extrapolate(
     distance: NDArray,
     thin: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the weights of the donors [T,K], and a mask [T].
+    """Return the weights of each tied node's donors [T,K], and a mask [T].
 
     The mask is true where a linear function is known from its values at the donors.
 

@@ -14,15 +14,21 @@ from phy124.lattice.rest import ROW, RestLattice
 from phy124.particles.lattice import PER_CELL
 
 SHARP = 0.6
-"""A part is a tip, a hair or a sheet if the mean normal within a cell is shorter than this."""
+"""A part of a body is a tip, a hair or a sheet if the mean normal within a cell is shorter than
+this.
+"""
 CLOSEST = 24
-"""Largest number of normals whose mean is taken."""
+"""Largest number of nearby normals whose mean determines whether a part is a tip, a hair or a
+sheet.
+"""
 ABOVE = 0.3
-"""Integration points farther outside of the surface than this are surface points [cells]."""
+"""Integration points that are farther outside of the surface than this serve as surface points
+[cells].
+"""
 
 
 def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
-    """Return the indices of the integration points that are in sharp parts and use tied nodes [K].
+    """Return the integration points that are in sharp parts of a body and use tied nodes [K].
 
     Args:
         points: Surface points: position [m], outward normal and body index [S,7].

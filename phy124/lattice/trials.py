@@ -14,9 +14,10 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 
 ACCELERATE, TRY, TRIAL, COMPARE = -3, -4, -5, -6
-"""Tasks of the workers. `ACCELERATE`: compute the accelerations of the nodes from the forces of the
-current substep. `TRY`: displace the nodes. `TRIAL`: sum the forces due to these displacements.
-`COMPARE`: compute the accelerations due to these forces, and the next shape.
+"""Tasks of the workers. `ACCELERATE`: compute the accelerations of the nodes from the forces in the
+current substep. `TRY`: displace the nodes. `TRIAL`: sum the forces due to the trial displacements
+of the nodes. `COMPARE`: compute the accelerations due to the forces of a trial, and the next trial
+shape.
 """
 
 
@@ -24,7 +25,7 @@ class Trials:
     """Trial displacements of the nodes, and the resulting accelerations."""
 
     def __init__(self, model: Model, crew: Crew, shape: NDArray) -> None:
-        """Add the tasks of the trials to the workers.
+        """Add the tasks of trial displacements to the workers.
 
         Args:
             model: The constants of the run.
@@ -33,11 +34,12 @@ class Trials:
         """
         self._model, self._crew = model, crew
         self.shape, self.mixed = (model.array(shape, types(model.real).vec3) for _ in range(2))
-        """The next trial shape, and the last trial shape with a share of the accelerations [N,3].
+        """The next trial shape, and the last trial shape with a share of the resulting
+        accelerations [N,3].
         """
         self.a, self.u, self.after = (wp.zeros_like(self.shape) for _ in range(3))
-        """Accelerations of the nodes before a trial, displacements in the trial, and accelerations
-        due to these displacements.
+        """Accelerations of the nodes before a trial, displacements of the nodes in the trial, and
+        accelerations due to these displacements.
         """
         self._pool = crew.new_pool()
         self._tries: list[wp.Launch] = []
@@ -51,7 +53,9 @@ class Trials:
             }
 
     def prepare(self, gain: float, share: float, size: float) -> None:
-        """Set the factors of the next trial (phy124/kernels/lattice/nodes.py, `make_try`)."""
+        """Set the factors of the next trial displacement (phy124/kernels/lattice/nodes.py,
+        `make_try`).
+        """
         for launch in self._tries:
             for index, value in enumerate((gain, share, size), 1):
                 launch.set_param_at_index(index, value)

@@ -44,22 +44,27 @@ from phy124.mpm.tracks import STILL, Tracks
 REACH = 0.6
 """Distance from a wall [cells] up to which the wall holds points that have touched it."""
 AHEAD, CLOSE, FAR = 2.0, 0.1, 3.0
-"""Contact is computed up to the distance `AHEAD` times the displacement in a substep plus `CLOSE`,
-but at most up to `FAR` [cells].
+"""Contact with a wall is computed up to a distance that is at most `FAR` [cells]. The distance is
+`AHEAD` times the displacement in a substep, plus `CLOSE`.
 """
 TOUCHING = 0.5
-"""A point inside one wall also touches a second wall if it is at most this far away [cells]."""
+"""A point inside one wall also counts as touching a second wall if it is at most this far away from
+it [cells].
+"""
 DEEP, EXACT = 0.1, 1e-3
 """If a point is deeper than `DEEP` inside a wall, further sweeps over all points follow, until no
 correction displaces a point by more than `EXACT` [cells].
 """
 STEP = 0.5
-"""The distance up to which points are listed increases in steps of this length [cells]."""
+"""The distance from a wall up to which surface points are listed increases in steps of this length
+[cells].
+"""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
-"""Speed at which points inside a wall are moved out, divided by their depth. The unit is (pi / 2
-H)^2 / dt for a body of H cells and substeps dt at rest. A body that stands on the wall has the
-slowest angular frequency pi c / 2 H. Bodies that stick to a wall also rock and shear, at lower
-frequencies.
+"""Speed at which surface points inside a wall are moved out, divided by their depth. The unit of
+this ratio is (pi / 2 H)^2 / dt for a body with a height of H cells and for substeps dt at rest. The
+slowest vibration of a body that stands on a wall has the angular frequency pi c / 2 H, where c is
+the speed of sound. Bodies that stick to a wall also rock and shear, with lower frequencies than
+this.
 """
 
 
@@ -83,7 +88,7 @@ class Nodes:
     u: wp.array
     """Displacements [N,3], m."""
     residue: wp.array
-    """Rounding errors of the displacements [N,3], m; the next substep adds them."""
+    """Rounding errors of the displacements [N,3], m; they are added in the next substep."""
     v: wp.array
     """Velocities [N,3], m/s, half a substep behind the displacements."""
     before: wp.array
@@ -97,7 +102,7 @@ class Nodes:
     points: tuple[wp.array, wp.array, wp.array]
     """Nodes [S,27], weights [S,27] and positions at rest [S,3], m, of the surface points."""
     rows: Rows
-    """Functions on the nodes of a surface point."""
+    """The functions on the nodes of a surface point, scalar or vectorised."""
 
 
 class Walls:
@@ -131,20 +136,26 @@ class Walls:
         """
         simple = [(boundary.holds, part) for boundary in boundaries for part in boundary.parts()]
         self.sums = wp.zeros((len(simple), SUMS), dtype=wp.float64, device=model.device)
-        """Impulse, work and moment of each simple wall [W,16] (kernels/lattice/contact.py)."""
+        """Impulse, work and moment of each simple wall on the bodies [W,16]
+        (kernels/lattice/contact.py).
+        """
         self.impulses: Impulses | None = None
-        """Sums per surface point and node; None unless `keep_impulses` was called."""
+        """Sums of impulses on each surface point and each node; None unless `keep_impulses` was
+        called.
+        """
         self.work: ContactWork | None = None
         """Object that records kernel launches that sum the work of contact; None if the work is not
         summed.
         """
         self.holding = [number for number, (holds, _) in enumerate(simple) if holds]
-        """Rows of `sums` that belong to clamps."""
+        """Indices of the rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0
         self._around = model, surface.count, nodes, tracks
         slowest = (math.pi / 2 / lattice.across) ** 2 / substep
         self.recovery = RESTORE["separate"] * slowest
-        """Speed at which points inside a wall are moved out, per unit depth [1/s]."""
+        """Speed at which surface points inside a wall are moved out, divided by their depth
+        [1/s].
+        """
         self._holder = wp.zeros(len(nodes.rest), dtype=int, device=model.device)
         # Clamps that no longer exist have released their nodes.
         wp.copy(nodes.movable, nodes.inverse)
@@ -166,11 +177,11 @@ class Walls:
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
-        """From now on, sum impulses per surface point and node as well."""
+        """From now on, also sum the impulses on each surface point and each node."""
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the object that records launches for the sums of clamps; None if there are no
+        """Return the object that passes contact impulses on to clamps; None if there are no
         clamps.
         """
         if not self._clamps:
@@ -179,7 +190,8 @@ class Walls:
         return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum impulses.
+        """Return the kernel launches of a substep that apply, correct and sum the impulses of
+        walls.
 
         Clamps act before the impulses. `passed` records launches that transfer impulses on clamped
         nodes to clamps, if there are any.
@@ -206,7 +218,7 @@ class Walls:
             contact.look()
 
     def list_near(self, approach: float, step: float) -> None:
-        """List the points that may touch a wall.
+        """List the surface points that may touch a wall.
 
         Args:
             approach: Largest distance by which a point may have approached a wall since the last
@@ -248,16 +260,18 @@ class Walls:
         return max(0.0, float(depth[deepest])), int(inside[deepest]), touching
 
     def forget(self) -> None:
-        """Set the contact forces of the last substep to zero."""
+        """Set the contact forces of all walls in the last substep to zero."""
         for contact in self._contacts:
             contact.force.zero_()
 
     def forces(self) -> dict[str, wp.array]:
-        """Return the contact forces of the last substep, keyed by the wall's index."""
+        """Return the contact forces of all walls in the last substep, keyed by the wall's index."""
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the contact forces of the last substep, unless they belong to other walls."""
+        """Set the contact forces of all walls in the last substep, unless they belong to other
+        walls.
+        """
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])
@@ -302,7 +316,9 @@ class _Contact:
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
-        """Whether clamps exist; if so, the response of points changes between substeps."""
+        """Whether clamps exist. If so, the response of surface points to impulses changes between
+        substeps.
+        """
         self._count, device = (count := surface.count), model.device
         self._list = wp.zeros(count, dtype=int, device=device)
         self._gaps = wp.zeros(count, dtype=model.real, device=device)
@@ -332,7 +348,7 @@ class _Contact:
         return self._division.record(kernel, self._count, inputs, [self._gaps])
 
     def list_near(self, approach: float) -> None:
-        """List the points that were within `reach` plus `approach` [m] of the wall."""
+        """List the surface points that were within `reach` plus `approach` [m] of the wall."""
         close = self._gaps.numpy() < self.reach + approach
         near = np.flatnonzero(close & self._affected)
         if not np.array_equal(near, self._near):
@@ -341,7 +357,9 @@ class _Contact:
             self._pass_count()
 
     def closest(self) -> float:
-        """Return the smallest distance [m] of a point from the wall; infinite if none is near."""
+        """Return the smallest distance [m] of a listed point from the wall; infinite if no point is
+        listed.
+        """
         return float(self._gap.numpy()[self._near, 3].min(initial=np.inf))
 
     def limit(self, reach: float) -> None:
@@ -353,7 +371,9 @@ class _Contact:
     def record(
         self, impulses: Impulses | None, work: ContactWork | None, passed: PassedOn | None
     ) -> list[Callable[[], None]]:
-        """Return stages that find touching points, correct impulses, and sum impulses and work."""
+        """Return stages that find points touching the wall, correct impulses, and sum impulses and
+        work.
+        """
 
         def account() -> None:
             for launch in sums if len(self._near) else ():
@@ -385,7 +405,7 @@ class _Contact:
         return [touch, lambda: second.launch() if len(self._near) else None, account]
 
     def _pass_count(self) -> None:
-        """Pass the number of listed points to the launches."""
+        """Pass the number of points near the wall to the kernel launches."""
         for launch in self._of_all:
             launch.set_param_at_index(1, len(self._near))
         for launch in self._of_each:
@@ -399,7 +419,9 @@ class _Contact:
         return cast("wp.Launch", self._model.launch(kernel, self._count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
-        """Record the launch that finds touching points and applies their previous impulses."""
+        """Record the kernel launch that finds points touching the wall and applies their last
+        impulses.
+        """
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._list, 0, self.reach, self._shape, self._slot, *nodes.points]
         inputs += [nodes.movable, self._yields, nodes.u, tracks.clock, tracks.values]

@@ -17,7 +17,9 @@ from phy124.mpm.threads import Team
 from phy124.mpm.workers import Timings, run_launches
 
 MEASURE, PLACE = -1, -2
-"""Numbers of two tasks besides the phases: measuring the points' motion, and placing the points."""
+"""Numbers of two tasks that are not phases of a substep: measuring the motion of the points, and
+placing the points.
+"""
 
 
 @dataclass
@@ -31,21 +33,21 @@ class Worker:
     touched: slice
     """Span of the nodes that the worker's cells use."""
     forces: wp.array
-    """Forces of the stress in the worker's cells on the nodes, N."""
+    """Forces on the nodes due to the stress in the worker's cells, N."""
     pushes: wp.array
     """Forces on the nodes due to pushes on the worker's points, N."""
     maxima: wp.array
     """Largest speed and strain rate of the worker's points."""
     phases: list[list[Named]] = field(default_factory=list)
-    """Launches of a substep by phase; threads wait for each other between phases."""
+    """Kernel launches of a substep, for each phase; threads wait for each other between phases."""
     tasks: dict[int, list[Named]] = field(default_factory=dict)
-    """Launches of each other task; the key is the task's negative number. The callers measure the
-    time of these tasks.
+    """Kernel launches of each task that is not a phase; the key is the task's negative number. The
+    time of these tasks is measured where the tasks are started.
     """
     timings: Timings = field(default_factory=dict)
 
     def run(self, task: int) -> None:
-        """Run a phase or another task."""
+        """Run a phase of a substep, or another task."""
         if task >= 0:
             run_launches(self.timings, self.phases[task])
             return

@@ -62,7 +62,9 @@ class Energies(Kept):
         """Whether work is summed."""
 
     def start(self) -> None:
-        """Start to sum the work when the launches are recorded again."""
+        """Start to sum the work of all causes, from the next time that the kernel launches are
+        recorded.
+        """
         self.on = True
 
     def fit(

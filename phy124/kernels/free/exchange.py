@@ -77,7 +77,8 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of nodes around a free body: adds their contact to the body's six equations.
+    """Kernel over rows of nodes around a free body: adds contact terms to the body's six
+    equations.
     """
     numbers = wp.types.vector(SYSTEM, wp.float64)
 

@@ -263,7 +263,8 @@ def make_begin(form: str):
 
 @build_once
 def make_advance(form: str):
-    """Kernel over parts of the list of cells: computes the next direction s = z + beta s, and A s.
+    """Kernel over parts of the list of cells: computes the next direction s = z + beta s
+    and A s.
     """
     _, _, turn_in, _ = FORMS[form]
 
