@@ -30,20 +30,23 @@ from phy124.mpm.stage import Repeatable
 from phy124.mpm.tracks import Tracks
 
 STAGE = "bodies"
-"""Name of the stages in reports."""
+"""Name under which reports list the time to couple bodies with the liquid."""
 FIRST = 8
 """Number of steps in which a new body's surface is shifted until it encloses the body's volume."""
 MOST = 0.7
-"""Largest shift of a body's surface [cells]."""
+"""Largest distance by which a body's surface is shifted so that it encloses the body's volume
+[cells].
+"""
 LIGHT = 0.05
-"""Density below which a body is light, relative to the density of the liquid."""
+"""A body is light if its density, relative to the density of the liquid, is below this value."""
 YIELDED = 0.004
-"""Strain at which the surface of a body is assumed to yield, for materials with a yield stress."""
+"""Strain at which the surface of a body with a yield stress is assumed to yield."""
 
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]
-"""Function that maps the duration of a step [s] to the mean velocities [m/s] and velocity gradients
-[1/s] of the particles, for a step in which the pressure of the last step acts.
+"""Function that returns the mean velocities [m/s] and velocity gradients [1/s] of the particles in
+a step. Its argument is the duration of the step [s]; the pressure of the last step acts during this
+step.
 """
 
 
@@ -94,34 +97,42 @@ class Bodies(Kept):
         self._moments = Moments(model, [model.particles(body) for body in self.numbers])
         self.pushes = wp.zeros(len(model), dtype=t.vec3, device=device)
         self.turns = wp.zeros(len(model), dtype=t.mat33, device=device)
-        """Accelerations of the particles by the pressure, and rates of change of their C."""
+        """Accelerations of the particles by the pressure of the liquid, and the resulting rates of
+        change of the velocity gradients C.
+        """
         self._most = wp.zeros(1, dtype=model.real, device=device)
         self._volumes = wp.zeros(3, dtype=wp.float64, device=device)
         self._rims = wp.zeros(6, dtype=wp.vec3d, device=device)
         self._shifts = np.full(model.bodies, np.nan)
-        """Distance by which the surface of each body is shifted outwards [cells]."""
+        """Distance by which the surface of each body is shifted outwards, so that it encloses the
+        body's volume [cells].
+        """
         self.limit = 0.0
-        """Largest acceleration of a particle by the pressure [m/s^2]."""
+        """Largest acceleration of a body's particle by the pressure of the liquid [m/s^2]."""
         self._kick, self._pull = 0.0, np.zeros(3)
         self.pushed = False
-        """Whether forces act on particles in the substeps."""
+        """Whether forces act on the bodies' particles in the substeps."""
         self.period = math.inf
         """Shortest vibration period of bodies below a liquid [s]."""
         self.light = math.inf
-        """Shortest vibration period of light bodies [s]."""
+        """Shortest vibration period of light bodies in the liquid [s]."""
         stiff = np.array([_stiffness(model, body) for body in self.numbers])
         self._stiffness = wp.array(stiff, dtype=wp.float64, device=device)
         every = self.first + count
         self._before = np.zeros((0, 2, 3))
-        """Momentum and angular momentum of each solid and body before the last step."""
+        """Momentum and angular momentum of each solid and body at the start of the last step."""
         self._films = np.zeros((every, 2, 3))
-        """Impulses and moments of films in the last step; `impulses` includes them."""
+        """Impulses and moments of thin films of liquid on each solid and body in the last step;
+        `impulses` includes them.
+        """
         self._centres, self._forces = np.zeros((every, 3)), np.zeros((every, 2, 3))
-        """Centre of mass of each solid and body [m]; mean force [N] and torque [N m] on it in the
-        last step, without those of the liquid and of the weight.
+        """Centre of mass of each solid and body [m]; and the mean force [N] and torque [N m] on it
+        in the last step, without the liquid's force and the weight.
         """
         self._impulses = np.zeros((every, 2, 3))
-        """Impulse of the liquid on each solid and body in the last step, and its moment."""
+        """Impulse of the liquid on each solid and body in the last step, and the moment of this
+        impulse.
+        """
 
     @property
     def names(self) -> list[str]:
@@ -143,7 +154,7 @@ class Bodies(Kept):
         self.light /= math.sqrt(factor)
 
     def join(self, solids: Solids, mobility: wp.array) -> None:
-        """Connect the bodies with the arrays of all solids; bodies come last in the arrays."""
+        """Store the arrays of all solids, in which the bodies are the last entries."""
         self._solids, self._mobility = solids, mobility
         device, shape = self._model.device, (len(mobility), 2)
         self._present = wp.zeros(shape, dtype=wp.vec3d, device=device)
@@ -156,7 +167,7 @@ class Bodies(Kept):
                 self.light = min(self.light, period)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that apply the pressure in each substep."""
+        """Return the stages that apply the pressure of the liquid to the bodies in each substep."""
         kernel = kernels.make_body_push(model.real)
 
         def record(grid: Grid) -> wp.Launch | None:
@@ -171,21 +182,24 @@ class Bodies(Kept):
         return [Stage(STAGE, record, by_run=True, limit=limit), *self.free.attach(tracks)]
 
     def finish(self) -> None:
-        """End the substeps; remove the last pressure from the bound of the acceleration."""
+        """End the substeps of the bodies.
+
+        The last pressure no longer counts in the upper bound of the particles' acceleration.
+        """
         self.work.end(self.pushes, self.turns, self._drift)
         self.free.finish()
         self.limit = 0.0
 
     def fit(self, cells: Cells) -> None:
-        """Allocate the arrays of a new window."""
+        """Allocate the arrays for the cells of a new window."""
         t, device, count = types(self._model.real), self._model.device, cells.count
         self._sheet = wp.zeros(count, dtype=t.vec4, device=device)
         self._full, self._level = (
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Solid fractions of B-splines, and open fractions of eighths of cells, if there were no
-        bodies.
+        """Values of two arrays of the cells without bodies: fractions of B-splines inside walls,
+        and open fractions of the octants of cells (2 x 2 x 2 per cell).
         """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
@@ -247,7 +261,7 @@ class Bodies(Kept):
             self._shifts[body] = min(max(shift, -MOST), MOST)
 
     def plan(self, kick: float, pull: NDArray[np.float64]) -> None:
-        """Predict the motion of solids and bodies in a step without the liquid.
+        """Predict the motion of solids and bodies in a step without the liquid's forces.
 
         The step takes `kick` [s]; `pull` [3] is the uniform acceleration, m/s^2.
         """
@@ -283,13 +297,14 @@ class Bodies(Kept):
         self._kick, self._pull = kick, pull
 
     def motions(self) -> list[Motion]:
-        """Return the rigid motion of each body, without the freely moving solids."""
+        """Return the rigid motions of the bodies, without those of the freely moving solids."""
         return self._moments.read(self._state.x, self._state.v, self._state.C)
 
     def _other(
         self, index: int, motion: Motion, kick: float, pull: NDArray[np.float64]
     ) -> tuple[NDArray, NDArray]:
-        """Return the impulse [N s] of all forces except those of the liquid, and its moment.
+        """Return the impulse [N s] of all forces on a body except those of the liquid, and its
+        moment.
 
         A force other than the weight is included only as far as it acted in both of the last two
         steps. An impact is therefore not assumed to continue.
@@ -437,7 +452,7 @@ Advance = Callable[[float], None]
 
 
 def _stiffness(model: Model, body: int) -> float:
-    """Return a body's stiffness per surface cell [N/m], from the speed of waves in the body.
+    """Return the stiffness of a body per surface cell [N/m], from the speed of elastic waves in it.
 
     A body that yields is softer. A surface that is too stiff would create energy.
     """
@@ -457,7 +472,7 @@ def _size(model: Model, body: int) -> tuple[float, float]:
 
 
 def _wave_speed(model: Model, body: int) -> float:
-    """Return the speed of waves in the softest material of a body [m/s]."""
+    """Return the speed of elastic waves in the softest material of a body [m/s]."""
     return min(material.wave_speed() for material in _materials(model, body))
 
 

@@ -18,21 +18,28 @@ from phy124.mpm.stage import Repeatable
 MARGIN = 10
 """Margin around the particles in a new window [cells]."""
 LEAST = 5
-"""The window is renewed if the margin around the particles is smaller than this [cells]. A step
-moves particles by up to two cells, and the B-splines around each particle reach two cells further.
+"""The window is replaced by a larger window if the margin around the particles is smaller than this
+[cells]. A step moves particles by up to two cells, and the B-splines around each particle reach two
+cells further.
 """
 LARGEST = 32
-"""Margin around the particles [cells] above which the window is renewed."""
+"""The window is replaced by a smaller window if the margin around the particles is larger than this
+[cells].
+"""
 MOST_CELLS = 2**22
-"""Largest number of cells in a window, even if `Outliers.allowed` is larger."""
+"""Largest number of cells in a window, which holds even if `Outliers.allowed` is larger."""
 BULK = 0.01
-"""Fraction of the particles that may be outside a restricted window on each side."""
+"""Fraction of the particles that may be outside on each side of a window with a limited number of
+cells.
+"""
 FAR = 1e3
-"""If no wall is near, this distance to the nearest wall is stored [cells]."""
+"""Value that is stored as the distance to the nearest wall if no wall is near [cells]."""
 
 
 ROOM = 4
-"""A solid changes distances and open fractions up to this distance from its surface [cells]."""
+"""A solid changes the distances and open fractions of cells up to this distance from its surface
+[cells].
+"""
 
 
 def needed_cells(lower: NDArray, upper: NDArray, dx: float) -> NDArray:
@@ -75,10 +82,10 @@ class Region:
 
     def __init__(self, size: NDArray, device: Any) -> None:
         self.size = size
-        """Number of cells along each axis."""
+        """Number of cells of the box along each axis."""
         corners = np.stack([np.zeros(3, int), size]).astype(np.int32)
         self.box = wp.array(corners, dtype=wp.vec3i, device=device)
-        """First cell of the box in the window, and the box's size."""
+        """First cell of the box among the cells of the window, and the size of the box."""
 
     def place(self, low: NDArray) -> None:
         """Move the box so that its first cell is `low` [3]."""
@@ -109,7 +116,9 @@ class Cells:
     """The arrays of a window: sums, velocities, walls, and the pressure equation."""
 
     def __init__(self, model: Model, copies: int) -> None:
-        """Prepare a window without cells on the model's grid, with a copy of sums per worker."""
+        """Prepare an empty window on the model's grid; each worker gets a copy of the
+        cells' sums.
+        """
         self._model, self._copies = model, copies
         self._t = types(model.real)
         self.lattice = self._t.vec4(*model.origin, model.dx)
@@ -167,7 +176,7 @@ class Cells:
         self.window.assign(np.stack([self.low, self.size]).astype(np.int32))
         self._allocate(int(np.prod(self.size)))
         self.whole, self._regions = Region(self.size, self._model.device), {}
-        """The region of all cells."""
+        """The box that contains all cells of the window."""
         pressure = np.zeros(self.size)
         first = np.maximum(before, self.low)
         last = np.minimum(before + kept.shape, self.low + self.size)
@@ -180,15 +189,23 @@ class Cells:
     def _allocate(self, count: int) -> None:
         t, real = self._t, self._model.real
         self.sums = self._zeros(self._copies * count, sums(real))
-        """Momentum, mass and volume of the particles at each cell, one copy per worker."""
+        """Sums of the particles' momentum, mass and volume in each cell; there is a copy for each
+        worker.
+        """
         self.fills = self._zeros(self._copies * count, t.vec2)
-        """Volumes at each cell with quadratic and linear weights, with one copy for each worker."""
+        """Sums of particle volumes in each cell, with quadratic and with linear weights; there is a
+        copy for each worker.
+        """
         self.velocity, self.other, self.smooth = (self._zeros(count, t.vec4) for _ in range(3))
-        """Velocities at the low faces [m/s], and filled fraction of each cell."""
+        """Velocities at the low faces of each cell [m/s], and filled fraction of the cell."""
         self.known, self.also = (self._zeros(count, int) for _ in range(2))
-        """One bit for each low face, set if the face has a velocity."""
+        """One bit for each low face of a cell; the bit is set if the velocity at the face
+        is known.
+        """
         self.open, self.shares = self._zeros(count, t.vec4), self._zeros(count, t.vec2)
-        """Open fractions of the low faces, and fractions of two B-splines inside walls."""
+        """Open fractions of the low faces of each cell, and the fractions of two B-splines around
+        the cell that are inside walls.
+        """
         self.hats, self.phi = self._zeros(count, real), self._zeros(count, real)
         self.phi.fill_(float(EMPTY))
         self.liquid = self._zeros(count, int)
@@ -198,29 +215,41 @@ class Cells:
         self.diagonal, self.inverse, self.right = (self._zeros(count, wp.float64) for _ in range(3))
         self.links = self._zeros(count, wp.vec3d)
         self.pressure, self.packing = (self._zeros(count, wp.float64) for _ in range(2))
-        """Solutions of two equations: p dt / (rho dx) [m/s], and the displacement potential."""
+        """Solutions of two equations in each cell: p dt / (rho dx) for the pressure p [m/s], and
+        the potential of the displacements that correct the density.
+        """
         self.residual, self.z, self.product = (self._zeros(count, wp.float64) for _ in range(3))
         self.directions = [self._zeros(count, wp.float64) for _ in range(2)]
         self.which = self._zeros(count, int)
-        """Index of the solid whose surface is in each cell; -1 if there is none."""
+        """For each cell, the index of the solid whose surface is in the cell; -1 if there
+        is none.
+        """
         self.jumps, self.turns = (self._zeros(count, wp.vec3d) for _ in range(2))
         """For each cell, the flux out of it per unit (angular) velocity of the solid in `which`."""
         self.active, self.listed = (self._zeros(count, int) for _ in range(2))
         """Indices of the active cells, and of the cells of liquid."""
         self.ends = self._zeros(self._copies + 1, int)
-        """Index of each worker's first active cell, followed by the number of active cells."""
+        """For each worker, the index of its first active cell; the last entry is the number of
+        active cells.
+        """
         columns = int(self.size[0] * self.size[1])
         self.lowest, self.highest = (self._zeros(self._copies * columns, int) for _ in range(2))
-        """Lowest and highest cell with particles in each column, with one copy for each worker."""
+        """Lowest and highest cell with particles in each column of cells, with one copy for each
+        worker.
+        """
         self.below, self.above = (self._zeros(columns, int) for _ in range(2))
-        """Lowest and highest cell with particles in each column and its neighbours along y."""
+        """Lowest and highest cell with particles in each column of cells or in its neighbours along
+        y.
+        """
         self.begins, self.tops = (self._zeros(columns, int) for _ in range(2))
-        """First and end index of the active cells of each column."""
+        """For each column of cells, the index of its first active cell, and the index after its
+        last.
+        """
 
     def record(
         self, worker: int, kernel: Any, inputs: list[Any], outputs: list[Any]
     ) -> Repeatable | None:
-        """Record a kernel launch over a worker's active cells.
+        """Record the launch of a kernel over a worker's active cells.
 
         Args:
             worker: Index of the worker.
@@ -278,7 +307,9 @@ class Cells:
         return wp.zeros(count, dtype=dtype, device=self._model.device)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the window, and the pressure that is the next initial guess."""
+        """Return a snapshot: the window, and the pressure, which is the next solution's initial
+        guess.
+        """
         window = [self.low.tolist(), self.size.tolist()]
         return {"window": window, "pressure": wp.clone(self.pressure)}
 

@@ -15,13 +15,15 @@ from phy124.mpm import Clock
 from phy124.mpm.timestep import Extremes, Substep
 
 CELLS = 2.0
-"""Largest distance that a particle moves in a step [cells]."""
+"""Largest distance that a particle of the liquid moves in a step [cells]."""
 WAVES = 0.5
-"""Longest step in units of sqrt(dx / `a`), where `a` is the acceleration of the liquid."""
+"""Longest step in units of sqrt(dx / `a`), where dx is the side of a cell and `a` is the
+acceleration of the liquid.
+"""
 
 DIFFUSED = 5.0
-"""Largest product of a step's length and the rate at which velocities diffuse to a neighbouring
-face. This limit keeps the number of iterations for viscosity below about 200.
+"""Largest product of a step's length and the rate at which viscosity diffuses velocities to a
+neighbouring face. This limit keeps the number of iterations that compute viscosity below about 200.
 """
 
 RESOLVED = 4.0
@@ -29,17 +31,18 @@ RESOLVED = 4.0
 contain at least `AVERAGED` periods.
 """
 AVERAGED = 1.5
-"""Smallest number of periods in a step, if a period contains fewer than `RESOLVED` steps. Between
-the two limits, the last pressure would amplify vibrations.
+"""Smallest number of a body's vibration periods in a step, if a period contains fewer than
+`RESOLVED` steps. Between this value and `RESOLVED` steps per period, the last pressure would
+amplify the body's vibrations.
 """
 LIGHT_RESOLVED = 8.0
 """Each vibration period of a light body must contain at least this number of steps, or each step
 must contain at least `LIGHT_AVERAGED` periods.
 """
 LIGHT_AVERAGED = 0.45
-"""Smallest number of periods in a step, if a period contains fewer than `LIGHT_RESOLVED` steps.
-Between the two limits, the pressure of a step would deform a light body more than the liquid can
-follow, which would create energy.
+"""Smallest number of a light body's vibration periods in a step, if a period contains fewer than
+`LIGHT_RESOLVED` steps. Between this value and `LIGHT_RESOLVED` steps per period, the pressure of a
+step would deform a light body more than the liquid can follow, which would create energy.
 """
 
 
@@ -47,19 +50,19 @@ class LiquidClock(Clock):
     """A clock whose steps satisfy the limits for an incompressible liquid."""
 
     acceleration = 0.0
-    """Upper bound of the acceleration by forces [m/s^2]."""
+    """Upper bound of the acceleration of the liquid by forces [m/s^2]."""
     pull: NDArray[np.float64] = np.zeros(3)
     """Uniform acceleration [3], m/s^2."""
     viscosity = 0.0
-    """Rate at which velocities diffuse to a neighbouring face [1/s]."""
+    """Rate at which viscosity diffuses velocities to a neighbouring face of the grid [1/s]."""
     wall = 0.0
-    """Largest speed of a wall [m/s]."""
+    """Largest speed of a wall in contact with the liquid [m/s]."""
     bodies = 0.0
     """Largest speed of bodies of other materials [m/s]."""
     period = math.inf
-    """Vibration period of a body below a liquid [s]."""
+    """Shortest vibration period of a body below the liquid [s]."""
     light = math.inf
-    """Vibration period of a light body [s]."""
+    """Shortest vibration period of a light body in the liquid [s]."""
 
     def diffuse(self, rate: float) -> None:
         """Limit the steps by viscosity, for a rate of diffusion to a neighbouring face [1/s]."""
@@ -103,11 +106,15 @@ class LiquidClock(Clock):
         return self.uniform_work(momentum)
 
     def uniform_work(self, momentum: NDArray) -> float:
-        """Return the work [J] of the uniform acceleration in the half step after the last kick."""
+        """Return the work [J] of the uniform acceleration in the half step that follows the last
+        kick.
+        """
         return self.last_dt / 2 * float(self.pull @ momentum)
 
     def sweeps(self, kick: float) -> int:
-        """Return the number of pairs of Jacobi iterations that reduce the error to a thousandth."""
+        """Return the number of pairs of Jacobi iterations that reduce the error of viscosity to a
+        thousandth.
+        """
         k = 6 * self.viscosity * kick
         if k == 0:  # the first kick of a test step has no duration
             return 1

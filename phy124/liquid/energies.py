@@ -19,7 +19,7 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name of the stages in reports; the name is the same for all materials."""
+"""Name under which reports list the time to sum the work; it is the same for all materials."""
 ROOM = 16
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
@@ -34,10 +34,13 @@ class Works(NamedTuple):
     friction: float
     """Work of friction at walls, and of impacts of particles on walls."""
     projection: float
-    """Work of the pressure, without the work of walls; includes the work of solids and bodies."""
+    """Work of the pressure, including the work of solids and bodies, but without the work
+    of walls.
+    """
     density: float
-    """Work of the uniform acceleration while particles are moved to restore density, or moved out
-    of bodies."""
+    """Work of the uniform acceleration while particles are displaced, either to restore the rest
+    density or out of bodies.
+    """
 
 
 class Energies(Kept):
@@ -48,7 +51,7 @@ class Energies(Kept):
     kept = ("_sums",)
 
     def __init__(self, model: Model, state: State, cells: Cells, workers: int) -> None:
-        """Store the particles and cells of a run.
+        """Store the particles and the cells of the liquid.
 
         Args:
             model: The particles.
@@ -70,7 +73,7 @@ class Energies(Kept):
     def fit(
         self, walls: Walls, count: int, tracks: Tracks, impulses: WallImpulses, gains: wp.array
     ) -> None:
-        """Store walls, accelerations and gains, and allocate the arrays of a window.
+        """Store the objects whose work is summed, and allocate the arrays of a window.
 
         Args:
             walls: The walls, including freely moving solids and bodies, which come last.
@@ -86,7 +89,9 @@ class Energies(Kept):
             self._before = wp.zeros_like(self._cells.velocity)
 
     def before_pressure(self, worker: int) -> list[Recorded]:
-        """Return a worker's kernel launches that store velocities and sum the drag of walls."""
+        """Return a worker's kernel launches that store velocities and sum the work of the walls'
+        drag.
+        """
         if not self.on:
             return []
         cells, keep = self._cells, kernels.make_keep(self._model.real)
@@ -94,7 +99,9 @@ class Energies(Kept):
         return [(STAGE, copy), *self.of_walls(kernels.AT_DRAG, worker)]
 
     def of_walls(self, at: int, worker: int) -> list[Recorded]:
-        """Return a worker's kernel launch that sums the work of walls since the step began."""
+        """Return a worker's kernel launch that sums the work of walls since the start of
+        the step.
+        """
         if not (self.on and self._walls.all):
             return []
         inputs = [at, self._fixed, self._walls.motions, self._impulses.rows(worker)]
@@ -102,8 +109,9 @@ class Energies(Kept):
         return [(STAGE, self._model.launch(kernel, 1, inputs, [self._row(worker)]))]
 
     def of_faces(self, worker: int, viscosity: float) -> list[Recorded]:
-        """Return a worker's kernel launch that sums the work on faces, after their velocities are
-        known. `viscosity` is 0 if no liquid is viscous.
+        """Return a worker's kernel launch that sums the work on the faces of cells.
+
+        The launch needs the velocities of the faces. `viscosity` is 0 if no liquid is viscous.
         """
         if not self.on:
             return []

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 class BodyWork(Kept):
-    """Work on bodies of particles. Nothing is summed until `start` is called."""
+    """Work of the liquid on bodies of particles. Nothing is summed until `start` is called."""
 
     kept = ("total",)
 
     def __init__(self, model: Model, state: State) -> None:
-        """Store the particles; all bodies that are not liquid are included."""
+        """Store the particles of all bodies that are not liquid."""
         self._model, self._state = model, state
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
         """Indices of the bodies."""
@@ -34,19 +34,19 @@ class BodyWork(Kept):
         self.on = False
         """Whether work is summed."""
         self.total = np.zeros(len(self._runs))
-        """Work on each body since the start [B], J."""
+        """Work of the liquid on each body since the start [B], J."""
 
     def start(self) -> None:
-        """Start to sum the work, from the next step on."""
+        """Start to sum the work of the liquid, from the next step on."""
         self.on = True
 
     def begin(self) -> None:
-        """Store the positions at the start of the substeps."""
+        """Store the positions of the bodies' particles at the start of the substeps."""
         if self.on:
             self._before = [self._read(array) for array in (self._state.x, self._state.C)]
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the substeps since `begin`.
+        """Add the work of the liquid in the substeps since `begin`.
 
         Args:
             pushes: Acceleration of each particle by the pressure [P,3], m/s^2.
@@ -67,10 +67,10 @@ class BodyWork(Kept):
 
 
 class LatticeBodyWork(BodyWork):
-    """Work on bodies on lattices."""
+    """Work of the liquid on bodies on lattices."""
 
     def __init__(self, solver: LatticeSolver) -> None:
-        """Store the nodes of the bodies."""
+        """Store the solver of the bodies, and allocate arrays for its nodes."""
         super().__init__(solver.model, solver.state)
         self._solver, device = solver, solver.model.device
         self._ends = np.searchsorted(solver.lattice.body, range(solver.model.bodies + 1))
@@ -79,12 +79,14 @@ class LatticeBodyWork(BodyWork):
         self._done = wp.zeros((solver.model.bodies, 2), dtype=wp.float64, device=device)
 
     def begin(self) -> None:
-        """Store the displacements of the nodes at the start of the substeps, with negative sign."""
+        """Store the negated displacements of the nodes at the start of the substeps."""
         if self.on:
             self._u.assign(-self._solver.nodes_state.u.numpy())
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the substeps since `begin`, from the forces that the lattices store."""
+        """Add the work of the liquid in the substeps since `begin`, from the forces that the
+        lattices store.
+        """
         if not self.on:
             return
         crew, nodes, kernel = self._solver.crew, self._solver.nodes_state, make_node_work

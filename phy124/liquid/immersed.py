@@ -31,7 +31,7 @@ from phy124.mpm.workers import Timings, run_timed
 from phy124.runtime.weakly import weakly
 
 MARGIN = 4
-"""Margin of a body's window around its points [cells]."""
+"""Margin between a body's integration points and the border of the body's window [cells]."""
 
 
 class ImmersedClock(MixedClock, LatticeClock):
@@ -215,7 +215,9 @@ class ImmersedSolver:
         self.bodies.work.start()
 
     def _of_all(self, accumulators: Sequence[Accumulator]) -> list[Any]:
-        """Return the sums, attached to all particles instead of only to the lattices' points."""
+        """Return the sums, applied to all particles instead of only the lattices' integration
+        points.
+        """
         return [_OfAll(item, self.model, self.state) for item in accumulators]
 
     def advance(
@@ -238,7 +240,7 @@ class ImmersedSolver:
         self._copy_state()
 
     def _advance_bodies(self, until: float) -> None:
-        """Advance the bodies by substeps under the pressure of the liquid."""
+        """Advance the bodies on lattices by substeps under the pressure of the liquid."""
         wet, bodies, lattice = min(self.model.wet), self.bodies, self.lattice
         for body, (impulse, moment) in zip(self._numbers, bodies.impulses, strict=True):
             self.pairs.add(wet, body, impulse, moment)
@@ -256,8 +258,10 @@ class ImmersedSolver:
         run_timed(self.timings, "press", lambda: lattice.crew.press(bodies.pushes, bodies.turns))
 
     def _predict(self, duration: float) -> tuple[wp.array, wp.array]:
-        """Return the mean velocities of the points, and the velocities' gradients, in a step of
-        `duration` [s] under the last pressure.
+        """Return mean velocities of the integration points, and their gradients, in a step.
+
+        The step has a duration of `duration` [s]; the last pressure of the liquid acts during the
+        step.
         """
         lattice, nodes = self.lattice, self.lattice.nodes_state
         sums = [item.snapshot() for item in self._accumulators]
@@ -281,7 +285,7 @@ class ImmersedSolver:
         return self._mean
 
     def _find_windows(self) -> None:
-        """Place a window around the points of each body."""
+        """Place a window around the integration points of each body on a lattice."""
         part, x = self.lattice.model, self.lattice.state.x.numpy()
         for body, grid in enumerate(self._grids):
             cells = np.floor((x[part.particles(body)] - part.origin) / part.dx).astype(int)
@@ -333,19 +337,21 @@ def _names_of_liquid(model: Model) -> tuple[str, ...]:
 
 
 class _OfAll:
-    """Sums over all particles, updated in substeps that move only some of the particles."""
+    """Sums over all particles, which are also updated in substeps that move only some of the
+    particles.
+    """
 
     def __init__(self, item: Accumulator, model: Model, state: State) -> None:
         self._item, self._model, self._state = item, model, state
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return the stages that compute the sums."""
+        """Return the stages that update the sums over the particles."""
         return self._item.attach(self._model, self._state, tracks)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the sums."""
+        """Return a snapshot of the sums over the particles."""
         return self._item.snapshot()
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums from a snapshot."""
+        """Restore the sums over the particles from a snapshot."""
         self._item.restore(snapshot)

@@ -14,7 +14,7 @@ MEASURED = 6
 
 
 class WallImpulses:
-    """Sums per worker and wall in the current step, and totals over all steps."""
+    """Sums of each wall's impulses in the current step, per worker, and totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
         """Set all sums to zero.
@@ -29,19 +29,19 @@ class WallImpulses:
         """Names of the walls."""
         walls, real = max(count, 1), wp.float64
         self.step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
-        """Sums of the current step [workers,walls,7]."""
+        """Sums of the walls' impulses and work in the current step [workers,walls,7]."""
         self._totals = wp.zeros((walls, MEASURED), dtype=real, device=device)
         self.total = wp.zeros((1, EXCHANGE), dtype=real, device=device)
-        """Impulse and work of all walls, in the order of `phy124.kernels.work`."""
+        """Total impulse and work of all walls, in the order of `phy124.kernels.work`."""
         outputs = [self.step, self._totals, self.total]
         launch: Any = wp.launch(
             settle, 1, inputs=[len(names)], outputs=outputs, device=device, record_cmd=True
         )
         self.settle: Callable[[], Any] = launch.launch
-        """Launch that adds the sums of a step to the totals and resets the sums."""
+        """Function that adds the sums of a step to the totals and resets the sums."""
 
     def rows(self, worker: int) -> wp.array:
-        """Return a worker's sums of the current step [walls,7]."""
+        """Return a worker's sums of the walls' impulses and work in the current step [walls,7]."""
         return cast("wp.array", self.step[worker])
 
     def wrench(self, name: str) -> wp.array:
@@ -49,12 +49,12 @@ class WallImpulses:
         return cast("wp.array", self._totals[self.names.index(name)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the totals."""
+        """Return a snapshot of the walls' total impulses."""
         names, totals = list(self.names), np.asarray(self._totals.numpy()).tolist()
         return {"names": names, "totals": totals, "all": self.total.numpy().tolist()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the totals from a snapshot."""
+        """Restore the walls' total impulses from a snapshot."""
         self.step.zero_()
         self.total.assign(np.array(snapshot["all"]))
         if list(snapshot["names"]) == list(self.names):

@@ -27,23 +27,27 @@ class MixedClock(Clock):
     """The clock of the bodies' substeps; it accounts for the delay of the liquid's velocities."""
 
     liquid: LiquidClock
-    """The clock of the liquid."""
+    """The clock of the liquid's steps."""
     share = 0.0
     """Mass of the liquid divided by the total mass."""
 
     def follow(self, solver: LiquidSolver, total: float) -> None:
-        """Connect the clock with the liquid's solver; `total` is the mass of all particles [kg]."""
+        """Connect the bodies' clock with the liquid's solver; `total` is the mass of all particles
+        [kg].
+        """
         self.liquid, self.share = solver.clock, solver.model.total_mass / total
         self._state = solver.state
         self._moments = Moments(solver.model, [slice(0, len(solver.model))])
 
     def wet(self) -> Motion:
-        """Return the rigid motion of the liquid."""
+        """Return the rigid motion of the liquid, from the particles' present state."""
         return self._moments.read(self._state.x, self._state.v, self._state.C)[0]
 
     @property
     def behind(self) -> float:
-        """Delay of velocities behind positions [s], averaged over liquid and bodies by mass."""
+        """Delay of velocities behind positions [s], as a mean over liquid and bodies weighted by
+        mass.
+        """
         return (1 - self.share) * super().behind + self.share * self.liquid.behind
 
     def lag(self, power: float, momentum: NDArray) -> float:
@@ -195,7 +199,7 @@ class MixedSolver(Solver):
         self.clock.time = until
 
     def _advance_bodies(self, until: float) -> None:
-        """Advance the bodies by substeps under the pressure of the liquid."""
+        """Advance the bodies of other materials by substeps under the pressure of the liquid."""
         assert self.bodies is not None
         wet = min(self.model.wet)
         for body, (impulse, moment) in zip(self.bodies.numbers, self.bodies.impulses, strict=True):

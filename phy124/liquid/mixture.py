@@ -15,14 +15,14 @@ class Mixture:
     """Properties of the liquids in a run, relative to the reference values of the equations."""
 
     def __init__(self, model: Model) -> None:
-        """Compare the particles' densities and viscosities."""
+        """Determine whether the particles' densities and viscosities differ."""
         self._model = model
         mass, volume = (np.asarray(a.numpy(), np.float64) for a in (model.mass, model.volume))
         viscosities = _viscosities(model)
         self.density = float(mass.sum() / volume.sum())
-        """Mean density [kg/m^3], to which relative densities refer."""
+        """Mean density of the liquids [kg/m^3], to which relative densities refer."""
         self.viscosity = float(viscosities.max())
-        """Largest viscosity [Pa s], to which relative viscosities refer."""
+        """Largest viscosity of the liquids [Pa s], to which relative viscosities refer."""
         self.lightest = float((mass / volume).min())
         """Smallest density [kg/m^3]."""
         self.differ = [_differ(mass / volume), _differ(viscosities)]
@@ -33,18 +33,20 @@ class Mixture:
             for values, differ in zip(each, self.differ, strict=True)
             if differ
         ]
-        """Volume times relative density, and volume times relative viscosity [P]. A product is
-        omitted if all liquids have equal values.
+        """For each particle [P], volume times relative density, and volume times relative
+        viscosity. A product is omitted if the property is equal for all liquids.
         """
 
     def fit(self, count: int) -> None:
-        """Allocate the arrays of a window with `count` cells."""
+        """Allocate the arrays for a window with `count` cells."""
         model = self._model
         kind = types(model.real).vec4
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
         """1 in every cell."""
         self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
-        """For each cell, averages of the properties that differ, in the order of `weights`."""
+        """For each cell, averages of the properties that differ between the liquids, in the order
+        of `weights`.
+        """
         mixed = iter(self.mixed)
         self.densities, self.viscosities = (
             next(mixed) if differ else self.uniform for differ in self.differ

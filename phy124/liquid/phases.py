@@ -41,11 +41,17 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Worker
 
 LAYERS = 4
-"""Number of layers of faces to which velocities are extrapolated; must be even (`Cells.known`)."""
+"""Number of layers of faces beyond the liquid to which velocities are extrapolated; must be even
+(`Cells.known`).
+"""
 LAYERS_SHIFT = 2
-"""Number of layers of faces to which displacements are extrapolated; must also be even."""
+"""Number of layers of faces beyond the liquid to which displacements are extrapolated; must be
+even, like `LAYERS`.
+"""
 EXTENT = 7
-"""Number of values for the extent: negated low corner, high corner, squared speed."""
+"""Number of measured values of the extent of particles: lowest corner with negative sign, highest
+corner, and largest squared speed.
+"""
 
 
 class Phases:
@@ -81,7 +87,7 @@ class Phases:
         shape = (len(workers), EXTENT)
         self._no_sums = wp.zeros(0, dtype=faces.sums(model.real), device=device)
         self.extents = wp.zeros(shape, dtype=model.real, device=device)
-        """Extent of each worker's particles."""
+        """Extent of each worker's particles: bounding box and largest squared speed."""
         self.stray = wp.zeros(1, dtype=int, device=device)
         """Number of particles with values that are not finite."""
         self._mixture = Mixture(model)
@@ -90,15 +96,17 @@ class Phases:
         self._solids = Solids(model, free, density, projection)
         self._bodies = bodies
         self.pushes = Pushes(model, state, cells)
-        """The velocity changes that forces on particles cause."""
+        """Object that measures the velocity changes of particles by forces."""
         if bodies is not None:
             bodies.join(self._solids, projection.mobility)
         self.energies = Energies(model, state, cells, len(workers))
-        """Work on the liquid, by cause."""
+        """Work on the liquid since the start, by cause."""
 
     @property
     def densities(self) -> wp.array | None:
-        """Relative densities in the cells; None if all liquids have equal densities."""
+        """Densities in the cells, relative to the mean; None if all liquids have equal
+        densities.
+        """
         return self._mixture.densities if self._mixture.differ[0] else None
 
     def record(
@@ -135,7 +143,7 @@ class Phases:
         self._last = {name: place + 1 for place, name in enumerate(names)}
 
     def group(self, name: str) -> range:
-        """Return the indices of the phases of a group."""
+        """Return the indices of the phases in a named group."""
         return range(self._first[name], self._last[name])
 
     def extent(self, worker: int) -> list[Named]:
@@ -184,7 +192,9 @@ class Phases:
             yield "displace", launches(records)
 
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
-        """Yield the phases of a worker from the scatter to the pressure, with names of groups."""
+        """Yield a worker's phases from the scatter to the pressure, each with the name of its
+        group.
+        """
         for records in self._activate(worker):
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
@@ -248,8 +258,8 @@ class Phases:
         yield [*self._sum_shifts(worker, moves), *self.pushes.work(worker, self._run(worker))]
 
     def _sum_shifts(self, worker: int, moves: list[Recorded]) -> list[Recorded]:
-        """Return kernel launches that displace a worker's particles, and launches that sum the
-        work.
+        """Return a worker's kernel launches that displace particles and sum the work of the
+        displacements.
         """
         run = self._run(worker)
         first, last = (self.energies.of_shifts(worker, run, sign) for sign in (-1, 1))
@@ -277,7 +287,7 @@ class Phases:
         return launches([(stage.name, stage.record(grid)) for stage in stages])
 
     def _copy(self, sums: wp.array, worker: int) -> wp.array:
-        """Return a worker's copy of the sums over cells or columns."""
+        """Return the part of an array of sums over cells or columns that belongs to a worker."""
         count = len(sums) // len(self._workers)
         return cast("wp.array", sums[worker * count : (worker + 1) * count])
 
@@ -405,7 +415,10 @@ class Phases:
         return "walls", model.launch(kernel, parts, inputs, outputs)
 
     def _spread(self, worker: int, turn: int, sums: wp.array) -> Recorded:
-        """Record the extrapolation to a layer of faces; `sums` is empty for displacements."""
+        """Record the extrapolation of velocities or displacements to the next layer of faces.
+
+        `sums` is empty for displacements.
+        """
         cells = self._cells
         known = [cells.known, cells.also]
         inputs = [self.viscosity.rate, cells.window, self._tracks.clock, known[turn % 2]]

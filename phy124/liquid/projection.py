@@ -14,24 +14,28 @@ from phy124.mpm import Model
 from phy124.mpm.stage import Recorded
 
 STAGE = "pressure"
-"""Name of the stages in reports."""
+"""Name under which reports list the time to solve the pressure equation."""
 PARTS = 512
-"""Number of parts into which cells are divided on a GPU; on a CPU each worker has one part."""
+"""Number of parts into which the list of cells is divided on a GPU. On a CPU, each worker handles
+one part.
+"""
 MOST = 400
-"""Largest number of iterations of one solution."""
+"""Largest number of iterations for a solution of the pressure equation."""
 CHECK = 8
 """Number of iterations between two checks of the residual on a GPU, as each check waits for the
 GPU.
 """
 MAKERS = conjugate.make_begin, conjugate.make_advance, conjugate.make_improve
-"""Factories of the kernels of an iteration."""
+"""Factories of the kernels that begin a solution, and that advance and improve it in each
+iteration.
+"""
 
 
 class Projection:
-    """Records and repeats the kernel launches that solve an equation."""
+    """Records and repeats the kernel launches that solve an equation by conjugate gradients."""
 
     def __init__(self, model: Model, workers: int, solids: int = 0) -> None:
-        """Allocate the arrays of sums.
+        """Allocate the arrays in which the solver stores its sums.
 
         Args:
             model: The particles.
@@ -44,16 +48,22 @@ class Projection:
         self._form = form_on(model.device)
         device = model.device
         self.counts = wp.zeros(self._parts, dtype=int, device=device)
-        """For each part of the list of cells, the number of its cells with liquid."""
+        """Number of cells with liquid in each part of the list of cells."""
         self.sums = wp.zeros((ROWS + 6 * solids, self._parts), dtype=wp.float64, device=device)
         self.mobility = wp.zeros((solids, 10), dtype=wp.float64, device=device)
-        """Mobility of each solid: its motion per unit impulse, with impulses in the units of q."""
+        """Mobility of each solid: its motion per unit impulse, with impulses in the units of the
+        solution q = p dt / (rho dx).
+        """
         shape = (self._parts, 2 * solids)
         self._responses = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """Velocity and angular velocity of each solid due to pressures, per part of the cells."""
+        """Velocity and angular velocity of each solid due to the pressures in each part of the list
+        of cells.
+        """
 
     def part(self, worker: int) -> tuple[int, int]:
-        """Return the index of a worker's first part, and the number of the worker's parts."""
+        """Return the first part of the list of cells that a worker handles, and the number of its
+        parts.
+        """
         return (worker, 1) if self._parts == self._workers else (0, self._parts)
 
     def list_cells(self, cells: Cells, worker: int) -> tuple[list[Recorded], list[Recorded]]:
@@ -67,8 +77,10 @@ class Projection:
     def phases(
         self, cells: Cells, x: wp.array, worker: int, *, rigid: bool = False
     ) -> list[list[Recorded]]:
-        """Return a worker's kernel launches for an equation: begin, then pairs of advance and
-        improve.
+        """Return a worker's kernel launches that solve an equation.
+
+        The first launch begins the solution; each iteration then has a pair of launches, advance
+        and improve.
 
         Three pairs of launches are recorded: for the first, for odd and for even iterations.
 
@@ -153,7 +165,7 @@ class Projection:
 
 
 def parts_on(device: str, workers: int) -> int:
-    """Return the number of parts into which the cells are divided on a device."""
+    """Return the number of parts into which the list of cells is divided on a device."""
     return workers if device == "cpu" else PARTS
 
 
@@ -163,6 +175,6 @@ def form_on(device: str) -> str:
 
 
 def kernels(device: str) -> Iterator[Any]:
-    """Yield the kernels that solve an equation."""
+    """Yield the kernels that solve an equation by conjugate gradients."""
     yield from (count_liquid, list_liquid, rigid.project)
     yield from (make(form_on(device)) for make in MAKERS)

@@ -25,11 +25,11 @@ from phy124.mpm.model import part_of
 from phy124.mpm.stage import Named, Recorded, Stage, launches
 
 STAGE, WORK = "walls", "external work"
-"""Names of the stages in reports: for the pressure at walls, and for the work."""
+"""Names under which reports list times: for the pressure at walls, and for the work of forces."""
 
 
 class Pushes:
-    """Measures changes of velocity; the arrays are empty if there are no forces on particles."""
+    """Measures velocity changes by forces; the arrays are empty if no forces act on particles."""
 
     def __init__(self, model: Model, state: State, cells: Cells) -> None:
         """Store the particles and the cells.
@@ -41,14 +41,16 @@ class Pushes:
         """
         self._model, self._state, self._cells = model, state, cells
         self.sums: wp.array | None = None
-        """Sums of impulse and work of each worker [W,16]; None if they are not summed."""
+        """Sums of the impulse and work of forces on particles, for each worker [W,16]; None if they
+        are not summed.
+        """
         self._v: list[wp.array] = []
         self.fit(0, (), in_cells=False)
 
     def fit(
         self, workers: int, stages: Sequence[Stage], *, in_cells: bool, between: bool = False
     ) -> None:
-        """Allocate the arrays for a window.
+        """Allocate the arrays for the cells of a window.
 
         Args:
             workers: Number of workers.
@@ -68,10 +70,12 @@ class Pushes:
             kept = before[0] if len(before[0]) else wp.clone(self._state.v)
             self._v[0] = kept
         self._C = [self._empty(t.mat33, turns) for _ in keeps]
-        """Velocities and their gradients before and after the forces."""
+        """Velocities and velocity gradients of the particles before and after forces act."""
         count = workers * self._cells.count if self._in_cells else 0
         self.gains = wp.zeros(count, dtype=t.vec4, device=model.device)
-        """Momentum gained by particles, and their mass, in each cell; one copy per worker."""
+        """Sums in each cell of the momentum that particles gained by forces, and of their mass;
+        there is a copy for each worker.
+        """
 
     def _empty(self, dtype: Any, needed: bool) -> wp.array:
         return wp.zeros(len(self._model) if needed else 0, dtype=dtype, device=self._model.device)
@@ -92,13 +96,14 @@ class Pushes:
         return {"v": wp.clone(self._v[0])} if self._between else {}
 
     def restore(self, snapshot: dict[str, wp.array]) -> None:
-        """Restore a snapshot."""
+        """Restore the velocities from a snapshot."""
         if self._between and "v" in snapshot:
             wp.copy(self._v[0], snapshot["v"])
 
     def _copy(self, index: int, run: slice) -> list[Named]:
-        """Return the kernel launches that copy v, and C if forces change C, of a worker's
-        particles.
+        """Return the kernel launches that copy the velocities v of a worker's particles.
+
+        If forces change C, the launches copy C, too.
         """
         s = self._state
         pairs = [(self._v[index], s.v), (self._C[index], s.C)]

@@ -22,7 +22,7 @@ from phy124.mpm import FreeBodies, Grid, Model, Stage
 from phy124.mpm.tracks import Tracks
 
 STAGE = "free"
-"""Name of the stages in reports."""
+"""Name under which reports list the time for freely moving solids."""
 
 
 class Motion(NamedTuple):
@@ -56,13 +56,15 @@ class Moments:
     """Sums over the particles of several bodies, from which the rigid motions follow."""
 
     def __init__(self, model: Model, runs: Sequence[slice]) -> None:
-        """Allocate one row of sums per body; `runs` are the particles of each body."""
+        """Allocate a row of sums for each body; `runs` are the slices of the bodies' particles."""
         self._model, self._runs = model, list(runs)
         shape = (len(self._runs), MOMENTS)
         self._rows = wp.zeros(shape, dtype=wp.float64, device=model.device)
 
     def read(self, x: wp.array, v: wp.array, C: wp.array) -> list[Motion]:
-        """Return the rigid motion of each body with this state of the particles."""
+        """Return the rigid motion of each body for these positions and velocities of the
+        particles.
+        """
         model = self._model
         self._rows.zero_()
         for index, run in enumerate(self._runs):
@@ -84,9 +86,11 @@ class FreeSolids:
         self._model, self._solids = model, solids
         shape = (len(solids.all), 2)
         self._rates = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
-        """Acceleration [m/s^2] and torque [N m] of the liquid on each solid."""
+        """Acceleration [m/s^2] and torque [N m] by the liquid on each solid."""
         self._acting: list[tuple[NDArray, NDArray, NDArray, NDArray]] = []
-        """Impulse, moment, pose and motion of each solid at the start of the substeps."""
+        """Impulse and moment of the liquid on each solid in the substeps; pose and motion of the
+        solid at their start.
+        """
 
     def attach(self, tracks: Tracks) -> list[Stage]:
         """Return the stages that accelerate the solids in each substep."""
@@ -104,14 +108,14 @@ class FreeSolids:
         return [make(*item) for item in enumerate(self._solids.numbers)]
 
     def lead(self, copies: FreeBodies, ahead: float) -> None:
-        """Move the copies of the solids ahead by a time [s]."""
+        """Move copies of the freely moving solids ahead by a time [s]."""
         poses, motions = self._solids.poses(), self._solids.motions()
         for index, (pose, motion) in enumerate(zip(poses, motions, strict=True)):
             place, turn = pose[:3] + ahead * motion[:3], _turn(pose[3:], ahead * motion[3:])
             copies.put(index, (place, turn, motion[:3], motion[3:]))
 
     def motions(self) -> list[Motion]:
-        """Return the motion of each solid."""
+        """Return the rigid motion of each freely moving solid."""
         rows = zip(self._solids.all, self._solids.poses(), self._solids.motions(), strict=True)
         return [self._motion(*row) for row in rows]
 
@@ -144,7 +148,7 @@ class FreeSolids:
         self._rates.assign(rates)
 
     def finish(self) -> None:
-        """Sum the work of the pressure in the substeps since `receive`.
+        """Sum the work of the pressure on the solids in the substeps since `receive`.
 
         The work is the force times the displacement plus the moment times the mean rotation.
         """

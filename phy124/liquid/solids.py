@@ -15,7 +15,7 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "free"
-"""Name of the stages in reports."""
+"""Name under which reports list the time for freely moving solids."""
 
 
 class Solids:
@@ -26,7 +26,7 @@ class Solids:
     def __init__(
         self, model: Model, bodies: FreeBodies, density: float, projection: Projection
     ) -> None:
-        """Store the solids of a run.
+        """Store the freely moving solids and the bodies of a run.
 
         Args:
             model: The particles of the liquid.
@@ -37,10 +37,10 @@ class Solids:
         """
         self._model, self.bodies, self._projection = model, bodies, projection
         self.scale = density * model.dx**3
-        """Mass of a full cell [kg]."""
+        """Mass of a cell that is full of liquid [kg]."""
         count = projection.solids
         self.plans = wp.zeros((count, 2), dtype=wp.vec3d, device=model.device)
-        """Velocity and angular velocity of each solid before the pressure acts."""
+        """Velocity and angular velocity of each solid before the pressure changes them."""
         self.centres = wp.zeros(count, dtype=wp.vec3d, device=model.device)
         """Centre of mass of each solid [m]."""
 
@@ -50,7 +50,7 @@ class Solids:
         return self._projection.solids > 0
 
     def first(self, walls: Walls) -> int:
-        """Return the index of the first wall that is a solid."""
+        """Return the index of the first freely moving solid or body among all walls."""
         return len(walls.all) - self._projection.solids
 
     def kick(self, tracks: Tracks) -> list[Recorded]:
@@ -74,7 +74,7 @@ class Solids:
         tracks: Tracks,
         worker: int,
     ) -> list[list[Recorded]]:
-        """Return a worker's kernel launches that run before the divergence of the velocities is
+        """Return a worker's kernel launches that must run before the velocities' divergence is
         computed.
 
         Args:

@@ -47,11 +47,11 @@ from phy124.mpm.workers import (
 )
 
 TOLERANCE, LOOSE = 1e-4, 1e-2
-"""Largest allowed residuals of the equations of pressure and density, relative to the largest
-right-hand side.
+"""Largest allowed residual of the pressure equation and of the density equation, relative to the
+largest right-hand side.
 """
 SETTLE = 4
-"""Number of corrections of the density before the first step."""
+"""Number of times that the density is corrected before the first step."""
 
 
 class LiquidSolver(Kept):
@@ -107,7 +107,7 @@ class LiquidSolver(Kept):
         self.state = State.of(model) if state is None else state
         self.clock = LiquidClock(model, ceiling=ceiling)
         self.grids = grids_of(model)
-        """Empty grids, because forces and reports expect grids."""
+        """Grids without nodes, because forces and reports expect a grid for each body."""
         count = usable_workers(len(model), model.device, threads)
         self.workers = [Worker(numbers(0, model), numbers(0, model)) for _ in range(count)]
         self.slabs, self.softened = None, 1.0
@@ -117,7 +117,7 @@ class LiquidSolver(Kept):
         self.cells = Cells(model, count)
         self._bodies, self._advance_bodies = bodies, advance_bodies
         self.bounds: StepRejection | None = None
-        """Bounds of the forces on particles in the bodies' substeps."""
+        """Upper bounds of the forces on particles in the bodies' substeps."""
         solids = len(free) + (len(bodies.numbers) if bodies else 0)
         self.projection = Projection(model, count, solids)
         self._phases = Phases(
@@ -133,14 +133,15 @@ class LiquidSolver(Kept):
         self.runner = Runner(self.workers)
         self.clock.diffuse(self._phases.viscosity.fastest)
         self.kick = 0.0
-        """Duration over which the current pressure acted [s]."""
+        """Duration of the step in which the stored pressure acted [s]."""
         self.follower: Callable[[], None] | None = None
         """Function that is called after each step, before the function that `advance` receives."""
         self._fitted = False
         self.crowding, self._excess = 0.0, 0.0
-        """Largest mean excess of the liquid's density, and excess at the end of the last frame,
-        relative to the rest density. Only an excess that lasts for two frames counts, because an
-        impact compresses the liquid for a moment even if the liquid can expand.
+        """Largest mean excess of the liquid's density over the rest density, as a fraction of the
+        rest density; and the excess at the end of the last frame. Only an excess of density that
+        lasts for two frames counts, because an impact compresses the liquid for a moment even if
+        the liquid can expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
         """Impulses of the walls."""
@@ -358,7 +359,9 @@ class LiquidSolver(Kept):
         clock.count(limit.limiter, needed=dt / limit.dt)
 
     def _guess(self, kick: float) -> None:
-        """Scale the last pressure to get the initial guess of a step that takes `kick` [s]."""
+        """Scale the last pressure, which is the initial guess of the next step, to a step of `kick`
+        [s].
+        """
         scale = kick / self.kick if self.kick > 0 else 0.0
         self._phases.viscosity.carry.fill_(scale)
         self.kick = kick
@@ -378,7 +381,10 @@ class LiquidSolver(Kept):
             self._advance_bodies(self.clock.time + drift)
 
     def _move_walls(self, ahead: float = 0.0) -> None:
-        """Update the walls' geometry in the cells; bodies are extrapolated by `ahead` [s]."""
+        """Update the geometry of walls in the cells.
+
+        The positions of bodies are extrapolated by `ahead` [s].
+        """
         self.runner.join()
         run_timed(self.timings, "walls", self.cells.restore_walls)
         if self._bodies is not None:
@@ -391,7 +397,7 @@ class LiquidSolver(Kept):
             run_timed(self.timings, "bodies", describe)
 
     def _group(self, name: str) -> None:
-        """Run all phases of a group."""
+        """Run all phases of a named group."""
         for phase in self._phases.group(name):
             self.runner.run(phase)
 
@@ -424,8 +430,10 @@ class LiquidSolver(Kept):
             run_timed(self.timings, WINDOW, self._record)
 
     def _bound(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the corners [m] of the particles' bounding box, or of the part of this box that
-        fits into the largest window; particles outside the window move along parabolas.
+        """Return the corners [m] of the box from which the window is computed.
+
+        The box is the particles' bounding box, or the part of it that fits into the largest window.
+        Particles outside the window move along parabolas.
         """
         most = min(self.outliers.allowed, MOST_CELLS)
         if np.prod(needed_cells(lower, upper, self.model.dx)) <= most:

@@ -12,31 +12,38 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "viscosity"
-"""Name of the stage in reports."""
+"""Name under which reports list the time for viscosity."""
 
 
 class Viscosity:
-    """Records the iterations that compute viscosity. Before them, the effect of the last pressure
-    is added to the velocities in advance.
+    """Records the kernel launches that compute viscosity by iterations. Before the first iteration,
+    the effect of the last pressure is added to the velocities.
     """
 
     def __init__(self, model: Model, cells: Cells, mixture: Mixture) -> None:
-        """Compute the rates at which velocities diffuse."""
+        """Compute the rates at which viscosity diffuses velocities to a neighbouring face."""
         self._real, self._cells, self._mixture = model.real, cells, mixture
         self.rate = mixture.viscosity / (mixture.density * model.dx**2)
-        """Rate at which velocities diffuse to a neighbouring face [1/s] at the mean density."""
-        self.fastest = mixture.viscosity / (mixture.lightest * model.dx**2)
-        """Upper bound of the rate at which velocities diffuse [1/s]."""
-        self.carry = wp.ones(1, dtype=wp.float64, device=model.device)
-        """The last pressure, multiplied by this factor, is the initial guess of the next pressure.
+        """Rate at which viscosity diffuses velocities to a neighbouring face, at the mean density
+        [1/s].
         """
+        self.fastest = mixture.viscosity / (mixture.lightest * model.dx**2)
+        """Upper bound of the rate at which viscosity diffuses velocities to a neighbouring face
+        [1/s].
+        """
+        self.carry = wp.ones(1, dtype=wp.float64, device=model.device)
+        """Factor on the last pressure; the product is the initial guess of the next pressure."""
 
     def fit(self, walls: Walls, tracks: Tracks, impulses: WallImpulses) -> None:
-        """Set the walls, the quantities that change over time, and the sums of walls' impulses."""
+        """Set the walls, the quantities that change over time, and the sums of the walls'
+        impulses.
+        """
         self._walls, self._tracks, self._impulses = walls, tracks, impulses
 
     def anticipate(self, worker: int, factor: float) -> Recorded:
-        """Record the change of a worker's velocities by the last pressure times a factor."""
+        """Record the kernel launch that changes a worker's velocities by the last pressure times a
+        factor.
+        """
         cells = self._cells
         inputs = [factor, cells.window, cells.open, self._mixture.densities]
         inputs += [cells.phi, cells.liquid, self.carry, cells.pressure]
@@ -44,19 +51,24 @@ class Viscosity:
         return STAGE, cells.record(worker, kernel, inputs, [cells.velocity])
 
     def diffuse(self, worker: int, before: wp.array, after: wp.array) -> Recorded:
-        """Record a sweep over a worker's faces, from one array of velocities to another."""
+        """Record a Jacobi iteration over a worker's faces, from one array of velocities to
+        another.
+        """
         inputs = [*self._common(), self._cells.velocity, before]
         return STAGE, self._cells.record(worker, viscous.make_diffuse(self._real), inputs, [after])
 
     def drag(self, worker: int, sums: wp.array) -> Recorded:
-        """Record the impulses of a worker's faces on walls; `sums` contains the faces' masses."""
+        """Record the kernel launch that sums the impulses of a worker's faces on walls.
+
+        `sums` contains the masses of the faces.
+        """
         cells = self._cells
         inputs = [*self._common(), sums, cells.other]
         outputs = [cells.velocity, self._impulses.rows(worker)]
         return STAGE, cells.record(worker, viscous.make_drag(self._real), inputs, outputs)
 
     def _common(self) -> list:
-        """Return the common arguments of the kernels."""
+        """Return the arguments that the kernels of viscosity have in common."""
         cells, walls = self._cells, self._walls
         inputs = [self.rate, cells.lattice, cells.window, self._tracks.clock, cells.known]
         inputs += [self._mixture.densities, self._mixture.viscosities, cells.open]

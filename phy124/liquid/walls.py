@@ -19,7 +19,7 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Tracks
 
 STAGE = "walls"
-"""Name of the stages in reports."""
+"""Name under which reports list the time for walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,21 +27,27 @@ class Wall:
     """A single shape that the liquid does not enter."""
 
     name: str
-    """Name of the boundary and, if the boundary has several parts, of the part."""
+    """Name of the wall's boundary; if the boundary has several parts, also the name of the part."""
     shape: str
-    """Name of a distance function (phy124/kernels/distance.py); empty for a particle body."""
+    """Name of the distance function for the wall's shape (phy124/kernels/distance.py); empty for a
+    particle body.
+    """
     geometry: Any
-    """The three vectors that the distance function reads [m]."""
+    """The three vectors from which the distance function computes the distance to the wall [m]."""
     slot: int
-    """Slot of the track of the wall's displacement; 0 if the wall never moves."""
+    """Index (slot) of the track that contains the wall's displacement; 0 if the wall never
+    moves.
+    """
     friction: float
     """Coefficient of Coulomb friction."""
     sticky: bool
     """Whether the liquid sticks to the wall."""
     frame: wp.array
-    """State of a freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
+    """State of the freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
     reach: float = math.inf
-    """Largest distance of a solid's surface from its centre [m]; infinite for other walls."""
+    """Largest distance from the centre of a freely moving solid to its surface [m]; infinite for
+    other walls.
+    """
 
     @property
     def moves(self) -> bool:
@@ -56,15 +62,17 @@ class Group:
     shape: str
     moves: bool
     reach: float
-    """Largest distance of a solid's surface from its centre [m]; infinite for other walls."""
+    """Largest distance from the centre of a freely moving solid to its surface [m]; infinite for
+    other walls.
+    """
     first: int
-    """Index of the first wall."""
+    """Index of the first wall in the group."""
     numbers: wp.array
     """Indices of the walls."""
     geometries: wp.array
-    """Shapes of the walls, as three vectors each."""
+    """Shapes of the walls in the group, as three vectors each."""
     frame: wp.array
-    """State of a freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
+    """State of the freely moving solid (phy124/kernels/free/numbers.py); empty for other walls."""
 
 
 def walls_of(
@@ -112,12 +120,14 @@ class Walls:
         t, device = types(model.real), model.device
         rows = [(wall.friction, float(wall.sticky)) for wall in walls] or [(0.0, 0.0)]
         self.frictions = model.array(rows, t.vec2)
-        """Friction coefficient of each wall, and 1 if the wall is sticky."""
+        """Two numbers for each wall: the coefficient of friction; and 1 if the liquid sticks to the
+        wall, otherwise 0.
+        """
         slots = [wall.slot for wall in walls] or [0]
         self.slots = wp.array(np.array(slots, np.int32), dtype=int, device=device)
-        """Slot of each wall's track."""
+        """Index (slot) of the track that contains each wall's displacement."""
         self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
-        """Velocity, angular velocity and centre of each wall."""
+        """Velocity, angular velocity and centre of each wall, as three vectors."""
         self.still = wp.zeros_like(self.motions)
         """Motions of fixed walls."""
         self.move = any(wall.moves for wall in walls)
@@ -125,7 +135,7 @@ class Walls:
         self.follow_tracks = any(slot > 0 for slot in slots)
         """Whether any wall moves along a track."""
         self.time = math.nan
-        """Time [s] of the wall positions in the cells; NaN if unknown."""
+        """Time for which the positions of walls in the cells were computed [s]; NaN if unknown."""
         self._clock = wp.zeros(3, dtype=model.real, device=device)
         self._places, self._next = (wp.zeros_like(tracks.values) for _ in range(2))
         self._sample = tracks.record(self._clock, [self._next, wp.zeros_like(tracks.rates)])
@@ -143,7 +153,7 @@ class Walls:
             wp.copy(self._places, self._next)
 
     def lead(self, time: float) -> None:
-        """Compute the mean velocities with which the walls reach their positions at a time [s]."""
+        """Compute the mean velocities with which walls reach their positions at a time [s]."""
         if self.follow_tracks:
             self._clock.assign([0.0, 0.0, time])
             self._sample.launch()
@@ -199,8 +209,9 @@ class Walls:
         return cells.region(group.reach, group.first)
 
     def share(self, cells: Cells, region: Region, worker: int, workers: int) -> Recorded:
-        """Return a worker's kernel launch that computes the solid fractions of the B-splines in a
-        region.
+        """Return a worker's kernel launch that computes the B-splines' fractions inside walls.
+
+        The launch covers the cells of a region.
 
         The solid fraction of a B-spline is the fraction inside walls.
 
@@ -276,7 +287,7 @@ class Walls:
 
 
 def span(count: int, worker: int, workers: int) -> tuple[int, int]:
-    """Return the index of a worker's first item, and the number of items."""
+    """Return the index of the first item that a worker handles, and the number of its items."""
     first, last = (count * index // workers for index in (worker, worker + 1))
     return first, last - first
 

@@ -36,38 +36,47 @@ class Clock(Kept):
     ) -> None:
         self.dx, self.viscous = model.dx, model.viscous
         self.cfl, self.ceiling = model.cfl, ceiling
-        """Substep as a fraction of the elastic limit; longest substep allowed [s]."""
+        """Length of a substep as a fraction of the elastic limit, and the largest allowed length
+        [s].
+        """
         self.measure_every = measure_every
-        """Number of substeps between two measurements, from the user's options."""
+        """Number of substeps between two measurements of the particles, from the user's options."""
         self.time, self.substeps, self.last_dt = 0.0, 0, 0.0
-        """Time [s], number of substeps, length of the last substep [s]."""
+        """Current time [s], number of substeps so far, and length of the last substep [s]."""
         self.limiters: dict[str, int] = {}
-        """Number of substeps that each limit determined."""
+        """For each limit on the length of substeps, the number of substeps that it determined."""
         self.needed: dict[str, float] = {}
-        """For each limit, the number of substeps that it would require alone, if a frame could
-        contain fractions of a substep. Each substep adds the ratio of its length to the limit.
+        """For each limit on the length of substeps, the number of substeps that this limit alone
+        would require if a frame could contain fractions of a substep. For each limit, a substep
+        adds the ratio of its length to the length that the limit allows.
         """
         self.extremes = self.recent = Extremes(0.0, 0.0, 0.0)
-        """The last measured values that limit substeps, and the maxima of these values since the
-        host last read them. If the device runs substeps without the host, the host reads the values
-        only every few substeps.
+        """The last measured values that limit the length of substeps, and the maxima of these
+        values since the host last read them. If the device runs substeps without the host, the host
+        reads these values only every few substeps.
         """
         self.strain_rate = 0.0
-        """Largest recent |C| [1/s]; |C| alone would be zero at the turning point of a vibration."""
+        """Largest recent velocity gradient |C| [1/s]. The current |C| alone would be zero at the
+        turning point of a vibration.
+        """
         self.interval = self.since_measured = min(measure_every, MEASURE_EVERY)
-        """Number of substeps between measurements of speeds; number since the last measurement."""
+        """Number of substeps between two measurements of speeds, and number of substeps since the
+        last measurement.
+        """
         self.strain = self.travel = math.inf
-        """Upper bounds of the strain and the displacement [m] of all particles since the last
-        complete measurement. If the bounds are infinite, the next measurement must be complete.
+        """Upper bounds of the strain and the displacement [m] of any particle since the last
+        complete measurement. If these upper bounds are infinite, the next measurement of the
+        particles must be complete.
         """
         self._last_measured, self.since_complete = 0.0, 0
-        """Time of the last measurement [s]; number of substeps since the last complete measurement.
+        """Time of the last measurement of the particles [s], and number of substeps since the last
+        complete measurement.
         """
         self.values = wp.zeros(3, dtype=model.real, device=model.device)
-        """Array on the device: the substep's kick and drift, and the time at its start [s]."""
+        """Array on the device: kick, drift and start time of the current substep [s]."""
         self._shared = self.values.numpy() if model.device == "cpu" else None
         self._limits: tuple[Any, Substep] | None = None
-        """Last computation of the longest stable substep: inputs and result."""
+        """Inputs and result of the last computation of the longest stable substep."""
 
     @property
     def behind(self) -> float:
@@ -107,7 +116,8 @@ class Clock(Kept):
         self.since_measured, self.strain = self.interval, math.inf
 
     def complete(self, calm_strain: float) -> bool:
-        """Return whether the next measurement must include stiffness and positions.
+        """Return whether the next measurement of the particles must include stiffness and
+        positions.
 
         A measurement of only the speeds suffices under two conditions. First, no particle can have
         been strained by more than `calm_strain`; a larger strain changes the stiffness. Second, no
@@ -143,7 +153,7 @@ class Clock(Kept):
             self.strain, self.travel, self.since_complete = 0.0, 0.0, 0
 
     def begin(self, kick: float, drift: float) -> None:
-        """Write the substep's `kick` (for v) and `drift` (for x and F) [s] to the array on the
+        """Write the durations `kick` (for v) and `drift` (for x and F) of the substep [s] to the
         device.
         """
         values = (kick, drift, self.time)
@@ -164,7 +174,10 @@ class Clock(Kept):
             self.expire()
 
     def count(self, limiter: str, substeps: int = 1, *, needed: float) -> None:
-        """Count substeps that a limit determined; `needed` is their number before rounding up."""
+        """Count substeps whose length was determined by a limit.
+
+        `needed` is the number of substeps before it is rounded up.
+        """
         self.limiters[limiter] = self.limiters.get(limiter, 0) + substeps
         self.needed[limiter] = self.needed.get(limiter, 0.0) + needed
 

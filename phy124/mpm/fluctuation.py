@@ -22,25 +22,29 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.mpm.workers import Part
 
 STAGE = "fluctuation"
-"""Name of the stages in reports."""
+"""Name under which reports list the time for the fluctuation of the particles' motion."""
 
 
 class Scheme(NamedTuple):
-    """The scheme of the grid-to-particle transfer."""
+    """The scheme of the transfers between particles and grid: APIC, AFLIP, XPIC or RPIC."""
 
     passes: int = 0
-    """Number of round trips over the grid: 0 for APIC, 1 for AFLIP, m >= 2 for XPIC(m)."""
+    """Number of transfers to the grid and back in a substep: 0 for APIC, 1 for AFLIP, m >= 2 for
+    XPIC(m).
+    """
     share: float = 1.0
-    """Fraction of the fluctuation that is restored, between 0 (APIC) and 1."""
+    """Fraction of the fluctuation, the motion that the grid loses, that is restored: between 0 (as
+    for APIC) and 1.
+    """
     rpic: float = 0.0
-    """Decay rate of the symmetric part of C [1/s]."""
+    """Rate at which the symmetric part of the velocity gradients C decays [1/s]."""
 
 
 APIC = Scheme()
 
 
 def usable_rpic(scheme: Scheme, cfl: float) -> float:
-    """Return the rate [1/s] at which a scheme damps C.
+    """Return the rate [1/s] at which a transfer scheme damps the velocity gradients C.
 
     Raises:
         ValueError: With damping, substeps of `cfl` times the elastic limit are unstable.
@@ -52,25 +56,33 @@ def usable_rpic(scheme: Scheme, cfl: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Fluctuation:
-    """The launches of a scheme other than APIC."""
+    """The kernel launches of a transfer scheme other than APIC."""
 
     model: Model
     state: State
     scheme: Scheme
     v: wp.array
-    """Velocities [P,3], m/s, without the part that the grid represents in this substep."""
+    """Part of the particles' velocities [P,3], m/s, that the grid does not represent in this
+    substep.
+    """
     C: wp.array
-    """Velocity gradients [P,3,3], 1/s, without the part that the grid represents."""
+    """Part of the particles' velocity gradients [P,3,3], 1/s, that the grid does not represent in
+    this substep.
+    """
     v_noise: wp.array
-    """Remainder of the velocities after several passes [P,3], m/s; zero after one pass."""
+    """Part of the velocities [P,3], m/s, that is left after several transfers to the grid and back;
+    zero after one.
+    """
     C_noise: wp.array
-    """Remainder of the gradients after several passes [P,3,3], 1/s; zero after one pass."""
+    """Part of the velocity gradients [P,3,3], 1/s, that is left after several transfers to the grid
+    and back; zero after one.
+    """
     still: wp.array
-    """A clock with a time step of zero, so that the grid update does not change velocities."""
+    """A clock with a time step of zero, with which the grid update does not change velocities."""
 
     @classmethod
     def of(cls, model: Model, state: State, scheme: Scheme) -> Fluctuation:
-        """Allocate the arrays; a substep writes them before it reads them."""
+        """Allocate the arrays of the fluctuation; a substep writes them before it reads them."""
         t, count = types(model.real), len(model)
         v, v_noise = (wp.zeros(count, dtype=t.vec3, device=model.device) for _ in range(2))
         C, C_noise = (wp.zeros(count, dtype=t.mat33, device=model.device) for _ in range(2))
@@ -78,8 +90,8 @@ class Fluctuation:
         return cls(model, state, scheme, v, C, v_noise, C_noise, still)
 
     def carry(self, part: Part, turn: int) -> Recorded:
-        """Record the transfer to the grid: of the particles' motion in pass 0, of the remainder
-        later.
+        """Record the transfer to the grid of the motion in pass 0, and of its remainder in later
+        passes.
         """
         model, run = self.model, part.particles
         v, C = self._left(turn)
@@ -89,7 +101,7 @@ class Fluctuation:
         return STAGE, model.launch(kernel, part.count, inputs, [part.nodes.nodes])
 
     def remain(self, part: Part, grid: Grid, turn: int) -> Recorded:
-        """Record the computation of the remainder after a pass."""
+        """Record the computation of the motion that remains after a pass over the grid."""
         model, run = self.model, part.particles
         v, C = self._left(turn)
         inputs = [part.chosen, grid.lattice, grid.window, grid.nodes, self.state.x[run]]
@@ -98,7 +110,7 @@ class Fluctuation:
         return STAGE, model.launch(kernel, part.count, [*inputs, v[run], C[run]], outputs)
 
     def keep(self, part: Part) -> Recorded:
-        """Record the kernel launch that restores the fluctuation after the gather."""
+        """Record the kernel launch that restores the fluctuation (lost motion) after the gather."""
         model, run = self.model, part.particles
         read = [array[run] for array in (self.v, self.C, self.v_noise, self.C_noise)]
         outputs = [self.state.v[run], self.state.C[run]]
@@ -106,14 +118,14 @@ class Fluctuation:
         return STAGE, model.launch(make_keep(model.real), part.count, inputs, outputs)
 
     def _left(self, turn: int) -> tuple[wp.array, wp.array]:
-        """Return the input of a pass: the remainder of the previous pass."""
+        """Return the motion that a pass transfers: the remainder of the previous pass."""
         if turn == 0:
             return self.state.v, self.state.C
         return (self.v, self.C) if turn == 1 else (self.v_noise, self.C_noise)
 
 
 def kernels(scheme: Scheme, real: Any, form: str) -> Iterator[Any]:
-    """Yield the kernels of a scheme except the transfers."""
+    """Yield the kernels of a transfer scheme, except the transfers themselves."""
     if scheme.rpic > 0:
         yield make_rpic(real)
     if scheme.passes:
