@@ -28,6 +28,8 @@ FLAT = 0.3
 shortest."""
 WINDOW = 5
 """Side of the cube in which the centre of the material around a sample is computed."""
+NOISE = 0.15
+"""Distances of flat Gaussians from a face up to this value count as noise (standard deviation)."""
 PARALLEL = 0.95
 """Smallest cosine of the angle between two parallel faces."""
 OPPOSITE = 0.7
@@ -188,10 +190,11 @@ def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
     side = 2 * axis + (normal[np.arange(len(normal)), axis] < 0)
     key, which, count = np.unique(6 * voxel + side, return_inverse=True, return_counts=True)
     middle, mean = _sums(which, points) / count[:, None], _normalise(_sums(which, normal))
-    # Flat Gaussians lie at the surface. Round Gaussians may fill the object: samples spread evenly
-    # from a to b have mean (a + b) / 2 and standard deviation (b - a) / sqrt(12).
+    # Samples that are spread evenly from a to b have mean (a + b) / 2 and standard deviation
+    # (b - a) / sqrt(12). Flat Gaussians lie at the surface, apart from noise.
     height = ((points - middle[which]) * mean[which]).sum(axis=1)
-    reach = np.sqrt(3 * np.bincount(which, ~is_flat * height**2) / count)
+    noise = NOISE**2 * np.bincount(which, is_flat)
+    reach = np.sqrt(3 * np.maximum(np.bincount(which, height**2) - noise, 0) / count)
     top = (middle * mean).sum(axis=1) + reach
     faces = _Faces(key // 6, key % 6, count, middle, mean, top, np.full(len(key), np.inf))
     least = np.maximum(np.bincount(which, thickness) / count, 2 * reach)
