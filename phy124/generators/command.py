@@ -39,7 +39,7 @@ FORM = re.compile(r"cmd(?:\s+(?P<seconds>[0-9.]+))?\s*:\s*(?P<words>.*)", re.DOT
 LONGEST = 1800.0
 """Default time limit of a command [s]."""
 BEAT = 0.2
-"""Time between two checks whether the command has ended or the run has been cancelled [s]."""
+"""Interval [s] at which phy124 checks whether the command has ended or the run was cancelled."""
 LONGEST_MESSAGE = 300
 """Number of characters of a failed command's output that the error message quotes."""
 USAGE = (

@@ -102,7 +102,7 @@ def read_mesh(path: Path, *, seed: int = 0) -> Content:
 
 
 def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
-    """Return a mesh's pieces with their colours and textures, and its up and front directions.
+    """Return a file's meshes with their colours and textures, and the file's up and front axes.
 
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
@@ -136,7 +136,7 @@ class _About(NamedTuple):
     """The bounding box of a mesh in the axes of its file, and notes about reading the file."""
 
     axes: tuple[str, str | None]
-    """Up and front directions of the file."""
+    """Axes of the mesh file that point up and to the object's front."""
     centre: NDArray[np.float64]
     size: float
     """Longest side of the bounding box."""
@@ -246,7 +246,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points on a mesh and check the mesh's resolution.
+    """Sample points on the surface of a mesh, and check that the mesh has enough triangles.
 
     This function is called in a separate process.
 
@@ -262,7 +262,7 @@ def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | Non
 
 
 def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
-    """Return the pieces of a mesh in the scene's axes; vertices without a triangle are removed.
+    """Return the meshes of a file in phy124's axes, without the vertices that no triangle uses.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -275,7 +275,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return the pieces that have triangles, in the scene's axes, and the shapes of all nodes.
+    """Return a file's meshes that have triangles, in phy124's axes, and all of the file's shapes.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".
@@ -303,7 +303,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
 
 
 def _load(path: str, kind: str) -> Any:
-    """Load the scene of a file.
+    """Load a mesh file as a scene of trimesh.
 
     If a PLY file fails to load, remove its comments and blank lines and retry.
     """
@@ -338,7 +338,7 @@ def _is_text(line: bytes) -> bool:
 
 
 def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners [3F,3] and the areas [F] of the triangles in all pieces of a mesh.
+    """Return the corners [3F,3] and the areas [F] of the triangles of several meshes together.
 
     Raises:
         ValueError: If a corner is not finite, a triangle refers to a missing vertex, or the pieces
@@ -356,8 +356,8 @@ def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[n
         raise ValueError("its triangles have no surface area.")
     if areas.sum() <= SMALLEST * side * side:
         raise ValueError(
-            f"its longest side is {side:.3g}, but its surface area is only {areas.sum():.3g}. A "
-            "vertex may be far from all others."
+            f"its longest side is {side:.3g}, but its surface area is only {areas.sum():.3g}. "
+            "One vertex may be far from all other vertices."
         )
     return corners, areas
 
@@ -404,7 +404,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return the colours [N,3 or 4], 0..255, of points on a piece; None if it has no colours."""
+    """Return the colours [N,3 or 4], 0..255, of points on a mesh; None for a mesh without colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

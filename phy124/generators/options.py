@@ -62,7 +62,7 @@ class GeneratorOptions(Section):
 
 
 UNCHANGED = GeneratorOptions()
-"""Options with no value set."""
+"""The options of a generator that does not differ from the defaults."""
 
 
 ROUNDS = 2
@@ -77,11 +77,11 @@ class Work(NamedTuple):
     attention: float
 
     def at(self, speed: Work) -> float:
-        """Return the time [s] that this work takes at the rates `speed`."""
+        """Return the time [s] of these operations if `speed` operations are executed per second."""
         return sum(work / rate for work, rate in zip(self, speed, strict=True))
 
     def times(self, count: float) -> Work:
-        """Return `count` times this amount of work."""
+        """Return the number of operations if this work is repeated `count` times."""
         return Work(*(count * work for work in self))
 
 

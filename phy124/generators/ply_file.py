@@ -76,7 +76,7 @@ class Reading(Section):
 
 
 NO_AXES = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
-"""The default values of the four options about axes."""
+"""The default values of the options that determine the axes of a file of Gaussians."""
 
 
 class Opened(NamedTuple):

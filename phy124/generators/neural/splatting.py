@@ -27,9 +27,10 @@ ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
 """Compositing of a pixel ends when the pixel's transmittance falls below this value."""
 GUARD = 1.3
-"""The Jacobian of the projection is evaluated at most at this distance from the image centre.
+"""Largest distance from the image centre at which the Jacobian of the projection is evaluated.
 
-The unit is half the field of view. Farther out, the Jacobian would become very large.
+The distance is a multiple of half the field of view. Farther out, the Jacobian would become very
+large.
 """
 
 
@@ -62,7 +63,7 @@ class Rendering:
     centres: Tensor
     """Projected centres [N,2], pixels.
 
-    The backward pass stores the gradient of the loss in this tensor.
+    The backward pass stores the loss's gradient for these centres in the tensor's `grad`.
     """
     radii: Tensor
     """Radius on screen that corresponds to three standard deviations [N], pixels; 0 for invisible

@@ -51,25 +51,37 @@ class Settings:
     points: int = 5000
     ball_radius: float = 0.5
     radius: float = 2.0
-    """Distance of the cameras from the origin. At distance 2, the result extends to about +-0.9."""
+    """Distance of the cameras from the origin. If the distance is 2, the Gaussians extend to about
+    0.9 on each side of the origin.
+    """
     known_size: int = 256
-    """Side of the known view [pixels]; 0 if there is no known view."""
+    """Side of the rendering that is compared with the input image [pixels].
+
+    If it is 0, no rendering is compared with the image.
+    """
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
     elevations: tuple[int, int] = (-30, 30)
-    """Range of elevations of the guided views [degrees]; positive is below the object."""
+    """Range of elevations of the views that the diffusion model judges [degrees]. Positive
+    elevations are below the object.
+    """
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the guided views [pixels] in the first 30 % of the steps, the next 30 %, and the
-    rest.
+    """Sides of the views that the diffusion model judges [pixels]: in the first 30 % of the steps,
+    in the next 30 %, and in the rest.
     """
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
-    """Scene extent used in the last pruning."""
+    """Size of the scene, to which the Gaussians' scales are compared at the end of the optimisation;
+    too large Gaussians are removed.
+    """
 
     def guided_size(self, ratio: float) -> int:
-        """Return the side of the guided views [pixels] after the fraction `ratio` of the steps."""
+        """Return the side [pixels] of the views that the diffusion model judges.
+
+        `ratio` is the fraction of the optimisation's steps that are finished.
+        """
         return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
 
 
@@ -82,8 +94,8 @@ WITH_IMAGEDREAM = Settings(
 )
 """The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-phy124 always uses an empty prompt. In this case, the original program switches the guidance off;
-phy124 does not.
+phy124 always uses an empty prompt. With an empty prompt, the original program does not use the
+diffusion model; phy124 uses it.
 """
 
 
@@ -196,7 +208,10 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Return the weighted loss against the known image; the weight grows with each step."""
+    """Return the weighted difference between a rendering and the input image.
+
+    The weight grows with each step.
+    """
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero

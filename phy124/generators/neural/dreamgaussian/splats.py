@@ -37,7 +37,7 @@ class Rates:
     scaling: float = 0.005
     rotation: float = 0.005
     steps: int = 500
-    """Number of steps until `xyz_last` is reached."""
+    """Number of steps in which the centres' learning rate decreases from `xyz` to `xyz_last`."""
 
     def position(self, step: int) -> float:
         """Return the learning rate of the centres; its logarithm is linear in the step."""
@@ -175,7 +175,7 @@ CHILDREN = 2
 SHRINK = 0.8 * CHILDREN
 """Ratio of a Gaussian's scales to the scales of the two Gaussians that replace it in a split."""
 TOO_LARGE = 0.1
-"""Gaussians are removed if their largest scale, divided by the extent, exceeds this value."""
+"""Gaussians with a larger scale are removed; the unit is the scene's size."""
 RESET = 0.01
 Draw = Callable[[Tensor], Tensor]
 """Function that maps standard deviations [M,3] to normal samples [M,3]."""
@@ -193,21 +193,26 @@ class Density:
     extent: float = 4.0
     """Size of the scene."""
     percent_dense: float = 0.01
-    """Largest scale, divided by the extent, of Gaussians that are cloned; larger ones are split."""
+    """Gaussians up to this scale are cloned and larger ones are split; the unit is the scene's
+    size.
+    """
     opacity_min: float = 0.01
     reset_every: int = 700
     """Number of steps between resets of the opacity; there is no reset in the default 500 steps."""
 
 
 class Pull:
-    """Mean screen gradient of each Gaussian over several renderings."""
+    """Average, over several views, of the loss's gradient for each Gaussian's screen position."""
 
     def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
         self.total = torch.zeros(count, device=device)
         self.seen = torch.zeros(count, device=device)
 
     def add(self, gradients: Tensor, visible: Tensor) -> None:
-        """Add the first two components of `gradients [N,2 or 3]` where `visible [N]` is true."""
+        """Add the lengths of gradients; only the first two components of each gradient count.
+
+        `gradients` is [N,2 or 3]. Gaussians are skipped where `visible [N]` is false.
+        """
         length = gradients[:, :2].norm(dim=1)
         self.total += torch.where(visible, length, torch.zeros_like(length))
         self.seen += visible
@@ -218,7 +223,7 @@ class Pull:
 
     @property
     def mean(self) -> Tensor:
-        """Mean gradient lengths [N]; 0 for Gaussians that were never visible."""
+        """Mean length [N] of each Gaussian's gradient; 0 if the Gaussian was never visible."""
         return self.total / self.seen.clamp(min=1)
 
 
@@ -261,7 +266,7 @@ def _split(splats: Splats, mask: Tensor, draw: Draw) -> None:
 
 @torch.no_grad()
 def prune(splats: Splats, *, opacity_min: float, extent: float) -> None:
-    """Remove Gaussians that are nearly transparent or larger than a tenth of the extent."""
+    """Remove Gaussians that are nearly transparent or larger than a tenth of the scene."""
     large = splats.scales.amax(dim=1) > TOO_LARGE * extent
     splats.keep(~((splats.opacities < opacity_min) | large))
 

@@ -47,7 +47,7 @@ class CameraProjection(nn.Module):
         self.proj = nn.Linear(width + 4, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply one linear layer."""
+        """Map the image embedding and the camera pose to the context with a single linear layer."""
         return self.proj(x)
 
 

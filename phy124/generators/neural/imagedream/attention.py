@@ -62,7 +62,7 @@ class Geglu(nn.Module):
         self.proj = nn.Linear(inputs, 2 * outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [..., inputs] to [..., outputs]."""
+        """Apply the layer to features [..., inputs]; return features [..., outputs]."""
         value, gate = self.proj(x).chunk(2, dim=-1)
         return value * F.gelu(gate)
 
@@ -76,7 +76,7 @@ class FeedForward(nn.Module):
         self.net = nn.Sequential(Geglu(channels, wide), nn.Dropout(0.0), nn.Linear(wide, channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [..., C] to [..., C]."""
+        """Apply the network to features [..., C]; return features of the same shape."""
         return self.net(x)
 
 
@@ -154,7 +154,7 @@ class ResBlock(nn.Module):
         self.skip_connection = nn.Identity() if same else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
-        """Map [B*F,inputs,H,W] to [B*F,outputs,H,W]."""
+        """Apply the block to feature maps [B*F,inputs,H,W]; return maps [B*F,outputs,H,W]."""
         h = self.in_layers(x) + self.emb_layers(embedding)[:, :, None, None]
         return self.out_layers(h) + self.skip_connection(x)
 
@@ -167,7 +167,7 @@ class Downsample(nn.Module):
         self.op = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B*F,C,H,W] to [B*F,C,H/2,W/2]."""
+        """Halve the resolution of feature maps [B*F,C,H,W]; return [B*F,C,H/2,W/2]."""
         return self.op(x)
 
 
@@ -179,7 +179,7 @@ class Upsample(nn.Module):
         self.conv = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B*F,C,H,W] to [B*F,C,2H,2W]."""
+        """Double the resolution of feature maps [B*F,C,H,W]; return [B*F,C,2H,2W]."""
         return self.conv(F.interpolate(x, scale_factor=2.0, mode="nearest"))
 
 
@@ -190,7 +190,7 @@ class Stage(nn.ModuleList):
         super().__init__(layers)
 
     def forward(self, x: Tensor, embedding: Tensor, context: Tensor, num_frames: int) -> Tensor:
-        """Map [B*F,C,H,W] to [B*F,C',H',W'].
+        """Apply all layers in turn; return feature maps [B*F,C',H',W'].
 
         Args:
             x: Feature maps [B*F,C,H,W].

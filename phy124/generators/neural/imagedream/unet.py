@@ -99,7 +99,10 @@ class MultiViewUNet(nn.Module):
         return layers
 
     def _build_inputs(self, embedding: int) -> tuple[int, list[int]]:
-        """Append the downsampling stages; return the last width and the widths of all skips."""
+        """Build the half of the U-Net that reduces the resolution.
+
+        Return the number of channels of its last layer, and of each skip connection.
+        """
         c = self.config
         channels, skips = c.model_channels, [c.model_channels]
         for level, factor in enumerate(c.channel_mult):
@@ -114,7 +117,10 @@ class MultiViewUNet(nn.Module):
         return channels, skips
 
     def _build_outputs(self, channels: int, skips: list[int], embedding: int) -> int:
-        """Append the upsampling stages; return the last width."""
+        """Build the half of the U-Net that increases the resolution.
+
+        Return the number of channels of its last layer.
+        """
         c = self.config
         for level in reversed(range(len(c.channel_mult))):
             for i in range(c.num_res_blocks + 1):
@@ -167,7 +173,10 @@ class MultiViewUNet(nn.Module):
 
 
 def with_picture(x: Tensor, ip_img: Tensor, num_frames: int) -> Tensor:
-    """Return `x [B*F,4,h,w]`, but replace the last frame of each object by `ip_img [B,4,h,w]`."""
+    """Return a copy of the latents, in which the input image replaces each object's last frame.
+
+    The latents `x` are [B*F,4,h,w]; the input image's latents `ip_img` are [B,4,h,w].
+    """
     x = x.clone()
     x[num_frames - 1 :: num_frames] = ip_img.to(x.dtype)
     return x

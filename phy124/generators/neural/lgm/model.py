@@ -76,7 +76,9 @@ class Option:
     input_size: int = 256
     """Side of each input view."""
     splat_size: int = 64
-    """Side of each output map. The network returns 4 * splat_size^2 Gaussians."""
+    """Side of each map of Gaussians that the network returns [pixels]. The network returns 4 *
+    splat_size^2 Gaussians.
+    """
 
 
 def _flags(bits: str) -> tuple[bool, ...]:
@@ -93,7 +95,9 @@ OPTIONS = {
     ),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
-"""The four options of the original program. Only the weights of `big` are public."""
+"""The four configurations of the network in the original program. Only the weights of `big` are
+public.
+"""
 
 
 class LgmModel(nn.Module):
@@ -109,7 +113,8 @@ class LgmModel(nn.Module):
         self.rotations: Rotations | None = rotations
         """Normalisation of quaternions.
 
-        None: it is unknown, and `forward` uses "each" (see `judge`).
+        If None, the normalisation is unknown, and `forward` normalises each quaternion separately
+        (see `judge`).
         """
         self.unet = UNet(
             option.down_channels, option.down_attention, option.up_channels, option.up_attention
@@ -187,8 +192,10 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""The option "all" of `Rotations`, which is rarely right, is chosen only if its error is below this
-fraction of the error of "each"."""
+"""The normalisation "all" is chosen only if its error is below this fraction of the error of "each".
+
+Hardly any weights need "all".
+"""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ class Attention(nn.Module):
         self.proj = nn.Linear(channels, channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Attend from every token to every token; map [B,L,C] to [B,L,C]."""
+        """Apply attention from every token to every token of [B,L,C]; return the same shape."""
         b, length, channels = x.shape
         qkv = self.qkv(x).reshape(b, length, 3, HEADS, channels // HEADS)
         q, k, v = qkv.permute(2, 0, 3, 1, 4)
@@ -106,7 +106,7 @@ class MidBlock(nn.Module):
         self.attns = _attentions(channels, 1, attention)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B*4,C,h,w] to the same shape."""
+        """Apply the blocks to feature maps [B*4,C,h,w]; return feature maps of the same shape."""
         x = self.nets[0](x)
         for attention in self.attns:
             x = attention(x)

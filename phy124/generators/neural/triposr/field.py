@@ -21,7 +21,7 @@ Array = NDArray[np.float32]
 Decode = Callable[[Array, Array], tuple[Array, Array]]
 """`(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`.
 
-A decoder that samples the triplane itself ignores the features.
+Some decoders sample the triplane themselves; these ignore the features.
 """
 
 

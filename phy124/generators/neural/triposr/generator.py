@@ -30,10 +30,10 @@ RATIO = 0.85
 GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
-"""Sets of weights, best first.
+"""Names of the sets of TripoSR's weights; the preferred set is the first.
 
-In the first set, only the weights are int8; in the second, weights and activations are int8. The
-third is float32 (torch).
+In the first set, only the weights are int8; in the second set, weights and activations are int8.
+The third set is float32 and runs in torch.
 """
 Image_ = Image.Image | NDArray[np.uint8]
 
@@ -89,7 +89,7 @@ PRECISIONS = {
     "triposr-int8": "8-bit weights and activations in onnxruntime",
     "triposr-torch": "float32 in torch",
 }
-"""Description of the precision of each set."""
+"""Description of the precision of each set of TripoSR's weights."""
 
 
 def choose_set(folder: str | os.PathLike[str] | None = None) -> str:

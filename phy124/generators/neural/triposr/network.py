@@ -27,8 +27,8 @@ UNUSED = "image_tokenizer.model.pooler."
 OFFSET = 0.1
 """Number that is added to the number of patches per side when position embeddings are resized.
 
-The network was trained with transformers 4.35, which adds this number. Without the number, the
-positions would be shifted slightly.
+The network was trained with version 4.35 of the package transformers, which adds this number too.
+If nothing were added, the positions would be shifted slightly.
 """
 
 
@@ -66,7 +66,7 @@ class VisionAttention(nn.Module):
         self.output = nn.ModuleDict({"dense": nn.Linear(width, width)})
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B,L,C] to [B,L,C]."""
+        """Apply the layer to tokens [B,L,C]; return tokens of the same shape."""
         q, k, v = (
             self.attention[name](x).unflatten(-1, (self.heads, -1)).transpose(1, 2)
             for name in ("query", "key", "value")
@@ -88,7 +88,7 @@ class VisionLayer(nn.Module):
         self.layernorm_after = nn.LayerNorm(width, eps=1e-12)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B,L,C] to [B,L,C]."""
+        """Apply the layer to tokens [B,L,C]; return tokens of the same shape."""
         x = self.attention(self.layernorm_before(x)) + x
         hidden = F.gelu(self.intermediate["dense"](self.layernorm_after(x)))
         return self.output["dense"](hidden) + x
@@ -107,7 +107,10 @@ class Embeddings(nn.Module):
         self.patch_embeddings = nn.ModuleDict({"projection": conv})
 
     def forward(self, image: Tensor) -> Tensor:
-        """Map [B,3,H,W] to tokens [B,1+L,C]."""
+        """Divide an image [B,3,H,W] into patches; return one token per patch and the class token.
+
+        The result is [B,1+L,C].
+        """
         patches = self.patch_embeddings["projection"](image)
         rows, columns = patches.shape[2:]
         tokens = patches.flatten(2).transpose(1, 2)
@@ -138,7 +141,7 @@ class VisionTransformer(nn.Module):
         self.layernorm = nn.LayerNorm(width, eps=1e-12)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Map colours [B,3,H,W] in 0..1 to tokens [B,1+L,C]."""
+        """Apply the vision transformer to colours [B,3,H,W] in 0..1; return tokens [B,1+L,C]."""
         mean, std = (image.new_tensor(v)[:, None, None] for v in (MEAN, STD))
         tokens = self.embeddings((image - mean) / std)
         return self.layernorm(self.encoder["layer"](tokens))

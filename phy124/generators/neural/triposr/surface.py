@@ -20,9 +20,9 @@ THRESHOLD = 25.0
 COARSE = 64
 """Intervals per axis of the coarse grid, on which the surface is located."""
 REFINE = 3
-"""Fine intervals per coarse interval."""
+"""Number of intervals of the fine grid in each interval of the coarse grid."""
 NEAR = 3.0
-"""Coarse vertices are refined if |log(density / threshold)| is at most this value."""
+"""The fine grid is evaluated around coarse vertices with |log(density / threshold)| up to this."""
 FRAGMENT = 0.01
 """Pieces are removed if their volume is below this fraction of the largest piece's volume."""
 BATCH = 1 << 18
@@ -130,7 +130,7 @@ def _evaluate(
 
 
 def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:
-    """Interpolate values linearly at the positions `index` along each axis."""
+    """Interpolate an array linearly; `index` are the sample positions along each of its axes."""
     for axis in range(3):
         low = np.minimum(index.astype(np.int64), values.shape[axis] - 2)
         part = (index - low).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
