@@ -404,7 +404,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return the colours [N,3 or 4], 0..255, of points on a mesh; None for a mesh without colours."""
+    """Return the colours [N,3 or 4], 0..255, of points on a mesh; None if it has no colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MIN_OPACITY = 0.005
 """Smallest opacity of Gaussians that are kept; LGM uses the same value when it saves a file."""
 TAIL = 0.005
-"""The object's core excludes this fraction of the total opacity at each end of each axis."""
+"""Fraction of the total opacity that lies outside the object's core at each end of each axis."""
 MARGIN = 0.5
 """Largest distance of the object's Gaussians from the core, relative to the core's size."""
 
@@ -89,7 +89,7 @@ class Opened(NamedTuple):
     cleaning: list[str]
     """Sentences that explain why Gaussians were removed."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Up and front directions that the file or its format states."""
+    """Up and front axes that are stated in the file or prescribed by its format."""
     notes: tuple[str, ...] = ()
     """Sentences about ignored columns, unusual columns, and the object's surroundings."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)

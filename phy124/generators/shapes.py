@@ -11,8 +11,9 @@ from phy124.gaussians import Gaussians, quaternions, spread_directions
 COUNT = 8000
 """Usual number of Gaussians of a shape, approximately."""
 TRIES = 6
-"""For each point on triangles, this number of random candidates is drawn. An evenly spaced subset
-of the candidates is kept.
+"""Number of random points that are drawn for each point that is needed on a set of triangles. An
+evenly spaced subset
+of these points is kept.
 """
 FLATNESS = 0.15
 """Thickness of the surface's Gaussians relative to their width."""
@@ -115,7 +116,7 @@ def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
 
 
 def _spread(points: NDArray) -> NDArray[np.float64]:
-    """Return, for each point, 0.75 times the mean distance to its six nearest neighbours [N], m."""
+    """Return 0.75 times the mean distance [m] from each point to its six nearest neighbours [N]."""
     nearest = scipy.spatial.KDTree(points).query(points, k=min(7, len(points)))[0]
     return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
 

@@ -16,8 +16,8 @@ from phy124.particles import clean, visible_area
 SAMPLE = 100_000
 """Number of Gaussians that are examined; they are chosen at even intervals."""
 MOST = 0.8
-"""The object is assumed to have this fraction of the visible area or, if there is a sky, of the
-Gaussians below the sky.
+"""Fraction of the Gaussians' total visible area that is assumed to belong to the object. If there
+is a sky, this is the fraction of the number of Gaussians below the sky.
 """
 SMALL = 0.3
 """A background is reported if the object's longest side is below this fraction of the side of the
@@ -41,7 +41,8 @@ to their mean.
 MANY = 0.01
 """A sky must contain at least this fraction of all Gaussians.
 
-In addition, each of at least seven octants must contain this fraction of the sky's Gaussians.
+In addition, the sky must surround the object: at least seven of the eight octants around the centre
+must each contain this fraction of the sky's Gaussians.
 """
 
 
@@ -119,7 +120,10 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
 def _part(
     means: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of a small box that contains a fraction `MOST` of the visible area [N]."""
+    """Return the corners of a small box with the fraction `MOST` of the Gaussians' visible area.
+
+    `means` [N,3] are the Gaussians' centres, and `seen` [N] are their visible areas.
+    """
     part = np.ones(len(means), bool)
     for _ in range(ROUNDS):
         middle = np.array([_median(axis, seen[part]) for axis in means[part].T])

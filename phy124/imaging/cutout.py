@@ -45,12 +45,12 @@ PIECES = 4
 UNSEEN = 0.12
 """Largest fraction of a cut-out's outline that may lie where the image has no edge.
 
-In correct cut-outs, this fraction is 0.05.
+In correct cut-outs, 0.05 of the outline lies where the image has no edge.
 """
 ALIKE = 0.1
 """A cut-out is suspicious if more than this fraction of its surroundings has the object's colours.
 
-In correct cut-outs, this fraction is 0.09.
+In correct cut-outs, 0.09 of the surroundings has the object's colours.
 """
 UNDECIDED = 0.02
 """A network's cut-out is suspicious if its half-transparent area away from the outline, divided by

@@ -17,7 +17,7 @@ from phy124.imaging.header import KINDS, SEGMENT, Size, read_kind, read_size
 from phy124.imaging.profile import convert_to_srgb
 
 MAX_PIXELS = 50_000_000
-"""Largest allowed number of pixels, which is read from the header before decoding."""
+"""Largest allowed number of pixels of an image; it is checked before the image is decoded."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats in which further images are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
@@ -42,7 +42,7 @@ TEXT = 64 << 20
 """Largest size of a decompressed text or profile in a PNG file [bytes]."""
 COPY = "Copy or export the file again."
 BAD_PROFILE = "The picture's colour profile cannot be used; its colours may be slightly wrong."
-"""Note about an unusable profile."""
+"""Note that the image's colour profile is unusable."""
 TOO_LARGE = (
     f"It has more than {MAX_PIXELS / 1e6:.0f} million pixels.",
     "Reduce it, for example to 2000 pixels on its longer side.",
@@ -120,7 +120,7 @@ def check_size(size: Size, minimum: int) -> None:
 
 
 def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
-    """Return an error that explains why the data is not an image in one of the formats."""
+    """Return an error that explains why the data is not an image in one of the accepted formats."""
     if read_kind(data) in (*formats, "HEIC"):
         return Unusable("The file is broken or cut short.", COPY)
     return Unusable(

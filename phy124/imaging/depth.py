@@ -22,7 +22,9 @@ from phy124.weights.store import is_complete, require
 
 Map = NDArray[np.float32]
 MARGIN = 0.25
-"""Width of the surroundings in a network's input, relative to the object's longest side."""
+"""Width of the surroundings that a network sees around the object, relative to the object's longest
+side.
+"""
 PATCH = 14
 """Side of the networks' image patches [pixels]."""
 SIDE = 518
@@ -39,7 +41,7 @@ TRUST = 0.02
 Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features follow the normals.
 """
 STEEPEST = 4.0
-"""Largest slope that is derived from a normal."""
+"""Largest slope of a surface that is computed from its normals; steeper slopes are reduced."""
 
 
 def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
@@ -109,7 +111,10 @@ def add_detail(points: Map, normals: Map, inside: NDArray[np.bool_]) -> Map:
 
 
 def _slopes(points: Map, normals: Map, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the change of z per pixel to the right and down [2,H,W], computed from the normals."""
+    """Return the slopes of the surface [2,H,W]: the change of z per pixel to the right and down.
+
+    The slopes are computed from the normals.
+    """
     both = mask[:, 1:] & mask[:, :-1]
     steps = np.diff(points[..., 0], axis=1)[both]
     pitch = float(np.median(np.abs(steps))) if steps.size else 0.0

@@ -27,7 +27,9 @@ of a handle, remain open.
 SOFTNESS = 4
 """Radius of the guided filter that softens the edge [pixels]."""
 HINT_REACH = 0.06
-"""The outline changes only up to this distance from a user's mark, relative to the longest side."""
+"""Largest distance from a user's mark at which the mark changes the outline, relative to the
+image's longest side.
+"""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -51,7 +53,7 @@ def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Run GrabCut from labels [H,W].
+    """Run GrabCut on an image [H,W,3], starting from GrabCut's labels for each pixel [H,W].
 
     Return a 0/1 mask [H,W], which is 0 if all labels are equal.
     """
@@ -118,7 +120,7 @@ def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
 
 
 def _centrality(height: int, width: int) -> Field:
-    """Return weights [H,W] that are 1 at the centre and about one third at the sides."""
+    """Return a weight for each pixel [H,W]: 1 at the image's centre, about 1/3 at its edges."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     square = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
     return np.exp(-square)

@@ -13,7 +13,9 @@ HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
 AV1 = (b"avif", b"avis")
 """File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands of both HEIC and AVIF files. The compatible brands in the file identify its format."""
+"""Brands of both HEIC and AVIF files. To tell HEIC from AVIF, the compatible brands that the file
+also states are examined.
+"""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of bytes at the start of a file that identify its format."""
@@ -22,8 +24,8 @@ MOST_SEGMENTS = 100_000
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data.
 
-Further FF bytes may precede a segment. The pattern does not include these bytes, because a search
-for FF+ could take quadratic time.
+A segment may begin with several FF bytes. The pattern matches only the last of these bytes, because
+a search for FF+ could take quadratic time.
 """
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """Markers of the JPEG segments that contain the size."""

@@ -23,7 +23,7 @@ SIDE = 200
 MARGIN = 3
 """Width of the margin around the reduced object [pixels]."""
 UPPER = 0.5
-"""Fraction of the object's height, from the top, in which the centre of the rim may lie."""
+"""Largest distance of a rim's centre from the object's top, relative to the object's height."""
 WIDE = 0.2
 """Smallest width of a rim, relative to the object's longest side."""
 ASPECTS = (0.08, 0.6)
@@ -39,11 +39,14 @@ FRONT = 0.95
 EDGE = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 ACROSS = np.linspace(-0.85, 0.85, 41)
-"""Positions of the samples across a rim, relative to half the rim's width, without the ends."""
+"""Positions of the samples along a rim's width, relative to half the width. The ends of the rim are
+not sampled.
+"""
 NEARER = (0.9, 1.0, 1.1, 1.2)
-"""Ratios of the front half's height to the back half's height that are tried.
+"""Ratios of heights that are tried when an ellipse is fitted to a rim: the height of the rim's
+front half divided by the height of its back half.
 
-Perspective enlarges the front half.
+Perspective enlarges the front half of a rim.
 """
 
 

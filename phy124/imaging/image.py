@@ -36,7 +36,7 @@ MIN_SIDE = 8
 LOOK_SIDE = 320
 """Longest side to which an image is reduced if it is segmented without a network [pixels]."""
 FAINT = 3
-"""An image is blank if the range of its levels is below this value."""
+"""An image is blank if all its colour values differ by less than this number."""
 WORK_SIDE = 2048
 """Longest side to which images are reduced [pixels]; generators cannot use more detail."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -120,7 +120,7 @@ def original_size(image: Image.Image) -> tuple[int, int]:
 
 
 def reduce_size(shape: tuple[int, ...], longest: int, least: int = 1) -> Size:
-    """Return the width and height of an image [H,W,...] after it is reduced in size.
+    """Return the width and height that an image [H,W,...] has after its size is reduced.
 
     Each side then has at most `longest` and at least `least` pixels.
     """
@@ -151,7 +151,7 @@ def normalise(
 
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
-    """Centre the masked part in a square.
+    """Centre the object, which is marked by a mask, in a square image.
 
     A fraction `border_ratio` of the square's side stays free.
 
@@ -235,7 +235,7 @@ def _read(path: Path) -> bytes:
 
 
 def _refusal(limit: str, remedy: str) -> Unusable:
-    """Return an `Unusable` error whose text `limit` starts with a lower-case letter."""
+    """Return an `Unusable` error; the first letter of `limit` becomes a capital letter."""
     return Unusable(limit[0].upper() + limit[1:], remedy)
 
 
@@ -248,7 +248,7 @@ def _check_bytes(size: int) -> None:
 
 
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
-    """Return the width and height that the header states.
+    """Return the width and height that the header of an image file states.
 
     Refuse formats that this installation cannot read.
     """

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 WHITE = np.array([0.950456, 1.0, 1.088754], np.float32)
 """X, Y and Z of the white point D65."""
 LINEAR = 0.008856
-"""Fraction of white below which lightness is proportional to the linear light."""
+"""Luminance, relative to white, up to which CIE's lightness is a linear function of luminance."""
 
 
 def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:

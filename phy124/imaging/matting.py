@@ -10,17 +10,21 @@ Field = NDArray[np.float32]
 SIDE = 640
 """Longest side at which the edge is fitted [pixels]; the fit is then applied at full resolution."""
 REACH = 5
-"""Radius of the window in which alpha is fitted to the colours, in pixels at `SIDE`."""
+"""Radius of the window in which alpha is fitted to the colours [pixels of the image that is reduced
+to `SIDE`].
+"""
 SMOOTH = 1e-4
 """Regularisation: edges are ignored if the variance of their colours (0..1) is below this value."""
 DECIDED, SHARP = 2.0, 1.5
-"""Factors by which contrast around 1/2 is increased in the coarse mask and in the fitted alpha."""
+"""Factors by which the distance of alpha from 1/2 is increased: in the coarse mask, and in the
+alpha that is fitted to the image.
+"""
 OPAQUE = 243
 """Smallest alpha, 0..255, of pixels that are assumed to contain no background colour."""
 INSET = 1.0
 """The colour of an opaque pixel is reliable if all pixels within this distance are opaque.
 
-The unit is pixels at `SIDE`.
+The distance is measured in pixels of the image that is reduced to `SIDE`.
 """
 
 
@@ -90,7 +94,7 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
 
 def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return the mask [H,W] of pixels whose colours contain no background."""
+    """Return a mask [H,W] of the pixels that show only the object, without background colour."""
     inset = max(INSET, INSET * max(alpha.shape) / SIDE)
     core = _depth(alpha >= OPAQUE) > inset
     depth = _depth(alpha > 127)

@@ -22,12 +22,13 @@ GAP = 0.01
 COUNTED = 0.05
 """Smallest area of an object, relative to the area of the largest object; others are ignored."""
 NEAR = 0.02
-"""A point selects an object if it is at most this far away, relative to the image's longest side.
+"""A point selects an object if it is at most this far from the object, relative to the image's
+longest side.
 """
 WINDOWS = (0.7, 0.45, 0.3)
 """Sides of the windows in which an object is searched, relative to the image's longest side."""
 MINIMUM = 0.02
-"""Smallest fraction of a window that an object must cover."""
+"""Smallest fraction of a search window that an object must cover."""
 
 
 class Objects(NamedTuple):

@@ -9,9 +9,13 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Modes of the images to which a profile applies; the key is the profile's colour space."""
+"""Modes of the images to which a colour profile may apply; the keys are the colour spaces of
+profiles.
+"""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Mode of the image, without alpha, that is converted; the key is the profile's colour space."""
+"""Mode to which an image is changed, without its alpha, before its colours are converted; the keys
+are the colour spaces of profiles.
+"""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

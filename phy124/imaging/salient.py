@@ -60,12 +60,12 @@ def resize_sharply(rgb: Pixels, size: int) -> Pixels:
 
 
 def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
-    """Convert logits to probabilities by the logistic function, and resize the result."""
+    """Convert a network's logits to probabilities, and resize them to the image's size."""
     return resize((0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32), size)
 
 
 def finish_stretched(values: Mask, size: tuple[int, int]) -> Mask:
-    """Resize the output, then scale it to 0..1.
+    """Resize a network's output to the image's size, then stretch its values to the range 0..1.
 
     If all values are equal, no object is salient, and zeros are returned.
     """

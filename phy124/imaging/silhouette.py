@@ -16,7 +16,7 @@ NEAR = 0.035
 """Largest distance at which an object counts as near an image edge, relative to the image's shorter
 side.
 
-The masks of GrabCut are at least 0.03 away from the edges.
+GrabCut's masks always keep a distance of at least 0.03 from the image edges.
 """
 REACH = 0.02
 """An object touches an image edge if it is near at least this fraction of the edge."""
@@ -25,10 +25,10 @@ SIDE = 320
 FAINT = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 WIDE = 2.0
-"""Half the width of a soft edge in an image whose longest side is `FITTED` [pixels]."""
+"""Half the width of an object's soft edge [pixels], in an image whose longest side is `FITTED`."""
 FITTED = 640
-"""If the longest side of an image exceeds this value [pixels], its soft edges are assumed to be
-wider in proportion.
+"""Longest side [pixels] of an image for which `WIDE` is valid. In larger images, the soft edges are
+assumed to be wider in proportion.
 """
 HALF = 25
 """The alpha of a half-transparent pixel differs from 0 and from 255 by at least this value."""
@@ -37,7 +37,7 @@ AROUND = 0.125
 BINS = (12, 24, 24)
 """Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
-"""Kernel that smooths a histogram along one axis, and the identity kernel."""
+"""Kernel that smooths a colour histogram along one axis, and a kernel that changes nothing."""
 
 
 def count_pieces(solid: Solid) -> int:

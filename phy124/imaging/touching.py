@@ -38,9 +38,9 @@ class Neck(NamedTuple):
     width: float
     """Width of the neck relative to the width of the thinner part."""
     first: Solid
-    """Mask of the first part's core [h,w]; the neck lies between the two cores."""
+    """Mask [h,w] of the inner area of the first of the two touching parts."""
     second: Solid
-    """Mask of the second part's core [h,w]."""
+    """Mask [h,w] of the inner area of the second of the two touching parts."""
 
 
 def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) -> Alpha:

@@ -28,9 +28,11 @@ from phy124.motion.recorded import Computed, Motion, frames_of, make_arrays
 
 FORMAT = "phy124-clip"
 VERSION = "1"
-"""Format version that stores the Gaussians of every frame."""
+"""Version of a clip's file that stores the Gaussians of every frame."""
 MOTION = "2"
-"""Format version that stores a motion, from which the Gaussians are computed."""
+"""Version of a clip's file that stores a motion, from which the Gaussians of each frame are
+computed.
+"""
 SPARE = " " * 8192
 """Spaces that are added to the header, so that a longer report can later replace the first report.
 """
@@ -47,7 +49,7 @@ MADE = "Give a clip.safetensors made by `phy124 generate`."
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """N Gaussians at T times.
+    """The frames of an animation: N Gaussians at T times.
 
     Opacities and the colours before rotation are constant in time.
     """
@@ -67,7 +69,8 @@ class Clip:
     rotations: Array | None = None
     """Rotations of the material relative to its rest state [T,N,4], wxyz.
 
-    None if `sh` has degree 0. The rotations come from the polar decomposition of F.
+    None if the colours do not depend on the view direction (`sh` of degree 0). The rotations come
+    from the polar decomposition of F.
     """
     velocities: Array | None = None
     """Velocities of the centres [T,N,3], m/s; None if the scene did not request velocities."""
@@ -78,12 +81,13 @@ class Clip:
     contacts: Array | None = None
     """Mean force [newton] of the walls on each Gaussian since the previous frame [T,N,3].
 
-    None if the scene did not request contacts.
+    None if the scene does not ask for contact forces.
     """
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
-    force [N], and the torque about the object's centre of mass [N m]. None unless the scene
-    requested it."""
+    force [N], and the torque about the object's centre of mass [N m]. None if the scene does not
+    ask for wrenches.
+    """
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
@@ -93,7 +97,8 @@ class Clip:
     motion: Motion | None = None
     """The motion that the clip's file stores, and from which the Gaussians are computed.
 
-    None if the file stores the Gaussians of every frame, or if an array of the motion was replaced.
+    None if the file stores the Gaussians of every frame, or if an array that is computed from the
+    motion was replaced.
     """
 
     def __post_init__(self) -> None:
@@ -158,7 +163,7 @@ class Clip:
         )
 
     def refuse_empty(self) -> None:
-        """Check that there is something to write.
+        """Check that the clip has frames and Gaussians.
 
         Raises:
             InputError: The clip has no frames, or no Gaussians.
@@ -262,8 +267,9 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy of the clip; its file will store a motion instead of the arrays in
-        `DESCRIBED`.
+        """Return a copy of the clip whose file will store a motion instead of all frames.
+
+        The arrays that `DESCRIBED` names are then computed from the motion.
         """
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 

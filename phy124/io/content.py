@@ -32,14 +32,16 @@ DENSEST = 100
 Files of real objects reach a ratio of 10, zip bombs 1000.
 """
 SMALL = 1 << 22
-"""The ratio `DENSEST` is checked only if the unpacked size exceeds this value [bytes].
+"""Files whose unpacked size is at most this value [bytes] may exceed the ratio `DENSEST`.
 
-Small objects of one colour compress well, so they may exceed the ratio.
+Small objects of one colour compress very well.
 """
 OBJECT = "object_id"
 """Name of the column with the object index of each Gaussian."""
 LARGEST_SH = SH_COEFFICIENTS[-1]
-"""Largest number of harmonics per colour channel (degree 3). Harmonics of degree 4 are removed."""
+"""Largest number of harmonics per colour channel (degree 3). Spherical harmonics of degree 4 are
+removed.
+"""
 DEGREE_4 = "Harmonics of degree 4 are ignored."
 MOST_ID = 1e6
 """Largest object number; larger numbers are clipped, because float32 cannot resolve them."""
@@ -56,7 +58,7 @@ class Content(NamedTuple):
     """The Gaussians of a file, and properties of the file."""
 
     gaussians: Gaussians
-    """The Gaussians. A reader returns them in the axes of the file."""
+    """The Gaussians. Functions that read a file return the Gaussians in the axes of the file."""
     dropped: int = 0
     """Number of Gaussians that were removed because a value was NaN or infinite."""
     axes: tuple[str, str | None] = Y_DOWN
@@ -71,11 +73,13 @@ class Content(NamedTuple):
     The origin is nonzero only if float32 could not resolve the positions in the file.
     """
     step: float = 0.0
-    """Smallest distance that the file's number format can represent; 0 if it is negligible."""
+    """Spacing of the positions that the file's number format can represent near the object; 0 if it
+    is negligible.
+    """
 
     @property
     def in_place(self) -> Content:
-        """The content with absolute positions, or unchanged if float32 cannot resolve these
+        """The same content with absolute positions; `self` if float32 cannot resolve these
         positions.
         """
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
@@ -173,7 +177,7 @@ def check_count(kind: str, path: Path, count: int, row: int, size: int) -> None:
 
 @contextmanager
 def for_run(most: float = math.inf) -> Iterator[None]:
-    """Within this context, read files for a run that keeps at most `most` Gaussians.
+    """Within this context, read files of Gaussians for a run that keeps at most `most` Gaussians.
 
     A file is refused before it is read if such a run would need more memory than is available.
     Nested contexts can only reduce the number.
@@ -317,23 +321,23 @@ FAR = 4
 """float32 is precise enough if an object's distance from the origin, divided by the object's size,
 is at most this value.
 
-If the ratio is larger, an origin near the object is stored in double precision, and the centres are
-stored relative to it.
+For objects farther away, an origin near the object is stored in double precision, and the centres
+are stored relative to it.
 """
 FINE = 20_000
-"""Centres are also stored relative to an origin if the object spans fewer float32 increments than
-this number.
+"""If an object spans fewer float32 increments than this number, its centres are also stored
+relative to an origin near the object.
 """
 COARSE = 4000
-"""The user is warned if the object's size, divided by the file's smallest distance, is below this
-value.
+"""Smallest number of float32 increments across an object for which the user is not warned that the
+positions are too coarse.
 """
 ENOUGH = 100_000
 """Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38
 """Centres with larger coordinates are ignored; the largest value of float32 is 3.4e38."""
 ENDS = (1, 99)
-"""Percentiles of the coordinates that are used as the ends of an object; outliers are ignored."""
+"""Percentiles of the coordinates that count as the ends of an object; outliers are ignored."""
 
 
 def centre_means(means: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float64]]:

@@ -19,7 +19,9 @@ from phy124.io.ply import CENTRE, DC, QUATS, SCALES, VERTICAL
 from phy124.io.plyheader import Header, read_header
 
 ENOUGH, BLOCKS = 10_000, 20
-"""Number of sampled rows, and number of blocks of adjacent rows that form the sample."""
+"""Number of rows that are sampled from a file, and number of blocks of adjacent rows that they
+form.
+"""
 LGM = (*CENTRE, *DC, "opacity", *SCALES, *QUATS)
 """Columns of a file that LGM wrote, in the order of the file."""
 NORMALS = ("nx", "ny", "nz")

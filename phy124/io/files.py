@@ -58,7 +58,7 @@ def locking(path: Path) -> Iterator[None]:
 
 
 DESCRIPTORS = ("/dev/fd/", "/proc/", "/dev/stdout", "/dev/stderr")
-"""Prefixes of paths that name an open file descriptor of any kind."""
+"""Prefixes of paths that name an open file, pipe or device of a process."""
 PARTS = ".*-????????.part*"
 """Pattern that matches the names of files that are still being written."""
 LONGEST = 40
@@ -148,9 +148,9 @@ def _copy(source: Path, path: Path) -> None:
 
 PathLike = str | os.PathLike[str]
 MAKING = ".making-"
-"""Prefix of the names of folders that are not yet complete."""
+"""Prefix of the names of temporary folders, whose files are not yet complete."""
 RUNNING = f"{MAKING}run-"
-"""Prefix of the name of an incomplete folder whose run does not share its output folder."""
+"""Prefix of the name of a run's temporary folder if no other run may use the same output folder."""
 
 
 @contextmanager

@@ -25,7 +25,8 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 SIZE = 320
 """Width and height of the network's input [pixels]."""
 CLOSER = 1.4
-"""A small object is segmented again, with its surroundings, if it can be enlarged by this factor.
+"""A small object is segmented again in a section of the image if this enlarges the object at least
+by this factor.
 """
 AROUND = 0.15
 """Width of the surroundings, relative to the object's longest side."""

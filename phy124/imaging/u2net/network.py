@@ -24,7 +24,7 @@ class ConvBnRelu(nn.Module):
         self.bn_s1 = nn.BatchNorm2d(outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B,inputs,H,W] to [B,outputs,H,W]."""
+        """Apply the layers to feature maps [B,inputs,H,W]; return feature maps [B,outputs,H,W]."""
         return F.relu(self.bn_s1(self.conv_s1(x)))
 
 
@@ -59,7 +59,7 @@ class ResidualU(nn.Module):
             self.add_module(f"rebnconv{i}d", layer)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map [B,inputs,H,W] to [B,outputs,H,W]."""
+        """Apply the layers to feature maps [B,inputs,H,W]; return feature maps [B,outputs,H,W]."""
         whole = self.rebnconvin(x)
         x, skips = whole, []
         for i in range(1, self.levels + 1):
@@ -77,12 +77,12 @@ class ResidualU(nn.Module):
 
 @dataclass(frozen=True)
 class Widths:
-    """Numbers of channels of each stage: inputs, middle, outputs."""
+    """Numbers of channels of each stage of the U-Net: inputs, inside the stage, outputs."""
 
     down: tuple[tuple[int, int, int], ...]
-    """Numbers of channels of stages 1 to 6."""
+    """Numbers of channels of the U-Net's encoder stages 1 to 6."""
     up: tuple[tuple[int, int, int], ...]
-    """Numbers of channels of stages 5d to 1d."""
+    """Numbers of channels of the U-Net's decoder stages 5d to 1d."""
 
 
 WIDTHS = {
@@ -121,7 +121,7 @@ class U2Net(nn.Module):
         self.outconv = nn.Conv2d(SIDES, 1, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Return (d0, ..., d6); height and width may be odd."""
+        """Return seven saliency maps (d0, ..., d6); the height and width of `x` may be odd."""
         skips = []
         for i in range(1, 7):
             x = self.get_submodule(f"stage{i}")(x if i == 1 else _pool(x))

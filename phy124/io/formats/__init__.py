@@ -67,11 +67,13 @@ class Format:
     opens_in: str
     """Programs that read the format."""
     bytes_each: float
-    """Number of bytes per frame and Gaussian of degree 0, measured with the example duck."""
+    """Size of a file per frame and per Gaussian of degree 0 [bytes], measured with the example
+    duck.
+    """
     bytes_fixed: float = 0.0
-    """Number of further bytes per frame, independent of the number of Gaussians."""
+    """Size of a file per frame that does not depend on the number of Gaussians [bytes]."""
     degree: int = 3
-    """Highest degree of the spherical harmonics."""
+    """Highest degree of spherical harmonics that the format can store."""
     objects: str = ""
     """Name of the field with the object index of each Gaussian; empty if there is no such field."""
     axes: tuple[str, str] = Y_DOWN

@@ -87,7 +87,7 @@ def _rows(path: Path, element: Element, size: int) -> NDArray[Any]:
 
 
 def _check(path: Path, header: Header, rows: dict[str, NDArray[Any]]) -> None:
-    """Refuse elements whose columns or lengths contradict each other."""
+    """Refuse a file if its elements' columns are incomplete or their lengths do not match."""
     names = {name: set(table.dtype.names or ()) for name, table in rows.items()}
     if not set(PACKED) <= names["vertex"] or not set(BOXES) <= names.get("chunk", set()):
         raise refusal(KIND, path, "some of its packed columns or boxes are missing.")
@@ -126,7 +126,10 @@ def _split(packed: NDArray, bits: tuple[int, ...]) -> NDArray[np.float32]:
 def _within(
     fractions: NDArray, chunk: NDArray[Any], which: NDArray, axes: str | tuple[str, ...]
 ) -> NDArray[np.float64]:
-    """Map fractions 0..1 to the value range of each Gaussian's chunk, in double precision."""
+    """Map fractions 0..1 to values, in double precision.
+
+    The range of values is stated for each chunk of 256 Gaussians.
+    """
     out = np.empty(fractions.shape)
     for i, axis in enumerate(axes):
         low, high = (chunk[f"{end}_{axis}"].astype(np.float64)[which] for end in ("min", "max"))

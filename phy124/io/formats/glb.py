@@ -65,14 +65,14 @@ SCALE = f"{EXTENSION}:SCALE"
 OBJECT = "_OBJECT_ID"
 """Attribute that only phy124 writes and reads: the object index."""
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
-"""Programs that convert a PLY to y up by a rotation of 180 degrees about z.
+"""Programs that rotate a PLY by 180 degrees about z when they write it as GLB, so that y points up.
 
-The front direction of such files is -z, as in the PLY.
+In such files, the object faces -z, as in the PLY.
 """
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes that are not reported to the user as ignored.
+"""Attributes that phy124 does not report to the user as ignored.
 
 COLOR_0 is not read, because it is meant for programs that do not support the extension.
 """
@@ -84,7 +84,7 @@ class Primitive(NamedTuple):
     attributes: dict[str, int]
     """For each attribute, by name, the index of its accessor."""
     extension: dict[str, Any]
-    """The properties of the extension in this primitive."""
+    """Properties of the extension KHR_gaussian_splatting in this primitive."""
     matrix: NDArray[np.float64]
     """World transform of the primitive's node [4,4]."""
     gaussians: int
@@ -153,7 +153,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def pack_head(text: bytes, length: int) -> bytes:
-    """Return the bytes of a GLB file before its buffer, which has `length` bytes."""
+    """Return the header and the JSON chunk of a GLB file whose binary chunk has `length` bytes."""
     text += b" " * (-len(text) % 4)
     whole = HEADER.size + 2 * CHUNK.size + len(text) + length
     head = HEADER.pack(MAGIC, 2, whole) + CHUNK.pack(len(text), JSON_CHUNK)
@@ -365,7 +365,10 @@ def _to_display_colours(sh: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Transform a node's Gaussians by its matrix; add the positions' resolution as `step`."""
+    """Transform the Gaussians of a node by the node's matrix.
+
+    The spacing of float32 numbers at the positions is added to the result as `step`.
+    """
     step = step_of(raw["means"])
     if np.array_equal(matrix, np.eye(4)):
         return {**raw, "step": step}
@@ -386,7 +389,7 @@ def _apply_matrix(scene: Scene, raw: dict[str, Any], matrix: NDArray[np.float64]
 
 
 def _alike(parts: list[dict[str, NDArray]]) -> list[dict[str, NDArray]]:
-    """Pad the harmonics of all primitives with zeros to the same number."""
+    """Append zeros to the primitives' spherical harmonics, so that all have the same degree."""
     most = max(part["sh"].shape[1] for part in parts)
     rows = [(0, most - part["sh"].shape[1]) for part in parts]
     padded = [np.pad(p["sh"], ((0, 0), row, (0, 0))) for p, row in zip(parts, rows, strict=True)]

@@ -137,7 +137,7 @@ In mirrored objects, some lengths are negative.
 """
 NEIGHBOURS = 4
 SOME = 2000
-"""Approximate number of Gaussians in the sample that is examined."""
+"""Approximate number of Gaussians that are examined to decide whether scales are logarithms."""
 BARE = 0.55
 """Below this ratio of a Gaussian's width to the spacing, the object is full of holes."""
 SHORT = 1.0
@@ -146,7 +146,7 @@ COVERING = (0.6, 6.0)
 """If Gaussians cover an object, the ratio of their width to their spacing is between these two
 values.
 
-Measured ratios are 1.2 to 3.5.
+In example files, the ratios are 1.2 to 3.5.
 """
 NOTE = "Its scales are read as logarithms: {}."
 

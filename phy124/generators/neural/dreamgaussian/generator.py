@@ -73,9 +73,7 @@ class Settings:
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
-    """Size of the scene, to which the Gaussians' scales are compared at the end of the optimisation;
-    too large Gaussians are removed.
-    """
+    """Size of the scene. Gaussians that are too large for it are removed after the last step."""
 
     def guided_size(self, ratio: float) -> int:
         """Return the side [pixels] of the views that the diffusion model judges.

@@ -192,7 +192,7 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the images that are compared [pixels]."""
 MARGIN = 0.98
-"""The normalisation "all" is chosen only if its error is below this fraction of the error of "each".
+"""Normalisation "all" is chosen only if its error is below this fraction of the error of "each".
 
 Hardly any weights need "all".
 """
