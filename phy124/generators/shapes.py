@@ -12,8 +12,7 @@ COUNT = 8000
 """Usual number of Gaussians of a shape, approximately."""
 TRIES = 6
 """Number of random points that are drawn for each point that is needed on a set of triangles. An
-evenly spaced subset
-of these points is kept.
+evenly spaced subset of these points is kept.
 """
 FLATNESS = 0.15
 """Thickness of the surface's Gaussians relative to their width."""

@@ -29,8 +29,9 @@ def measure_change(lab: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def number_bins(lab: NDArray[np.float32], bins: tuple[int, int, int]) -> NDArray[np.intp]:
-    """Return the index of each colour's histogram bin [H,W]; `bins` are the numbers of bins of L, a
-    and b.
+    """Return the index of the histogram bin of each pixel's colour [H,W].
+
+    `bins` are the numbers of bins of L, a and b.
     """
     places = ((lab - [0, -100, -100]) / [100, 200, 200] * bins).astype(int)
     return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(places, 2, 0)), bins, mode="clip"))

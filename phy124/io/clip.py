@@ -188,8 +188,9 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """A copy of the clip without the grains of sand, because their number depends on the
-        accuracy.
+        """A copy of the clip without the grains that were added inside materials such as sand.
+
+        The number of these grains depends on the accuracy.
         """
         grains = self.report.get("grains", 0)
         if not grains:

@@ -79,9 +79,7 @@ class Content(NamedTuple):
 
     @property
     def in_place(self) -> Content:
-        """The same content with absolute positions; `self` if float32 cannot resolve these
-        positions.
-        """
+        """The same content with absolute positions; `self` if float32 cannot resolve them."""
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self

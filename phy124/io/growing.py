@@ -32,7 +32,7 @@ SPARE = 1 << 14
 CODES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
 """NumPy types by their names in safetensors files."""
 SHAPES = ("means", "quats", "scales")
-"""Arrays that describe the changing shapes of the Gaussians."""
+"""Names of the arrays that contain the Gaussians' positions and shapes, which change over time."""
 MOVING = {
     "times",
     *SHAPES,
@@ -52,7 +52,7 @@ class Tensor(NamedTuple):
     code: str
     shape: tuple[int, ...]
     offset: int
-    """Position of the array's first byte in the file [bytes]."""
+    """Offset of the array's first byte from the start of the file [bytes]."""
 
     @property
     def size(self) -> int:
@@ -155,8 +155,7 @@ class Growing:
         return kept, self._row("rotations", index)
 
     def finish(self, clip: Clip, path: Path) -> bool:
-        """Complete the file and link it as `path`; return False if the clip does not match the
-        file.
+        """Complete the file and link it as `path`; return False if it does not match the clip.
 
         Raises:
             OSError: If the disk is full or the file system has no hard links.
@@ -200,7 +199,7 @@ class Growing:
         return True
 
     def place(self) -> dict[str, Any]:
-        """Return plain data from which `there` reopens the file."""
+        """Return the file's name and arrays as plain data, from which `there` reopens the file."""
         return {"file": self.path.name, "tensors": self.tensors}
 
     @classmethod

@@ -51,13 +51,15 @@ STYLE = "player.css"
 LICENCE = "vendor/LICENSE-playcanvas.txt"
 PAGE = "player.html"
 GZIP = 31
-"""zlib's window parameter for the largest window with a gzip header."""
+"""Value of zlib's parameter `wbits` that selects a gzip header and the largest window."""
 BLOCK = 3 << 20
 """Number of bytes that are processed at a time; base64 requires a multiple of 3."""
 LOOSE = 0.5
-"""A P4D file is used if the error of the Gaussians' shapes is at most this value."""
+"""Largest error of the Gaussians' shapes for which a clip is stored as a P4D file."""
 Staged = tuple[dict[str, Any], NDArray[np.uint8]]
-"""A stage as plain data, and its shadow maps [T,C,C] (phy124/rendering/stage/build.py)."""
+"""The lighting stage around the object as plain data, and the stage's shadow maps [T,C,C]
+(phy124/rendering/stage/build.py).
+"""
 Glossy = dict[str, Any]
 """Plain data about the reflective Gaussians and their reflectance (phy124/rendering/shine.py).
 
@@ -193,7 +195,10 @@ def _pack_smallest(
     stage: Staged | None,
     shine: Glossy | None,
 ) -> bytes:
-    """Return all Gaussians as a P4D file, or as a pack if P4D is larger or not exact enough."""
+    """Return all Gaussians as a P4D file, or as a pack if a P4D file is larger or not exact enough.
+
+    The module's docstring describes both formats.
+    """
     packed = pack(clip, camera, background=background, stage=stage, shine=shine)
     finite = all(np.isfinite(means).all() for means in clip.means)
     if not finite or (shine and "hues" in shine):

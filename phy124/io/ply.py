@@ -67,7 +67,9 @@ These columns are read, are not needed (normals), or repeat other columns (red, 
 """
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
-"""Thickness of a Gaussian without scale_2, relative to its shorter side."""
+"""Thickness of Gaussians in files without the column scale_2, relative to a Gaussian's shorter
+side.
+"""
 MOST_NAMED = 12
 """Largest number of unknown columns in a note; columns that differ only in a number count once."""
 COEFFICIENTS = (*SH_COEFFICIENTS, 25)
@@ -146,7 +148,7 @@ def _group(
 
 
 def _activate(table: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
-    """Return standard deviations [N,3], opacities [N] in 0..1, and notes about both."""
+    """Return standard deviations [N,3], opacities [N] in 0..1, and notes on how both were read."""
     sides = tuple(name for name in SCALES if name in (table.dtype.names or ()))
     scales, notes = _group(table, sides, np.float64), []
     opacities = table["opacity"].astype(np.float64)
@@ -245,7 +247,7 @@ def _printable(name: str) -> str:
 SCALE_FLOOR = 1e-12
 """Smallest scale that is written [m]; the scale 0 of a flat Gaussian has no logarithm."""
 OPACITY_MARGIN = 1e-7
-"""Written opacities are at least this far from 0 and 1, whose logits are infinite."""
+"""Smallest distance of written opacities from 0 and 1, whose logits are infinite."""
 COMMENT = "phy124: x right, y down, z into the picture; the world's (x, y, z) is (-z, x, -y) here"
 VERTICAL = re.compile(r"vertical axis:\s*(-?[xyz])\s*", re.IGNORECASE)
 """Pattern of the comment in which Nerfstudio and Brush state the vertical axis."""
@@ -257,11 +259,11 @@ NO_NUMBER = re.compile(rb"[-+]?(nan\([^)]*\)|1\.#\w+)", re.IGNORECASE)
 
 
 class Ply(NamedTuple):
-    """Gaussians of a PLY file; `phy124.io.formats.read_gaussians` also returns notes."""
+    """The Gaussians of a PLY file; unlike `phy124.io.formats.read_gaussians`, without notes."""
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    If float32 could not resolve the Gaussians, they are moved to the origin.
+    If float32 could not resolve their positions, the Gaussians are moved to the origin.
     """
     dropped: int
     """Number of rows that were removed because a value was NaN or infinite."""
@@ -343,7 +345,7 @@ def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
 
 
 def _header(table: NDArray[Any], count: int, *, antialiased: bool) -> bytes:
-    """Return the header of a PLY file whose rows have the columns of a table."""
+    """Return the header of a PLY file whose rows have the same columns as `table`."""
     names = table.dtype.names or ()
     tags = [COMMENT, "Vertical axis: -y", *(MIP if antialiased else NOT_MIP)]
     lines = ["ply", "format binary_little_endian 1.0", *(f"comment {tag}" for tag in tags)]

@@ -23,7 +23,7 @@ TYPES = {
 """NumPy type of each number type of PLY, by its old name (`float`) and its new name (`float32`)."""
 ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_DIGITS = 30
-"""Largest number of digits that the number of rows may have."""
+"""Largest number of digits in the header's numbers of rows."""
 LINE_ENDS = rb"\r\n|\n|\r"
 """Byte sequences that end a line; `str.splitlines` would also split at other characters."""
 SPLATS = "Keep the file unchanged: `phy124 convert`, `phy124 simulate` and other commands read it."

@@ -30,8 +30,9 @@ def step_of(largest: float, *, signed: bool) -> float:
 def sixteen_bits(
     raster: Raster, covered: NDArray[np.bool_], step: float, *, signed: bool
 ) -> NDArray[np.uint16]:
-    """Quantise values to integers: raw = value / step, plus `MIDDLE` if signed; raw is 0 in
-    uncovered pixels.
+    """Quantise values to 16-bit integers, which are 0 in pixels without a value.
+
+    An integer is value / step; if the values are signed, `MIDDLE` is added.
 
     Args:
         raster: Values [H,W,C].

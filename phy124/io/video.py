@@ -50,7 +50,8 @@ FILMS = {
     ".webm": ({3: "yuv420p", 4: "yuva420p"}, VP9),
     ".mov": ({3: "yuv444p10le", 4: "yuva444p10le"}, PRORES),
 }
-"""Pixel formats, by number of channels, and encoder options, by the extension of the video's file.
+"""For each file name extension of a video: the encoder's pixel formats for 3 and 4 channels, and
+its options.
 """
 ANIMATIONS = {".gif": "GIF", ".webp": "WEBP"}
 OPAQUE = 128
@@ -302,7 +303,7 @@ def _feed(encoder: subprocess.Popen[bytes], pictures: Iterator[Picture]) -> int:
 
 @contextmanager
 def _ended_if_stuck(encoder: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Kill the encoder if the block takes longer than `STUCK` seconds."""
+    """Kill the encoder if the `with` block takes longer than `STUCK` seconds."""
     timer = threading.Timer(STUCK, encoder.kill)
     timer.daemon = True
     timer.start()
@@ -369,6 +370,6 @@ def _check_rate(fps: float) -> None:
 
 
 def _durations(count: int, fps: float, unit: int) -> list[int]:
-    """Return the duration of each frame [ms], which is a multiple of `unit`."""
+    """Return the duration of each frame [ms]; file formats allow only multiples of `unit` ms."""
     ends = np.rint(np.arange(count + 1) * 1000 / fps / unit).astype(int) * unit
     return np.diff(ends).tolist()

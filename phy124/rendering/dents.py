@@ -19,30 +19,33 @@ from numpy.typing import NDArray
 from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 
 PATCH, LARGEST = 0.7, 1 / 48
-"""Size of a patch [cells], and largest size of a patch, relative to the longest side of the solid.
-On coarse grids, patches of the first size would be thicker than horns and ears.
+"""Size of the surface patches on which light is computed: in cells of the simulation, and at most
+as a fraction of the solid's longest side.
+The second limit is needed on coarse grids, where patches would be thicker than horns and ears.
 """
 SIDE = 0.7
-"""A difference of this size between the unit normals of two points counts as much as a distance of
-one patch.
+"""When patches near a Gaussian are chosen, a difference of this size between two unit normals
+counts as much as a distance of one patch.
 """
 NEAR = 12
-"""Number of patches to which a plane is fitted, and between which light is interpolated."""
+"""Number of nearest patches: to a patch's nearest patches, a plane is fitted; between a Gaussian's
+nearest patches, light is interpolated.
+"""
 FLOOR = 0.5
 """Light of the sky on a surface that faces down, relative to a surface that faces up."""
 CONTRAST = 1.3
-"""Exponent that increases the contrast of the light, since the light in pictures is more directed
-than the light of lamp and sky together.
+"""Exponent that increases the contrast between light and shade. Light in pictures comes more from
+one direction than the light of lamp and sky together.
 """
 RANGE = 0.7, 1.06
-"""Smallest and largest factor of the colours."""
+"""Smallest and largest factor by which light changes the colours."""
 
 
 class Dents:
     """The light on the Gaussians of one solid."""
 
     def __init__(self, which: NDArray[np.int64], x: NDArray, cell: float, lamp: NDArray) -> None:
-        """Measure the Gaussians with indices `which` [n] of a solid at rest, at x [n,3] m.
+        """Measure a solid at rest: n Gaussians with indices `which` [n] at positions x [n,3], m.
 
         `cell` is the cell size of the simulation [m], and `lamp` the unit vector to the lamp.
         """
@@ -61,7 +64,10 @@ class Dents:
         self._rest = self._lit(x)
 
     def illuminate(self, rgb: NDArray, x: NDArray) -> NDArray[np.float32]:
-        """Return colours [n,3] of the Gaussians at x [n,3], m, from the colours `rgb` at rest."""
+        """Return the Gaussians' colours [n,3] in the light on their present shape.
+
+        They are at the positions x [n,3], m, and `rgb` are their colours at rest.
+        """
         change = np.clip((self._lit(x) / self._rest) ** CONTRAST, *RANGE) - 1
         return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
 
@@ -70,7 +76,10 @@ class Dents:
         return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward normals of the patches [m,3]; zero where no plane is determined."""
+        """Return the outward unit normals of the patches [m,3].
+
+        If a patch and its neighbours lie on a line, its normal is 0.
+        """
         centres = self.centres(x)
         return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
 
@@ -97,7 +106,9 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
 
 
 def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
-    """Return matrices that map values of patches [m] to the values' slopes along two directions.
+    """Return two matrices that map values of the m patches to slopes of these values.
+
+    The slopes are measured along two directions on the surface.
 
     The two directions and the outward normal of a patch are perpendicular to each other. A slope is
     a least-squares fit to the nearest patches, whose indices are `near` [m,k].
@@ -122,7 +133,7 @@ def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> t
 
 
 def _shares(features: NDArray, centres: NDArray, near: NDArray) -> Any:
-    """Return the matrix that interpolates values of patches [m] to Gaussians [n].
+    """Return a matrix that interpolates a value of each of m patches to each of n Gaussians.
 
     `near` [n,k] are the indices of patches around each Gaussian.
     """
@@ -136,14 +147,14 @@ def _shares(features: NDArray, centres: NDArray, near: NDArray) -> Any:
 
 
 def _number(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number the different rows of an array [n,k]; return the number of each row [n]."""
+    """Number the distinct rows of an array [n,k]; return the number of each row [n]."""
     cells = cells - cells.min(axis=0)
     flat: Any = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
     return np.unique(flat, return_inverse=True)[1].reshape(-1)
 
 
 def _rows(rows: NDArray, columns: NDArray, values: NDArray, shape: tuple[int, int]) -> Any:
-    """Return a sparse matrix in single precision."""
+    """Return the sparse matrix, in single precision, that has these rows, columns and values."""
     return scipy.sparse.csr_matrix((values.astype(np.float32), (rows, columns)), shape)
 
 

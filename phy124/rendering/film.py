@@ -52,12 +52,12 @@ MOST_PIXELS = 1 << 23
 """Largest number of pixels that are encoded at the same time. The limit is about the number of
 pixels of four full HD pictures."""
 WAITING = 4
-"""Largest number of pictures that wait for an encoder."""
+"""Largest number of pictures that wait in the queue of an encoder."""
 NEAR = 0.05
-"""A video fades into its start if the RMS distance between its first and its last pose is at most
-this value.
+"""A video's end fades into its start if the RMS distance between the positions in its first and
+last frame is at most this value.
 
-The unit is the object's size.
+The distance is measured in units of the object's size.
 """
 
 
@@ -161,9 +161,7 @@ def _encode_sides(
 
 @dataclass(frozen=True)
 class Loop:
-    """The order of a video's frames, and the number of pictures at the end that fade into the
-    start.
-    """
+    """The order of a video's frames, and how many pictures at its end fade into its start."""
 
     order: Sequence[int]
     fading: int = 0
@@ -201,7 +199,7 @@ class Loop:
         return [f"Seamless videos of {self.pictures} pictures: {how}."]
 
     def fade_ends(self, images: Iterator[Picture]) -> Iterator[Picture]:
-        """Yield the pictures; the last pictures are blended with the first pictures."""
+        """Yield the pictures of a video; its last pictures fade into its first pictures."""
         first = list(islice(images, self.fading))
         for index, image in enumerate(islice(images, len(self.order) - self.fading)):
             done = index - (len(self.order) - 2 * self.fading)
@@ -331,9 +329,11 @@ ENCODERS: dict[str, Encoder] = {
     "gif": _encode("gif", write_animation),
     "png": _png,
 }
-"""Functions that write the pictures of a side in a format, and return the file or folder."""
+"""Functions that write the pictures from one side in a format; they return the path of the file or
+folder.
+"""
 PLAYED = {"mp4", "webm", "mov", "webp", "gif"}
-"""Formats that have a playback rate."""
+"""Formats of videos and animations, which have a frame rate."""
 SMOOTH = 12.0
 """Frame rate below which slow motion looks choppy [1/s]."""
 EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
@@ -341,7 +341,7 @@ EXPORTS: dict[str, Callable[[Clip, View, Path, Progress], Path]] = {
     "ply": _ply,
     "html": _html,
 }
-"""Functions that write the whole clip in a format, and return the file or folder."""
+"""Functions that write the whole clip in a format; they return the path of the file or folder."""
 
 
 def playback(fps: float, view: View) -> float:

@@ -14,20 +14,29 @@ import scipy
 from numpy.typing import NDArray
 
 LUMP = 0.12
-"""Mean size of lumps, relative to the longest side of the material at rest."""
+"""Mean size of lumps, which are divided into fragments, relative to the longest side of the
+material at rest.
+"""
 SIZES = 0.11, 0.06, 0.04
-"""Mean sizes of fragments, relative to the longest side. All fragments of a lump have the same mean
+"""Mean sizes of fragments, relative to the longest side of the material at rest. All fragments of a
+lump have the same mean
 size."""
 WHOLE, BROKEN = 1.06, 1.3
-"""Up to the first stretch, a fragment is drawn as it is; above the second, it keeps its shape."""
+"""Up to the first stretch, a fragment deforms with its material; above the second stretch, it keeps
+its shape.
+"""
 SMALLEST = 0.7
-"""If a fragment was packed before it broke, its size is at least this fraction of its size at rest.
+"""A fragment that was compressed before it broke is drawn at least at this fraction of its size at
+rest.
 """
 NEWTON = 6
-"""Number of Newton steps for a rotation; enough for stretches that differ by a factor of 10."""
+"""Number of Newton steps in the computation of a rotation; enough if the stretches along the axes
+differ by a factor of 10.
+"""
 FLAT = 1e-3
-"""Weight of the lump's motion in the fit of a fragment's motion, relative to the variance of the
-fragment's positions. The few Gaussians of a small fragment may be coplanar.
+"""When the motion of a fragment is fitted, the motion of its lump has this weight, relative to the
+variance of the fragment's positions. This weight is needed because the few Gaussians of a small
+fragment may be coplanar.
 """
 
 
@@ -35,7 +44,10 @@ class Fragments:
     """The fragments of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], x: NDArray) -> None:
-        """Divide the Gaussians with indices `which` [n] at the positions x [n,3] m at rest."""
+        """Divide a material at rest into fragments.
+
+        The Gaussians with the indices `which` [n] are at the positions x [n,3], m.
+        """
         self.which = which
         lump, self._fragment = _divide(x, np.random.default_rng(0))
         self._lump = np.empty(self._fragment.max() + 1, np.int64)
@@ -65,7 +77,7 @@ class Affine:
     """Fits affine motions to groups of points."""
 
     def __init__(self, x: NDArray, group: NDArray[np.int64]) -> None:
-        """Set the positions x [n,3] m at rest, and the number of the group of each point [n]."""
+        """Set the positions x [n,3] of points at rest, m, and each point's group number [n]."""
         n, m = len(x), group.max() + 1
         middle = np.stack([np.bincount(group, side) for side in x.T], axis=1)
         middle /= np.bincount(group)[:, None]
@@ -82,7 +94,7 @@ class Affine:
         self._fit: Any = scipy.sparse.csr_matrix((values.ravel(), places), (3 * m, n))
 
     def fit(self, x: NDArray[np.float32], prior: NDArray) -> NDArray[np.float32]:
-        """Return the transposed deformation gradient of each group [m,3,3], from x [n,3], m.
+        """Return the transposed deformation gradients of m groups of points at x [n,3], m.
 
         `prior` is used in directions in which a group has no extent.
         """
@@ -127,7 +139,10 @@ def _polar(F: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.floa
 
 
 def _divide(x: NDArray, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the numbers of the lump and of the fragment of each point x [n,3], without gaps."""
+    """Divide points x [n,3] into lumps, and lumps into fragments; return the numbers of both.
+
+    The lumps, like the fragments, are numbered without gaps.
+    """
     longest = float(np.ptp(x, axis=0).max())
     lump = _nearest(x, LUMP * longest, rng)
     kind = rng.integers(len(SIZES), size=lump.max() + 1)[lump]

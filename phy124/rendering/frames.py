@@ -22,9 +22,10 @@ from phy124.runtime.cores import cores
 SHADOWS = 4
 """Number of threads that compute shadows if a GPU draws the frames."""
 MOST_SPLATS = 1 << 24
-"""Largest number of splats that all threads together store, unless there are only two threads.
+"""Largest number of splats that all threads together store. With only two threads, there is no
+limit.
 
-A splat takes about a hundred bytes.
+A splat takes about 100 bytes of memory.
 """
 LOOK_AHEAD = 4
 """Largest number of frames that each thread of `render_frames` renders in advance."""

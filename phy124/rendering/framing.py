@@ -25,14 +25,17 @@ LARGEST = 5.0
 """Largest extent of a motion that a fixed camera shows, in units of the object's size. If the
 motion is larger, the camera follows the object."""
 WINDOW = 0.3
-"""A moving camera shows the object's positions up to this time before and after each frame [s]."""
+"""A moving camera shows, in each frame, all positions of the object up to this time before and
+after the frame [s].
+"""
 NEARER = 1.1
-"""With several objects, the camera moves in and out if this enlarges the objects by this factor.
+"""Smallest enlargement of the objects for which the camera moves in and out in a scene with several
+objects.
 
-The enlargement must be reached in most frames.
+The objects must be enlarged at least by this factor in most frames.
 """
 MORE = 1.5
-"""To show a whole container, the camera's distance may grow by at most this factor."""
+"""Largest factor by which the camera's distance may grow to show a whole container."""
 FARTHEST = 100.0
 """Largest allowed camera distance of a view, in units of the object's size."""
 
@@ -51,7 +54,10 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""Cameras of each clip in use. The videos and the report of a run need the same cameras."""
+"""Cameras of each clip that is in use; the keys are a clip's views and sides. They are kept because
+a run's videos and its report need the same cameras. The videos and the report of a run need the
+same cameras.
+"""
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:
@@ -175,7 +181,10 @@ def departures(clip: Clip, view: View) -> list[Departure]:
 
 
 def describe_framing(clip: Clip, view: View) -> dict[str, Any]:
-    """Return the `departures`, and `notes` on them and on camera paths longer than the clip."""
+    """Return which views the object leaves as `departures`, and `notes` for the user.
+
+    The notes also tell which camera paths are longer than the clip.
+    """
     left = departures(clip, view)
     notes = [note for note in (_note_departures(clip, view, left), _note_cut(clip, view)) if note]
     return {"departures": [asdict(departure) for departure in left], "notes": notes}
@@ -231,7 +240,10 @@ def _find_departure(clip: Clip, view: View, side: str) -> Departure | None:
 
 
 def _radii(points: NDArray[np.floating], cameras: list[Camera]) -> Values:
-    """Return the smallest camera distances [T,S], m, at which each point is visible."""
+    """Return the smallest distances of the camera at which it shows each of S points in T frames.
+
+    The result is [T,S], m.
+    """
 
     def radius(points: NDArray[np.floating], camera: Camera) -> Values:
         across, down, ahead = ((points - camera.target) @ camera.view[:3, :3].T).T

@@ -24,21 +24,23 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Combined standard deviation [cells] of the filter, and of the distribution of each point among
-the eight cells around it.
+"""Standard deviation of the smoothing of a point on the grid [cells]. It combines the filter and
+the distribution of each point among the eight cells around it.
 """
 MOST = 4_000_000
 """Largest number of cells. If a scattered liquid needs more cells, the cells are made larger."""
 SAMPLE = 8192
-"""Number of points that determine the extent of the grid."""
+"""Number of a liquid's points from which the extent of the grid is determined."""
 LITTLE = 0.02
-"""Averages are divided by the fraction of space in front of walls, but at least by this value."""
+"""Averages over the space in front of walls are divided by the fraction of this space in the
+surroundings, but at least by this value.
+"""
 THICKER = 4.0
-"""The volumes of Gaussians in thin parts of the liquid at rest are increased by at most this
-factor.
+"""Largest factor by which the volumes of Gaussians are increased in parts of a liquid that are thin
+at rest.
 """
 CLEAR = 1e6
-"""Optical depth of a cell of a liquid that is opaque."""
+"""Optical depth of one grid cell of an opaque liquid."""
 
 
 class Planes(NamedTuple):
@@ -51,7 +53,7 @@ class Planes(NamedTuple):
 
 
 NOWHERE = Planes(np.zeros((0, 3)), np.zeros(0))
-"""Value for a liquid that has no walls."""
+"""The planes of a liquid that has no walls."""
 
 
 class Surface(NamedTuple):
@@ -72,15 +74,16 @@ class Surface(NamedTuple):
 
 
 WIDTHS = (3, 4, 3, 1, 3, 3)
-"""Numbers of values per Gaussian in the arrays of a `Surface`."""
+"""Number of values per Gaussian in each array of a `Surface`, in the order of its fields."""
 
 
 class Field:
-    """A grid on which values of points are added up and smoothed."""
+    """A grid on which values of a liquid's points are added up and smoothed."""
 
     def __init__(self, x: NDArray, cell: float, planes: Planes = NOWHERE) -> None:
-        """Place points [N,3] m on a grid with spacing `cell` m, or wider to limit the number of
-        cells.
+        """Place points [N,3] m on a grid with the spacing `cell` [m].
+
+        If there would be too many cells, the spacing is increased.
         """
         low, high = np.percentile(x[:: 1 + len(x) // SAMPLE], [0.1, 99.9], axis=0)
         spare = 4 * BLUR * cell
@@ -95,7 +98,9 @@ class Field:
         self.open, self._room = self._before(planes, corner)
 
     def _before(self, planes: Planes, corner: NDArray) -> tuple[NDArray | float, NDArray | float]:
-        """Return the fraction of each cell in front of all walls, before and after smoothing.
+        """Return the fraction of each grid cell that is in front of all walls.
+
+        The fraction is returned twice: as it is, and after smoothing.
 
         `corner` is the centre of the first cell [3], m.
         """
@@ -111,27 +116,27 @@ class Field:
         return shares[0], np.maximum(shares[1], LITTLE)
 
     def blur(self, values: NDArray) -> NDArray[np.float32]:
-        """Return the values of the cells after smoothing."""
+        """Smooth the values of the grid's cells with the filter, and return them."""
         smooth: Any = scipy.ndimage.gaussian_filter(
             values.reshape(self.size), BLUR, mode="constant", truncate=3
         )
         return smooth
 
     def smooth(self, values: NDArray) -> NDArray[np.float32]:
-        """Return smoothed values of the cells, averaged over the space in front of all walls."""
+        """Smooth the values of the grid's cells; averages do not include space behind walls."""
         return np.asarray(self.blur(values) / self._room, np.float32)
 
     def fill(self, volumes: NDArray) -> NDArray[np.float32]:
-        """Return phi, the smoothed fraction of each cell that is filled by the points; `volumes`
-        [N] are the points' volumes [m^3].
+        """Return phi, the smoothed fraction of each cell that the liquid's points fill.
 
-        Each point is distributed among 8 cells. The fraction is limited to 1, because the points of
-        a compressed liquid lie too close together.
+        `volumes` [N] are the points' volumes [m^3]. Each point is distributed among 8 cells. The
+        fraction is limited to 1, because the points of a compressed liquid lie too close together.
         """
         return self.smooth(np.minimum(self.add(volumes), 1))
 
     def add(self, volumes: NDArray) -> NDArray[np.float32]:
-        """Return the fraction of each cell that is filled by the points, before smoothing;
+        """Return the fraction of each cell that the liquid's points fill, before smoothing.
+
         `volumes` [N] are the points' volumes [m^3].
         """
         filled = np.zeros(self.size, np.float32)
@@ -145,7 +150,7 @@ class Field:
         return values
 
     def spread(self, phi: NDArray) -> NDArray[np.float32]:
-        """Return the factor by which smoothing lowers phi in each cell.
+        """Return the factor by which smoothing lowers phi, the filled fraction, in each cell.
 
         The factor is about 1/2 in jets and 0.7 in sheets.
         """
@@ -158,7 +163,10 @@ class Field:
         return slopes
 
     def lengths(self, filled: NDArray) -> NDArray[np.float32]:
-        """Return the length of liquid along each axis through each cell [cells,3], in cells."""
+        """Return the length of the liquid that each cell is part of, along each axis [cells,3].
+
+        The unit of length is a cell.
+        """
         lengths = np.empty((filled.size, 3), np.float32)
         for axis, count in enumerate(self.size):
             self.launch(discs.measure_lengths, filled.size // count, [axis, filled], [lengths])
@@ -254,7 +262,7 @@ class Liquid:
 
 
 def _find_rows(x: NDArray, spacing: float) -> NDArray[np.int32]:
-    """Return the neighbours of points [N,3] m on both sides along each axis [3,2,N].
+    """Return the indices of each point's two neighbours along each axis [3,2,N].
 
     If a point does not have both neighbours on a lattice of this spacing, its neighbours are the
     point itself.

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0
 
 SMOOTH = 1.4
-"""Standard deviation of the filter for the normals [cells]."""
+"""Standard deviation of the filter that smooths phi before normals are computed [cells]."""
 WIDE = 3.0
-"""Standard deviation of the second filter, for the occlusion [cells]."""
+"""Standard deviation of the wider filter that smooths phi before occlusion is computed [cells]."""
 SPARE = 6
-"""Width of the empty margin around the grains [cells]."""
+"""Width of the empty margin of the grid around the grains [cells]."""
 TAILS = 2.5
-"""Distance at which the filters are cut off [standard deviations]."""
+"""Distance at which both smoothing filters are cut off [standard deviations]."""
 MOST = 2_000_000
 """Largest number of cells. If scattered grains need more cells, the cells are made larger."""
 SKY = np.array([0.56, 0.59, 0.65], np.float32)
@@ -34,13 +34,16 @@ LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Light from the sky, and light from the lamp on surfaces that face the lamp: red, green and blue.
 """
 CERTAIN = 0.03
-"""Gradient of phi per cell above which the normal is certain. In sparse spray the normal is less
+"""Gradient of phi, the filled fraction, per cell above which the surface's normal is certain. In
+sparse spray the normal is less
 certain, and the light is closer to `EVEN`.
 """
 EVEN = 0.8
-"""Light of the lamp on material without a normal, relative to a surface that faces the lamp."""
+"""Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""
 HOLLOW, DEEP = 0.48, 0.72
-"""Values of the widely smoothed phi: on a flat surface, and in a hollow that is fully shaded."""
+"""Values of the widely smoothed phi, the filled fraction: on a flat surface, and in a hollow that
+is fully shaded.
+"""
 DARKEST = 0.6
 """Light in a fully shaded hollow, relative to the light on a flat surface."""
 
@@ -49,11 +52,11 @@ class Matte:
     """The light on the grains of one material of a clip."""
 
     def __init__(self, which: NDArray[np.int64], volumes: NDArray, cell: float) -> None:
-        """Set the grains' indices [n] and volumes [n] m^3, and the cell size of the grid [m]."""
+        """Set the grains' indices [n] and volumes [n], m^3, and the cell size of the grid [m]."""
         self.which, self._volumes, self._cell = which, volumes, cell
 
     def light(self, x: NDArray, lamp: NDArray) -> NDArray[np.float32]:
-        """Return the light [n,3] at points x [n,3] m, as factors of red, green and blue.
+        """Return the light at points x [n,3] m, as factors of their red, green and blue [n,3].
 
         `lamp` [3] is the unit vector towards the lamp.
         """
@@ -106,7 +109,7 @@ def find_matte(rows: Sequence[dict[str, Any]], cell: float) -> list[Matte]:
 
 
 def illuminate(sh: NDArray, light: NDArray) -> NDArray:
-    """Return spherical harmonics [n,K,3] of the colours under a light [n,3]."""
+    """Return spherical harmonics [n,K,3] of grains' colours `sh` under the light `light` [n,3]."""
     lit = np.zeros_like(sh)
     rgb = np.clip(0.5 + SH_C0 * sh[:, 0], 0, 1) * light
     lit[:, 0] = (np.minimum(rgb, 1) - 0.5) / SH_C0
@@ -114,7 +117,10 @@ def illuminate(sh: NDArray, light: NDArray) -> NDArray:
 
 
 def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.float64], tuple[int, int, int]]:
-    """Return the cell size [m], the places of points [3,n], and the number of cells per axis.
+    """Place points x [n,3] on a grid.
+
+    Return the grid's cell size [m], the points' coordinates in cells [3,n], and the grid's number
+    of cells per axis.
 
     The centres of cells have integer coordinates. Points far away from all others are placed near
     the boundary. The outermost cells are empty.
@@ -129,7 +135,7 @@ def locate(x: NDArray, cell: float) -> tuple[float, NDArray[np.float64], tuple[i
 
 
 def number(place: NDArray[np.float64], size: tuple[int, int, int]) -> NDArray[np.intp]:
-    """Return the indices of the cells [n] at places [3,n] with integer coordinates."""
+    """Return the indices [n] of grid cells from their integer coordinates along the axes [3,n]."""
     return ((place[0] * size[1] + place[1]) * size[2] + place[2]).astype(np.intp)
 
 
@@ -141,7 +147,7 @@ def interpolate(
     shares: NDArray[np.float32],
     steps: tuple[int, int, int],
 ) -> NDArray[np.float32]:
-    """Return values at points [n], interpolated linearly between the eight cells around each point.
+    """Interpolate values of cells linearly at n points, between the eight cells around each point.
 
     Args:
         values: Values of some of the cells [m].

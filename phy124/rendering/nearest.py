@@ -32,7 +32,7 @@ SAMPLE = 8192
 The sampled Gaussians have evenly spaced indices.
 """
 MOST_VALUES = 1 << 20
-"""Largest product of sampled Gaussians and frames; for longer clips, the sample is reduced."""
+"""Largest product of sampled Gaussians and frames. In longer clips, fewer Gaussians are sampled."""
 FEWEST = 128
 """Smallest number of Gaussians in the sample."""
 BLOCK = 64
@@ -49,18 +49,21 @@ Single drops therefore have no effect.
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""
 CLOSE = 0.98
-"""A search for a zoom ends if the camera distance exceeds this fraction of the smallest
-distance."""
+"""A search for a zoom ends if the camera's distance is at least this fraction of the smallest
+allowed distance.
+"""
 TRIES = 8
 """Largest number of trials in a search for a zoom."""
 ZOOM = 40.0
 """Largest factor by which the field of view is narrowed."""
 ROOM = 1.08
-"""Width (or height) of the picture, divided by the width (or height) of the whole motion."""
+"""Width of the picture divided by the width of the whole motion in the picture; the same holds for
+heights.
+"""
 MOST = 0.8
 """Fraction of the frames from which the usual extent of a motion is determined.
 
-All other frames are rare moments.
+The remaining frames count as rare moments of the motion.
 """
 RARE = 1.5
 """The camera follows the object if rare moments enlarge a motion's extent by this factor."""
@@ -77,7 +80,7 @@ class Sample:
     corners: tuple[NDArray, NDArray] | None = None
     """Lowest and highest corner of the object's bounding box in the first frame [3], [3], m.
 
-    None if no centre is finite.
+    None if no Gaussian has a finite centre.
     """
 
     @classmethod
@@ -167,8 +170,7 @@ _samples: WeakKeyDictionary[Clip, Sample] = WeakKeyDictionary()
 
 
 def _reach_of_discs(clip: Clip) -> Values:
-    """Return the lengths [N], m, by which the discs on a liquid's surface extend beyond the
-    liquid's Gaussians.
+    """Return how far the discs on a liquid's surface extend beyond its Gaussians [N], m.
 
     The value is 0 for Gaussians that are not part of a liquid.
     """
@@ -186,9 +188,9 @@ class Standing:
     distance: float
     """Distance of the cameras from their targets [m]."""
     shift: Values
-    """Displacement of the targets [3], m."""
+    """Displacement of the points at which the cameras look [3], m."""
     zoom: float
-    """Factor by which the field of view is narrowed."""
+    """Factor by which the cameras' field of view is narrowed so that they can be farther away."""
 
 
 def place_nearest(sample: Sample, cameras: list[Camera], *, zooms: bool = True) -> Standing:
@@ -256,7 +258,9 @@ class _Seen:
     """A sample of Gaussians in the coordinate axes of the cameras."""
 
     points: NDArray[np.floating]
-    """Positions relative to the target: to the right, downwards and ahead [T,3,S], m."""
+    """Positions of the sampled Gaussians relative to each camera's target: to the right, downwards
+    and ahead [T,3,S], m.
+    """
     reach: NDArray[np.floating]
     """Standard deviations of the Gaussians to the right and downwards [T,2,S], m."""
     axes: Values
@@ -279,8 +283,9 @@ class _Seen:
 
     @property
     def depth(self) -> float:
-        """Extent of the motion along the view [m]; if the cameras turn, the largest extent in any
-        frame.
+        """Extent of the motion along the view direction [m].
+
+        If the cameras turn, this is the largest extent in any frame.
         """
         ahead = np.quantile(self.points[:, 2], [OUTSIDE / 2, 1 - OUTSIDE / 2], axis=1)
         if self.turning:
@@ -312,7 +317,7 @@ class _Seen:
         return Standing(float(edges.max()), np.zeros(3), zoom)
 
     def _between(self, edges: Values, halves: Values) -> tuple[Values, Values]:
-        """Return the distances [...] m and shifts [...,3] m of cameras that do not turn.
+        """Return distances [...] m and shifts [...,3] m of cameras with the same view direction.
 
         The cameras show the space between the edges [...,2,2] m.
         """
@@ -320,10 +325,9 @@ class _Seen:
         return edges.sum(axis=-1).max(axis=-1) / 2, shift @ self.axes[0, :2]
 
     def _edges(self, halves: Values) -> Values:
-        """Return the camera distances [T,2,2] m from which the sample of each frame is inside the
-        edges.
+        """Return the distances from which a camera sees the sample inside each picture edge.
 
-        The edges are ordered as right and left, bottom and top.
+        The result is [T,2,2], m. The edges are ordered as right and left, bottom and top.
         """
         few, needed = int(LEFT_OUT * self.points.shape[2]), []
         for part in _blocks(len(self.points)):

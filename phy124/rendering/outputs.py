@@ -33,9 +33,9 @@ from phy124.scene.view import Output
 
 Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
-"""Largest optical flow, in units of the picture's size.
+"""Largest optical flow that is written, in units of the picture's size.
 
-Only Gaussians that pass through the camera would exceed this value.
+Only Gaussians that move through the camera would have a larger optical flow.
 """
 
 SHARP = 0.3
@@ -152,7 +152,7 @@ class Seen:
     """Computes the values of the outputs for the Gaussians and pixels of each frame of a clip."""
 
     def __init__(self, clip: Clip, cameras: Sequence[Camera], outputs: Sequence[Output]) -> None:
-        """Store the clip, a camera for each frame, and the names of the outputs."""
+        """Set the clip, a camera for each frame, and the names of the outputs to compute."""
         self.clip, self.cameras, self.outputs = clip, cameras, outputs
 
     def values(self, frame: Frame) -> dict[Output, Values]:
@@ -287,7 +287,7 @@ def flow(before: Array, camera: Camera, after: Array, following: Camera) -> Valu
 
 
 def spread(values: Array, points: Array, camera: Camera, blur: float) -> Array:
-    """Distribute values of points over pixels [H,W,C].
+    """Distribute values of points over the pixels [H,W,C] where the camera sees the points.
 
     The sum of all pixels is the sum of all values.
 

@@ -15,17 +15,17 @@ Filter = tuple[float, bool]
 FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 """Anti-aliasing filters.
 
-The first value is added to the screen covariance [px^2]. The second value states whether opacity is
-reduced to compensate for the larger covariance. 3D Gaussian Splatting does not reduce the opacity,
-so thin objects look too thick from far away. Mip-Splatting reduces the opacity (Yu et al. 2024,
-section 4.2).
+The first value of each filter is added to the screen covariance of every Gaussian [px^2]. The
+second value states whether the filter reduces opacities to compensate for the larger covariance. 3D
+Gaussian Splatting does not reduce them, so thin objects look too thick from far away. Mip-Splatting
+reduces opacities (Yu et al. 2024, section 4.2).
 """
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""
 FRUSTUM_MARGIN = 1.3
-"""The projection is linearised at the Gaussian's centre. If the centre is farther from the image
-centre than this fraction of half the image, the projection is linearised at this offset (Kerbl et
-al. 2023).
+"""The projection is linearised at the Gaussian's centre. If this centre is farther from the image
+centre than this fraction of half the image, the projection is linearised at this distance instead
+(Kerbl et al. 2023).
 """
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""

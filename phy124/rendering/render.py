@@ -31,15 +31,17 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest number of splats in the lists of tiles. Longer lists are blended in several groups of
-tiles."""
+"""Largest total length of the lists of splats that all tiles have. If the lists are longer, groups
+of tiles are blended one after the other.
+"""
 TILES_PER_SPLAT = 4
-"""Expected number of tiles that a splat touches; used to allocate memory for the first picture."""
+"""Expected number of tiles per splat, for which memory is allocated before the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
-"""Variants of the blending stage. `simd`: one tile per thread in vectorised C++ (CPU only).
-`plain`: the same in Warp. `pixel`: one pixel per thread (used on CUDA)."""
+"""Kernels that blend splats to pixels, by the name of the variant. `simd`: one tile per thread in
+vectorised C++ (CPU only).
+`plain`: one tile per thread in Warp. `pixel`: one pixel per thread (used on CUDA)."""
 BLEND_STAGED = stage.blend_staged_simd
-"""The kernel of the variant `simd` for pictures with a stage."""
+"""The kernel of the variant `simd` for pictures with a lighting stage around the object."""
 
 
 class Renderer:
@@ -83,9 +85,13 @@ class Renderer:
         compile_missing((self._projection[1], binned, self._blend), str(self.device))
         self._around = Surroundings(self.device, simd=simd)
         self._room = 0
-        """Number of list entries with allocated memory, if the device counts the entries."""
+        """Number of entries of the tiles' lists for which memory is allocated, if a GPU counts
+        these entries.
+        """
         self._free: list[HostCopies] = []
-        """Host memory of pictures for which no caller is waiting."""
+        """Buffers in host memory to which later pictures can be copied, because no caller waits for
+        them.
+        """
         self._seen: tuple[Camera, Any] | None = None
         self._buffers: dict[str, wp.array] = {}
         self._constants: dict[str, tuple[Any, Array, wp.array]] = {}
@@ -224,7 +230,7 @@ class Renderer:
     def _finish(
         self, copies: HostCopies, draw: Callable[[], int], room: int
     ) -> dict[str, NDArray[Any]]:
-        """Wait for a picture; draw it again if the tiles' lists had more than `room` entries."""
+        """Wait for a picture; draw it again if all tiles together had more than `room` splats."""
         drawn = copies.wait()
         while (total := int(drawn["total"][0])) > room:
             enough = total if total > MAX_PAIRS else min(total + total // 5, MAX_PAIRS)
@@ -263,7 +269,7 @@ class Renderer:
             around.draw(image, coverage)
 
     def _lists(self, n: int, view: Any) -> Iterator[tuple[int, int, tuple[Any, Any, Any]]]:
-        """Yield ranges of tiles (first and last tile), with the splats of each tile; see `_bin`."""
+        """Yield groups of tiles (the first and the last tile), with the splats of these tiles."""
         if self._per_pixel:
             self._room = self._room or min(TILES_PER_SPLAT * n, MAX_PAIRS)
             if self._room <= MAX_PAIRS:
@@ -286,7 +292,10 @@ class Renderer:
         return self._seen[1]
 
     def _project(self, gaussians: Gaussians, view: Any) -> None:
-        """Compute the `splats`, their `order` by depth, and the marks that `_counts` sums."""
+        """Project Gaussians to splats, sort the splats by depth, and mark the tiles they cover.
+
+        The results are the buffers `splats`, `order` and the marks that `_counts` sums.
+        """
         n = len(gaussians)
         splats, tiles = self._buffer("splats", n, screen.Splat), self._buffer("tiles", n, wp.vec4i)
         # Sorting needs buffers of twice the size of the arrays.
@@ -317,7 +326,7 @@ class Renderer:
             self._count_on_device(corners.reshape(shape), view)
 
     def _count_on_device(self, corners: wp.array, view: Any) -> None:
-        """Compute the number of splats in all tiles `before` each tile, in each tile, and in total.
+        """Compute numbers of splats: in all tiles before each tile, in each tile, and in total.
 
         The projection marks the four corners of each splat's rectangle of tiles. Cumulative sums
         along both axes turn these marks into numbers of splats.
@@ -331,7 +340,7 @@ class Renderer:
         wp.utils.array_scan(counts, before, inclusive=False)
 
     def _counts(self, view: Any) -> NDArray[np.int64]:
-        """Return the number of splats per tile [tiles], after `_project`."""
+        """Return the number of splats in each tile [tiles]; `_project` must have been called."""
         tiles = view.rows * view.columns
         if self._per_pixel:
             before: Any = self._buffers["before"][: tiles + 1]
@@ -341,7 +350,7 @@ class Renderer:
         return corners.cumsum(0, np.int64).cumsum(1)[:-1, :-1].ravel()
 
     def _bin_on_device(self, n: int, view: Any) -> tuple[Any, Any, Any]:
-        """Return the splats of all tiles, as `_bin` does, without copying their number to the host.
+        """Return the splats of all tiles like `_bin`, but never copy their number to the host.
 
         The lists are empty if there are more than `_room` entries.
         """
@@ -358,9 +367,7 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """Return the starts and the ends [tiles] of the lists of tiles `first` to `last`, and the
-        lists of splats.
-        """
+        """Return the lists of splats of tiles `first` to `last`, and each list's bounds [tiles]."""
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])
@@ -378,7 +385,7 @@ class Renderer:
     def _sort_lists(
         self, n: int, view: Any, run: tuple[int, int], room: int, total: Any, starts: Any, ends: Any
     ) -> wp.array:
-        """Return the depth-sorted splats of a run of tiles (see `bin_parallel`)."""
+        """Return the splats of a range of tiles, sorted by tile and depth (see `bin_parallel`)."""
         first, last = run
         ranks = self._buffer("ranks", 2 * room, wp.int32)
         lists = self._buffer("lists", 2 * room, wp.int32)
@@ -401,7 +408,7 @@ class Renderer:
         return buffer
 
     def _fill(self, name: str, values: NDArray[np.int32]) -> Any:
-        """Copy values into a named buffer; return a view of the buffer with the same length."""
+        """Copy values into the buffer with this name; return the filled part of the buffer."""
         buffer = self._buffer(name, len(values), wp.int32)[: len(values)]
         buffer.assign(values)
         return buffer
@@ -477,7 +484,10 @@ def _checked_background(background: Colour) -> Colour:
 
 
 def runs(counts: NDArray[np.int64], limit: int) -> Iterator[tuple[int, int]]:
-    """Split tiles into ranges [first, last) of at most `limit` entries, or of a single tile."""
+    """Group adjacent tiles into ranges [first, last) with at most `limit` splats in total.
+
+    A tile with more splats forms its own range.
+    """
     sums, first = np.cumsum(counts), 0
     while first < len(counts):
         before = sums[first - 1] if first else 0

@@ -32,7 +32,7 @@ from phy124.scene import View
 KEPT = 256 * 2**20
 """Memory for liquid surfaces that further views reuse [bytes]."""
 LOCKS = 64
-"""Number of locks. Frames whose indices are equal modulo this number share a lock."""
+"""Number of locks. Frames share a lock if their indices are equal modulo this number."""
 LAMP = np.array([0.434, -0.338, 0.835], np.float32)
 """Direction towards the lamp (unit vector)."""
 FOAMS = 0.1
@@ -57,7 +57,7 @@ class Gloss(NamedTuple):
     floor: float
     """Brightness of the reflected floor, relative to the reflected sky."""
     glow: float
-    """Strength of the light of the lamp that the material refracts."""
+    """Brightness of the lamp's light that shines through the material after refraction."""
 
 
 GLOSSES = {
@@ -68,7 +68,7 @@ GLOSSES = {
 
 
 class Shine:
-    """The gloss and the liquid surfaces of a clip, which are computed once for all views."""
+    """The highlights, reflections and liquid surfaces of a clip, computed once for all views."""
 
     def __init__(self, clip: Clip) -> None:
         """Determine from the clip's report which Gaussians are glossy."""
@@ -97,10 +97,12 @@ class Shine:
             if len(which := _indices(runs))
         ]
         self.seconds = 0.0
-        """Time that all threads together have spent on the gloss since the start [s]."""
+        """Time that all threads together have spent on highlights and reflections since the start
+        [s].
+        """
 
     def _liquid(self, clip: Clip, which: NDArray, liquid: dict[str, Any]) -> Liquid:
-        """Measure a liquid in the first frame; `which` selects the liquid's Gaussians."""
+        """Measure a liquid in the first frame; `which` are the indices of its Gaussians."""
         volumes = liquid.get("volumes")  # clips of earlier versions lack this entry
         if volumes is not None:
             volumes = np.repeat(volumes, [last - first for first, last in liquid["runs"]])
@@ -111,7 +113,7 @@ class Shine:
 
     @property
     def needs_velocities(self) -> bool:
-        """Whether drawing is faster if frames contain velocities, which is the case for foam."""
+        """Whether frames should contain velocities, because they speed up the drawing of foam."""
         return any(foams for *_, foams in self._liquids)
 
     @property
@@ -173,7 +175,7 @@ class Shine:
         return replace(clip, means=means, quats=quats, scales=scales), {**gloss, "hues": hues}
 
     def _surface(self, frame: Frame) -> tuple[Gaussians, dict[str, NDArray]]:
-        """Return the Gaussians to draw, and the normals [n,3] of each glossy law's Gaussians."""
+        """Return the Gaussians to draw, and the surface normals [n,3] for each glossy law."""
         if (known := self._surfaces.get(frame.index)) is not None:
             return known
         gaussians, normals = frame.gaussians, {}
@@ -217,7 +219,7 @@ class Shine:
         return gaussians
 
     def _light(self, gaussians: Gaussians) -> Gaussians:
-        """Return the Gaussians with light on grains and dents."""
+        """Return the Gaussians with lamp and sky light on grains and on dented solids."""
         if self._matte or self._dents:
             sh = gaussians.sh.copy()
             for part in self._matte:
@@ -233,7 +235,10 @@ class Shine:
         return gaussians
 
     def _keep(self, index: int, surface: tuple[Gaussians, dict[str, NDArray]]) -> None:
-        """Keep a surface for further views, and drop the oldest surfaces beyond `KEPT`."""
+        """Store a frame's liquid surface for further views.
+
+        If all surfaces together exceed `KEPT` bytes, the oldest surfaces are removed.
+        """
         with self._adding:
             self._surfaces[index] = surface
             while len(self._surfaces) * 8 * surface[0].sh.nbytes > KEPT:
@@ -247,7 +252,11 @@ def make_shine(clip: Clip, view: View) -> Shine | None:
 
 
 def add_gloss(clip: Clip, view: View) -> tuple[Clip, dict[str, Any] | None]:
-    """Return the clip and its gloss for the player; if nothing is glossy, the clip is unchanged."""
+    """Return the clip with its liquids shaped for rendering, and its gloss, for the player.
+
+    The gloss is the data about highlights and reflections. If nothing is glossy, the clip is
+    unchanged and the gloss is None.
+    """
     shine = make_shine(clip, view)
     return (clip, None) if shine is None else shine.pack(clip)
 
@@ -259,7 +268,7 @@ def drawn_frames(clip: Clip, view: View) -> Iterator[Frame]:
 
 
 def runs_of(which: NDArray) -> list[list[int]]:
-    """Split ascending integers into runs of consecutive integers [first, last + 1]."""
+    """Return the spans [first, last + 1] of consecutive integers in ascending integers."""
     runs = np.split(which, np.flatnonzero(np.diff(which) > 1) + 1)
     return [[int(run[0]), int(run[-1]) + 1] for run in runs]
 
@@ -331,7 +340,7 @@ def _foams(liquid: dict[str, Any]) -> bool:
 
 
 def _indices(runs: Any) -> NDArray[np.int64]:
-    """Return the integers that runs [first, last + 1] contain."""
+    """Return all integers in spans [first, last + 1]."""
     return np.concatenate([np.arange(*run) for run in runs or [(0, 0)]])
 
 

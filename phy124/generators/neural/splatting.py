@@ -70,8 +70,9 @@ class Rendering:
     Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the loss's gradients [N,2] with respect to the centres, measured in units of half
-        the image.
+        """Return the loss's gradients [N,2] with respect to the centres on screen.
+
+        The unit of length is half the image.
         """
         height, width = self.alpha.shape
         gradient = self.centres.grad
@@ -182,8 +183,9 @@ def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Return half the side [N] of a square around each Gaussian; outside it, alpha is below
-    ALPHA_MIN.
+    """Return half the side [N] of the square around each Gaussian in which it is visible.
+
+    Outside the square, alpha is below ALPHA_MIN.
     """
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()

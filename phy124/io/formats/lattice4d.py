@@ -55,27 +55,30 @@ TOLERANCE = 1e-3
 NODES = (12, 17, 24, 34)
 """Numbers of nodes along the longest side that are tried; the smallest file is kept."""
 STIFF = 1e-4
-"""Weight of the differences between neighbouring nodes in the fit.
+"""Weight of the term that makes neighbouring nodes move alike, when the lattice is fitted to the
+Gaussians' positions.
 
-Without this weight, nodes with only few Gaussians nearby would be undetermined.
+Without this term, nodes with only few Gaussians nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
-"""The logarithms of ratios of scales are clipped to at most this magnitude.
+"""Largest magnitude of the logarithms of the ratios between a Gaussian's scales now and at rest.
 
-The ratios are then between 1/55 and 55, because exp(4) = 55.
+The ratios are thus limited to the range from 1/55 to 55, because exp(4) = 55.
 """
 STRETCHES = 1 << 22
-"""Largest number of samples from which the range of the stretch is determined."""
+"""Largest number of samples from which the range of the material's stretch is determined."""
 PERCENTILES = (1, 99)
-"""Percentiles of the stretch at the ends of its colour ramp; outliers are ignored."""
+"""Percentiles of the material's stretch that are shown with the first and last colour of the colour
+ramp; outliers are ignored.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The lattice nodes, and the weights with which they move each Gaussian."""
+    """The nodes of a lattice, and the trilinear weights with which they move each Gaussian."""
 
     origin: NDArray[np.float64]
     spacing: float
@@ -107,7 +110,10 @@ class Lattice:
         return cls(origin, spacing, shape, indices, matrix)
 
     def slopes(self, points: NDArray[np.float64]) -> list[Any]:
-        """Return the derivatives of the weights at points [N,3] along each axis, 1/m."""
+        """Return the derivatives, along each axis, of the trilinear weights of the nodes [1/m].
+
+        They are evaluated at points [N,3], and returned as one sparse matrix [N,M] per axis.
+        """
         at = (points - self.origin) / self.spacing
         fraction, slopes = (at - np.floor(at))[:, None], []
         far = np.arange(8)[:, None] >> [2, 1, 0] & 1
@@ -164,7 +170,7 @@ def encode(
     shades: bytes = b"",
     progress: Progress = silent,
 ) -> tuple[list[bytes], float]:
-    """Return the bytes of a file in pieces, and the error of the Gaussians' shapes.
+    """Return the bytes of a file as a list of sections, and the error of the Gaussians' shapes.
 
     The covariances of the Gaussians are computed from the deformation gradient of the lattice. The
     error is the 99th percentile, over Gaussians, of the largest relative error of a covariance.
@@ -314,10 +320,12 @@ class _Motion:
 
     lattice: Lattice
     exceptions: NDArray[np.int64]
-    """Indices of the Gaussians that have extra shifts [E]."""
+    """Indices [E] of the Gaussians that the lattice moves inexactly, so that an extra shift is
+    stored for each of them.
+    """
     frames: list[bytes]
     errors: NDArray[np.float64]
-    """Largest error of each Gaussian [N], m."""
+    """Largest error of each Gaussian's position over all frames [N], m."""
     moved: dict[int, NDArray[np.float64]]
     """Displacements of the nodes [M,3], m, for each frame in which shapes are compared."""
 
@@ -363,7 +371,10 @@ def _compared(count: int) -> set[int]:
 
 
 def _pack(about: dict[str, Any], parts: list[bytes]) -> list[bytes]:
-    """Return the pieces of a file; the JSON is padded, so that its length is known in advance."""
+    """Return the header, the JSON and the sections of a file.
+
+    The JSON is padded with spaces, so that its length is known in advance.
+    """
     start = 12 + len(json.dumps(about)) + 200 + 32 * len(parts)
     offsets = start + np.cumsum([0, *map(len, parts[:-1])])
     sections = [[int(at), len(part)] for at, part in zip(offsets, parts, strict=True)]

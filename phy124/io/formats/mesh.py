@@ -29,7 +29,7 @@ BLUR = 0.3
 REACH = 2.5
 """Distance beyond which a Gaussian's density is neglected [standard deviations]."""
 WIDEST = 12
-"""Largest distance along each axis at which a Gaussian contributes, in units of cells."""
+"""Largest distance along each axis at which a Gaussian adds to the density [cells]."""
 NEAREST = 4
 """Number of nearest Gaussians whose mean colour is the colour of a vertex."""
 BATCH = 4_000_000
@@ -115,7 +115,7 @@ def sample_density(
 
 
 def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.float32]:
-    """Return exp(-d^2 / 2) of each Gaussian at the nodes around its nearest node [N,K].
+    """Return exp(-d^2 / 2) of each Gaussian at the K grid nodes around its centre [N,K].
 
     The quadratic form d^2 of the inverse covariances [N,3,3] is computed as a product of two
     matrices with ten columns. `shift` [N,3] are the centres and `offsets` [K,3] are the nodes. Both
@@ -135,7 +135,7 @@ def _evaluate(inverse: NDArray, shift: NDArray, offsets: NDArray) -> NDArray[np.
 
 
 def _fill_cavities(density: NDArray[np.float32]) -> None:
-    """At all nodes inside the surface, raise the density above its value at the surface."""
+    """Fill cavities inside the surface: raise the density there above its value at the surface."""
     from scipy import ndimage
 
     labels: Any = ndimage.label(density <= LEVEL)

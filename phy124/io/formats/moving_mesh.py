@@ -129,7 +129,10 @@ def follow(clip: Clip, points: NDArray[np.float64]) -> Iterator[NDArray[np.float
 
 
 def _fit_rotations(correlation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rotations R [V,3,3] for which b = R a fits best, from sums of w a b^T [V,3,3]."""
+    """Return the rotations R [V,3,3] that map vectors a to vectors b = R a as well as possible.
+
+    `correlation` [V,3,3] is the sum of w a b^T over pairs of vectors a and b with weight w.
+    """
     u, _, vt = np.linalg.svd(correlation)
     sign = np.linalg.det(u) * np.linalg.det(vt)
     u[:, :, 2] *= sign[:, None]
@@ -196,7 +199,10 @@ def _add_targets(mesh: dict[str, Any], targets: list[dict[str, int]]) -> None:
 
 
 def _animate(document: dict[str, Any], buffer: BinaryIO, times: NDArray[np.float64]) -> None:
-    """Add an animation: in frame k, target k - 1 has weight 1 and all others have weight 0."""
+    """Add an animation; in frame k, only morph target k - 1 has weight 1.
+
+    All other targets have weight 0.
+    """
     if len(times) < 2:
         return
     at = _append(document, buffer, times)

@@ -13,7 +13,7 @@ ROUNDS = 20
 """Iterations of Lloyd's algorithm; those after the tenth reduce the error by less than 1 %."""
 
 COMPONENTS = 8
-"""Number of principal components that are used to divide vectors into cells."""
+"""Number of principal components by which vectors are divided into groups; see `make_palette`."""
 
 
 def make_codebook(values: NDArray) -> NDArray[np.float64]:
@@ -64,14 +64,17 @@ def make_palette(vectors: NDArray, most: int) -> tuple[NDArray[np.float32], NDAr
 
 
 def _principal(vectors: NDArray) -> NDArray[np.float32]:
-    """Return the `COMPONENTS` largest principal components [N,C] of vectors."""
+    """Return the coordinates [N,C] of vectors along their `COMPONENTS` main principal axes."""
     centred = vectors - vectors.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
     return np.ascontiguousarray(centred @ axes[:, -COMPONENTS:], np.float32)
 
 
 def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
-    """Sort vectors by cell, and within a cell by the coordinate of largest variance."""
+    """Return the order that sorts vectors by their cell and, within each cell, by one coordinate.
+
+    This coordinate is the cell's principal component with the largest variance.
+    """
     sizes = np.bincount(cell, minlength=cells)[:, None]
     order = np.argsort(cell, kind="stable")
     starts = np.concatenate([[0], np.cumsum(sizes[:, 0])[:-1]])
@@ -82,11 +85,16 @@ def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArr
 
 
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-"""For each component that is not stored, the indices of the three stored components."""
+"""For each index of a quaternion's component that is not stored, the indices of the three stored
+components.
+"""
 
 
 def drop_largest(quats: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the three smallest components [N,3], and the index of the largest component [N]."""
+    """Return each quaternion's three components that are smallest in magnitude [N,3].
+
+    Also return the index of the fourth component [N], which is made positive.
+    """
     quats = np.asarray(quats, np.float64)
     which = np.abs(quats).argmax(axis=1)
     sign = np.where(np.take_along_axis(quats, which[:, None], 1) < 0, -1.0, 1.0)

@@ -304,7 +304,7 @@ def _put_harmonics(meta: dict, pictures: dict, gaussians: Gaussians) -> None:
 
 
 def _square(values: NDArray, alpha: NDArray | None = None) -> NDArray[np.uint8]:
-    """Arrange rows [N,3] as a roughly square image [H,W,4], with an alpha of 255 by default."""
+    """Arrange rows [N,3] as pixels of a roughly square image [H,W,4]; alpha is 255 by default."""
     width = 4 * -(-max(int(np.ceil(np.sqrt(len(values)))), 1) // 4)
     height = 4 * -(-len(values) // (4 * width))
     pixels = np.zeros((height * width, 4), np.uint8)

@@ -52,7 +52,9 @@ SYSTEMS = (
     *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
     *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
 )
-"""Names of the coordinate systems 1 to 16; the three letters are the directions of x, y and z."""
+"""Names of the coordinate systems with the numbers 1 to 16. The letters are the directions of x, y
+and z.
+"""
 USUAL = "RUB"
 """The coordinate system of a file that does not state one."""
 DIRECTIONS = {"R": (1, 0, 0), "U": (0, 1, 0), "B": (0, 0, 1)}
@@ -69,7 +71,7 @@ class Extensions(NamedTuple):
 
     @property
     def axes(self) -> tuple[str, str]:
-        """Up and front (towards the viewer) directions of the file."""
+        """Axes of the file that point up and to the viewer, whom the object faces."""
         return _axis(self.system, "UD"), _axis(self.system, "BF")
 
     @property
@@ -79,7 +81,7 @@ class Extensions(NamedTuple):
 
 
 def read_extensions(data: bytes) -> Extensions:
-    """Read the records of the extensions.
+    """Read the extensions of an SPZ file, which are stored one after the other.
 
     If a record is damaged, it is ignored and a note says so.
     """
@@ -109,8 +111,9 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the signed axis in the direction of the first letter: for `UD`, the axis that points
-    up.
+    """Return the axis, with its sign, that points in the direction of the first of two letters.
+
+    For example, `UD` returns the axis that points up.
     """
     (at,) = (i for i, letter in enumerate(system) if letter in letters)
     return "xyz"[at] if system[at] == letters[0] else f"-{'xyz'[at]}"
@@ -126,7 +129,7 @@ MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
 ANTIALIASED, EXTENDED = 1, 2
 MOST_RECORDS = 1 << 20
-"""Number of bytes of the extensions that are read at most."""
+"""Largest number of bytes of the extensions that are read; the rest is ignored."""
 COLOUR = 0.15
 MOST_BITS = 16
 """Number of fractional bits with which centres are written; fewer if a coordinate exceeds 128."""
@@ -154,7 +157,7 @@ class Head(NamedTuple):
 
     @property
     def sizes(self) -> list[int]:
-        """Sizes of all sections that are not empty [bytes]."""
+        """Sizes of the file's sections that are not empty, such as centres and colours [bytes]."""
         centre, rotation = 6 if self.version < 2 else 9, 3 if self.version < 3 else 4
         harmonics = 3 * ((self.degree + 1) ** 2 - 1)
         rows = (centre, 1, 3, 3, rotation, harmonics)

@@ -93,7 +93,7 @@ def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
 
 
 def save_at_times(stage: Any, index: int) -> None:
-    """Save a stage after every `SAVED` frames; this frees the memory of these frames.
+    """Save the USD stage after every `SAVED` frames; this frees the memory of these frames.
 
     A text file is saved only once, after the last frame, because each save writes the whole file.
     """

@@ -24,9 +24,13 @@ SIZES = (1.0, 0.8)
 Generators let splats overlap too much, so smaller sizes may be better.
 """
 AROUND = 9
-"""Width of the square of pixels whose colours limit the colour of a Gaussian [px]."""
+"""Side of the square of the photograph's pixels around a Gaussian whose range of colours limits the
+Gaussian's colour [px].
+"""
 BEHIND = 0.03
-"""Largest distance of a visible Gaussian behind the surface, relative to the object's depth."""
+"""Gaussians count as visible up to this distance behind the front surface, relative to the object's
+depth.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +105,7 @@ def _fit_colours(
 
 
 def _recolour(gaussians: Gaussians, seen: NDArray[np.bool_], colours: NDArray) -> Gaussians:
-    """Set the constant spherical harmonics of the visible Gaussians."""
+    """Set the colours of the visible Gaussians, as spherical harmonics of degree 0."""
     sh = gaussians.sh.copy()
     sh[seen, 0] = colours
     return replace(gaussians, sh=sh)
@@ -133,12 +137,16 @@ def sample_maps(maps: NDArray, pixels: NDArray) -> NDArray[np.float32]:
 
 
 class Adjoint(Renderer):
-    """A renderer that also computes the transpose of rendering: sums of pixels per Gaussian."""
+    """A renderer that can also sum pixel values for each Gaussian (the transpose of rendering)."""
 
     def sums(
         self, gaussians: Gaussians, camera: Camera, values: NDArray
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return `W^T values` [N,3] and `W^T 1` [N]; W maps colours to pixel values [H,W,3]."""
+        """Return the weighted sums of pixel values for each Gaussian [N,3], and of the weights [N].
+
+        With the matrix W that maps the Gaussians' colours to pixels, these are `W^T values` and
+        `W^T 1`. `values` is [H,W,3].
+        """
         view, counts = self.prepare(gaussians, camera)
         pixels = self._upload(np.ascontiguousarray(values.reshape(-1, 3), np.float32), wp.vec3)
         sums = wp.zeros(len(gaussians), dtype=wp.vec3, device=self.device)

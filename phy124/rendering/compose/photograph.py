@@ -24,12 +24,14 @@ CUTOUT = "cutout.png"
 LARGEST = 1024
 """Largest side of a photograph [pixels]. Larger photographs are reduced to this size."""
 MARGIN = 0.015
-"""Width of the inpainted rim around the object, relative to the photograph's longest side."""
+"""Width of the border around the object that is inpainted too, relative to the photograph's longest
+side.
+"""
 HOLE = 320
 """Longest side of the picture in which holes are inpainted [pixels]. A larger picture takes longer
 and gives no better result."""
 DISTANCES = (2.0, 1.6, 3.0)
-"""Camera distances that are tried, relative to the silhouette's size.
+"""Distances of the camera that are tried, in units of the object's size in the photograph.
 
 Relief and LGM assume the first two distances; the third distance is typical of a longer lens.
 """
@@ -38,11 +40,17 @@ ELEVATIONS = tuple(range(0, 65, 5))
 SMALL = 128
 """Longest side of the picture in which the elevations are compared [pixels]."""
 CLEARER = 1.0
-"""A raised camera is assumed if its PSNR exceeds that of the front camera by this value [dB]."""
+"""A raised camera is assumed only if its picture matches the photograph better than the front
+camera's picture, by at least this difference of PSNR [dB].
+"""
 RIM = 0.008
-"""Width of the compared rim around the object, relative to the photograph's longest side."""
+"""Width of the border around the object that is compared too, relative to the photograph's longest
+side.
+"""
 ROUNDS = (False, False, False, True, True)
-"""For each correction of the camera: whether only the object and its rim are compared."""
+"""For each round of the camera's correction: whether only the object and a thin border around it
+are compared with the photograph.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +158,7 @@ def likeness(
 
 
 def _elevation(renderer: Renderer, gaussians: Gaussians, photograph: Photograph) -> float:
-    """Return the elevation [degrees] at which the rendered object is most similar to the
-    photograph.
+    """Return the elevation [degrees] at which the rendered object is most like the photograph.
 
     `relief` turns some objects upright although they were photographed from above.
     """
@@ -235,7 +242,7 @@ def _correct_camera(
 
 
 def _near(photograph: Photograph) -> NDArray[np.uint8]:
-    """Return the mask of the object and a thin rim [H,W].
+    """Return a mask [H,W] of the object and of a thin border around it.
 
     The rim is needed because flat ends of the object are rendered too long.
     """

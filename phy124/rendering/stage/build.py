@@ -42,15 +42,15 @@ class Stage:
 
     backdrop: Backdrop
     heights: NDArray[np.float64]
-    """Height of the floor [T], m."""
+    """Height of the floor in each frame [T], m."""
     walls: tuple[tuple[Solid, NDArray[np.float64], NDArray[np.bool_]], ...]
-    """Solid, displacement [T,3] m, and presence [T] of each boundary."""
+    """Each boundary as a solid, with its displacement [T,3], m, and whether it is present [T]."""
     caster: Caster | None
     """Object that computes the shadows; None if there is no floor."""
     shadowing: NDArray[np.bool_] | None = None
     """Mask of the Gaussians that cast a shadow [N]; None if all of them do."""
     pool: float = POOL
-    """Additional brightness in the middle of the floor."""
+    """Brightness that is added in the middle of the floor."""
     frames: dict[int, StageFrame] = field(default_factory=dict)
     """The surroundings in the last `RECENT` requested frames, by the index of the frame."""
     lock: Any = field(default_factory=Lock)
@@ -141,7 +141,7 @@ def boundaries_of(clip: Clip) -> Sequence[Boundary]:
 
 
 def _kinds(base: type[Boundary]) -> Iterator[type[Boundary]]:
-    """Yield all subclasses that define the name of their kind."""
+    """Yield all subclasses of a boundary class that define the field `kind`."""
     for kind in base.__subclasses__():
         if "kind" in kind.model_fields:
             yield kind
@@ -168,7 +168,7 @@ def _caster(clip: Clip, rest: NDArray, heights: NDArray, device: str) -> Caster:
 
 
 def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Glass]:
-    """Yield the optical depth of each glass solid for two layers of the shadow map.
+    """Yield the optical depth that each glass solid adds to two layers of the shadow map.
 
     The layers are just below and just above the solid's lowest point. The optical depth is divided
     between the layers by linear interpolation in height.
@@ -189,7 +189,7 @@ def glass(caster: Caster, solids: Iterable[Solid], floor: float) -> Iterator[Gla
 
 
 def _capsule_mask(solid: Solid, x: Array, y: Array) -> Array:
-    """Return 1 for positions under a capsule and 0 elsewhere.
+    """Return 1 for positions under a capsule of glass, and 0 elsewhere.
 
     The positions are relative to the capsule's centre.
     """

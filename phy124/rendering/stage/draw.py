@@ -14,7 +14,7 @@ from phy124.kernels.splat.arrange import arrange
 from phy124.rendering.stage.frame import Backdrop, StageFrame, bounds
 
 NO_SHADE = np.zeros((2, 2), np.uint16)
-"""Shadow map of a stage without a floor."""
+"""Shadow map that is used if the stage has no floor."""
 
 
 class Uploaded:
@@ -83,7 +83,7 @@ class Surroundings:
         wp.launch(kernel, threads, inputs=inputs, outputs=[splats], device=self.device)
 
     def inputs(self) -> list[Any]:
-        """Return arguments of the rendering kernels, from `setting` to `outlines`."""
+        """Return the arguments `setting` to `outlines` of the kernels that draw the stage."""
         key = self._backdrop, self._view.width, self._view.height
         if self._picture is None or self._picture[0] != key:
             pixels = wp.array(picture(*key), dtype=wp.vec3, device=self.device, copy=False)

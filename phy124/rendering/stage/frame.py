@@ -10,9 +10,9 @@ from phy124.gaussians import Array
 
 Colour = tuple[float, float, float]
 Box = tuple[Array, Array]
-"""Lowest and highest corner [3], m."""
+"""Lowest and highest corner of an axis-aligned box [3], m."""
 TOGETHER = 64
-"""Number of points per row when minimum and maximum are computed; wide rows are faster."""
+"""Number of points that form a row when minimum and maximum are computed; wide rows are faster."""
 POOL = 0.5
 """Brightness added in the middle of a studio's floor if the grey of the floor is 1/2."""
 
@@ -22,11 +22,11 @@ class Backdrop:
     """The background: a colour gradient or a picture."""
 
     top: Colour
-    """Colour of the first row, 0..1."""
+    """Colour of the gradient in the picture's first row, 0..1."""
     bottom: Colour
-    """Colour of the last row, 0..1."""
+    """Colour of the gradient in the picture's last row, 0..1."""
     picture: NDArray[np.uint8] | None = None
-    """A picture [H,W,3] that replaces the gradient. None if there is no picture."""
+    """A picture [H,W,3] that replaces the gradient. None if the background is a gradient."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Floor:
 
     @cached_property
     def shaded(self) -> tuple[int, int, int, int]:
-        """First and last cell in shade along x, then along y."""
+        """Indices of the first and last shaded cell of the shadow map along x, then along y."""
         along_x, along_y = (np.flatnonzero(self.shade.any(axis=axis)) for axis in (1, 0))
         if not len(along_x):
             return 0, 0, 0, 0
@@ -67,7 +67,9 @@ class Solid:
     axes: NDArray[np.float64]
     """Axes [3,3], a unit vector in each row."""
     half: NDArray[np.float64]
-    """Half the side lengths [3], m. For a capsule (half length, 0, 0)."""
+    """Half the side lengths [3], m. For a capsule, the first number is half its length and the
+    others are 0.
+    """
     radius: float = 0.0
     """Radius of a capsule, m. The radius of a box is 0."""
 

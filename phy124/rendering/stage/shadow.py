@@ -42,23 +42,26 @@ SOFTNESS = 0.25
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light from the lamp and from the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows. Of more Gaussians, a sample casts wider
-shadows."""
+"""Largest number of Gaussians that cast shadows. If there are more Gaussians, a sample of them
+casts shadows, each of which is wider.
+"""
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Value of the shade that is halved; smaller values almost vanish.
+"""Fraction of removed light that is halved; smaller fractions almost vanish.
 
-This limits the extent of the sky's shadow.
+This limits the extent of the shadow that blocks the sky's light.
 """
 UNSEEN = 0.1 / 255
-"""Smallest visible value of the shade. Smaller values are set to zero."""
+"""Smallest visible fraction of removed light. Smaller fractions are set to zero."""
 FAINTEST = 1e-4
-"""Values of a layer's frequency response are neglected if they are below this limit."""
+"""Smallest value of a layer's frequency response that is not neglected."""
 EDGE = 0.1
 """Fraction of the map, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
-"""A rectangle of cells (layer, rows, columns), and the optical depth to add to these cells."""
+"""A rectangle of cells in a layer (layer, rows, columns), and the optical depth that glass adds
+there.
+"""
 
 
 def covering(device: str) -> tuple[Any, int]:
@@ -71,16 +74,16 @@ class Caster:
     """Computes the shadow maps of a clip, on the same square of the floor for all frames."""
 
     middle: tuple[float, float]
-    """Centre of the square, m."""
+    """Centre of the square that the shadow map covers, m."""
     reach: float
-    """Half the side of the square, m."""
+    """Half the side of the square that the shadow map covers, m."""
     tallest: float
     """Height of the highest layer above the floor, m."""
     device: str = "cpu"
 
     @property
     def cell(self) -> float:
-        """Side of a cell, m."""
+        """Side of a cell of the shadow map, m."""
         return 2 * self.reach / CELLS
 
     @property
@@ -145,7 +148,9 @@ class Caster:
 
     @cached_property
     def _response(self) -> list[NDArray[np.complex64]]:
-        """Frequency response of each layer [CELLS,K], where K <= CELLS/2+1.
+        """Frequency response that turns each layer's optical depth into shadow.
+
+        There is an array [CELLS,K] for each layer, where K <= CELLS/2+1.
 
         Higher layers are smoother and need fewer frequencies along y.
         """
@@ -164,7 +169,7 @@ class Caster:
 
     @cached_property
     def _window(self) -> Array:
-        """Window [CELLS,CELLS] that is 1 inside the map and decreases to 0 at the borders."""
+        """Factor for each cell [CELLS,CELLS] by which the shadow fades at the map's borders."""
         inwards = (np.arange(CELLS) + 0.5) / CELLS
         side = np.clip(np.minimum(inwards, 1 - inwards) / EDGE, 0, 1)
         side = side * side * (3 - 2 * side)
@@ -172,12 +177,12 @@ class Caster:
 
     @cached_property
     def cell_centres(self) -> tuple[Array, Array]:
-        """Centres of the cells along x and along y [CELLS], m."""
+        """Centres of the shadow map's cells along x and along y [CELLS], m."""
         along = (np.arange(CELLS, dtype=np.float32) + 0.5) * self.cell - self.reach
         return self.middle[0] + along, self.middle[1] + along
 
     def within(self, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
-        """Return the rows and columns of the cells around a position.
+        """Return the rows and columns of the shadow map's cells around a position.
 
         Args:
             x: Position along x, m.

@@ -35,17 +35,18 @@ class PlacedWall:
     """One wall of the scene that has a simple shape, and the motion of the wall."""
 
     outline: str
-    """Name of the wall's distance function."""
+    """Name of the function that returns the distance of points from the wall."""
     shape: NDArray[np.float64]
-    """The three parameter vectors of the wall's distance function [3,3], m."""
+    """The three vectors that are the parameters of the wall's distance function [3,3], m."""
     track: Track | None
     holds: bool
     """Whether the wall is a clamp, which holds the object instead of stopping it."""
     span: Corners
-    """Box to which the rendering of an infinite wall is limited, m."""
+    """Box outside which an infinite wall is not rendered, m."""
     floor: float = math.inf
-    """Height down to which a slope is rendered [m]. If it is infinite, the slope ends at the
-    box."""
+    """Height down to which a slope is rendered [m]. If it is infinite, the slope is rendered down
+    to the box.
+    """
 
     @property
     def is_floor(self) -> bool:
@@ -167,7 +168,7 @@ def _panel(wall: PlacedWall) -> Solid:
 
 
 def _frame_of(normal: NDArray) -> NDArray[np.float64]:
-    """Return three unit axes [3,3].
+    """Return three perpendicular unit vectors [3,3].
 
     The first is the normal, the second is horizontal if possible, and the third is normal to both.
     """
@@ -210,7 +211,9 @@ SHAPES: dict[str, Any] = {
     "sphere": _ball,
     "capsule": _capsule,
 }
-"""Functions that return the solid to render, by the name of the boundary's distance function."""
+"""Functions that return the solid to render for a boundary; the keys are names of distance
+functions.
+"""
 
 
 def floor_heights(

@@ -16,11 +16,11 @@ from phy124.scene import Scene
 from phy124.studies.fit.search import HALVES, generation_size, log2_screened
 
 FEWEST = 6
-"""Smallest number of generations with which a search is useful."""
+"""Smallest number of generations (of CMA-ES) with which a search is useful."""
 USUAL = 20
-"""Number of generations that a search typically needs."""
+"""Number of generations (of CMA-ES) that a search typically needs."""
 ROUNDS = 3
-"""Number of refinement steps that a grid typically needs."""
+"""Number of Gauss-Newton steps that the refinement on one grid typically needs."""
 STARTING = 3.0
 """Time that the worker processes need to start [s]."""
 
@@ -50,17 +50,17 @@ class Budget:
 
 @dataclass(frozen=True)
 class Outlook:
-    """Forecast of a fit: the number of workers, and the time of a run on each grid."""
+    """Forecast of a fit: the number of workers, and the time of one simulation on each grid."""
 
     grids: tuple[int, ...]
     each: tuple[float, ...]
-    """Time of one run on each grid if the run uses one thread [s]."""
+    """Time of one simulation on each grid with a single thread [s]."""
     values: int
     """Number of values to fit."""
     workers: int
 
     def runs(self, generations: int = USUAL) -> list[int]:
-        """Return the number of runs on each grid, for a search with `generations` generations."""
+        """Return the number of simulations on each grid if the search has `generations` steps."""
         steps, slopes = len(HALVES) * ROUNDS + 1, 2 * self.values
         first = 2 ** log2_screened(self.values) + generations * generation_size(self.values)
         counts = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)

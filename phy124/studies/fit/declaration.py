@@ -38,7 +38,7 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the tag of the type of a range.
+    """Return the name of the kind of range: "log" or "even".
 
     For invalid data, the tag is "even", and the type with this tag refuses the data.
     """
@@ -93,7 +93,7 @@ class Fit(Section):
     seconds: float = Field(default=300.0, ge=1, le=1e7)
     """Maximum duration of the fit [s]."""
     seed: int = Field(default=0, ge=0, le=2**31 - 1)
-    """Seed of the random numbers for the search and the intervals."""
+    """Seed of the random numbers that the search and the bootstrap of the intervals use."""
 
     @field_validator("grids")
     @classmethod

@@ -25,8 +25,8 @@ STEP = 0.05
 """Step of central differences, as a fraction of a value's range.
 
 Runs with almost equal values differ at random by some tenths of a pixel. With a shorter step, these
-random differences dominate. For example, with a step of 0.01, the derivatives of a pressed duck's
-motion with respect to nu were up to nine times too large.
+random differences would be larger than the effect of the step. For example, with a step of 0.01,
+the derivatives of a pressed duck's motion with respect to nu were up to nine times too large.
 """
 END = 0.005
 """A value causes a warning if its distance from an end of the range is below this fraction of the
@@ -39,21 +39,25 @@ class Estimate:
     """The fitted values and their intervals, as fractions of the values' ranges."""
 
     places: tuple[Values, ...]
-    """The best point in the unit cube [P] on each grid."""
+    """The best values on each grid [P], as fractions of the values' ranges."""
     misfits: tuple[list[float], ...]
-    """RMS misfit of each kind of measurement on each grid."""
+    """RMS misfit of each kind of measurement on each grid, in the unit of the kind."""
     grids: tuple[int, ...]
     """Number of cells across the object on each grid."""
     sampling: Values
-    """Half-width of each value's 95 % interval due to the errors of the measurements [P]."""
+    """Half-width of each value's 95 % interval [P] if only the errors of the measurements count."""
     model: Values
-    """Largest shift of each value due to the estimated error of the finest grid [P]."""
+    """Largest shift [P] of each value that the error of the finest grid, which is estimated, can
+    cause.
+    """
     correlation: Values
     """Correlation matrix of the fitted values [P,P]."""
     notes: tuple[str, ...]
 
     def on(self, cells: float) -> tuple[Values, Values]:
-        """Return the best point on a grid [P], and the half-width of its intervals [P].
+        """Return the best values on a grid [P] and the half-widths of their intervals [P].
+
+        Both are fractions of the values' ranges.
 
         The values are extrapolated to a grid with `cells` cells across the object; infinity means a
         grid without error. The uncertainty of an extrapolated value is assumed to equal the shift
@@ -144,5 +148,8 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a `Distance` that divides measurements by a fit's misfits, but at least by 1e-12."""
+    """Return a `Distance` that divides each kind of measurement by its misfit after the fit.
+
+    The divisor is at least 1e-12.
+    """
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

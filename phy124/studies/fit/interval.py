@@ -102,7 +102,9 @@ def extrapolate(
 def find_unexplained(
     grids: Sequence[int], coarse: Sequence[float], fine: Sequence[float]
 ) -> Values:
-    """Return the error of the finest grid for each kind of measurement, relative to the misfit.
+    """Return the error that the finest grid causes in each kind of measurement.
+
+    The errors are relative to the misfit.
 
     The model of a misfit m is `m^2 = a^2 + (c h)^2`. The error of the measurements, `a`, is the
     same on all grids. The error of the grid, `c h`, is proportional to the spacing `h`. For each
@@ -144,24 +146,26 @@ The relative effect is the change of the measurements over the value's range, di
 the measurements.
 """
 ALIKE = 0.12
-"""Smallest permitted singular value of a matrix; the columns of this matrix are the normalised
-effects of each value on the measurements.
+"""Smallest singular value for which values can be separated. The columns of the matrix are the
+effects of each value on the measurements, normalised to length 1.
 
-The singular value is 0 if the effects of two values have the same direction, and 1 if they are
-orthogonal; 0.12 means a correlation of 0.986. Below this limit, the values cannot be separated,
-because the difference between their effects is similar to errors of the model, such as grid errors.
+The singular value is 0 if two values have effects in the same direction, and 1 if their effects are
+orthogonal; 0.12 means a correlation of 0.986. If the singular value is smaller, the effects differ
+by no more than the errors of the model, such as grid errors.
 
 For example, if no force is known, the effects of E and density on a pressed duck differ only by
-damping. The singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. For E and nu, the
-singular value is 0.93.
+damping. The smallest singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. If E and nu
+are fitted, it is 0.93.
 """
 SHARE = 0.3
-"""A value is undetermined if its component in the weakest direction is at least this large."""
+"""A value is undetermined if its component is at least this large in the direction that the
+measurements determine least.
+"""
 VAGUE = 1 / 3
 """A value may be undetermined only if the half-width of its 95 % interval is at least this fraction
 of the range.
 
-Such an interval covers two thirds of the range or more.
+The whole interval then covers two thirds of the range or more.
 """
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
 FORCE = "measure the force on a wall, or load the object with a known force in newtons"

@@ -134,7 +134,7 @@ class Observations:
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Interpolate values [T,...] from the times [T] to the wanted times [R]; return [R,...].
+    """Interpolate values [T,...] at the times [T] to the times of measurements [R]; return [R,...].
 
     If all wanted times coincide with frames, the values of these frames are returned; otherwise a
     spline is used.

@@ -62,7 +62,7 @@ class Points:
         return self._shape(at_times(clip.times, tracks, instants)[row, self._track])
 
     def _shape(self, values: Values) -> Values:
-        """Subtract each track's mean from the positions [R,C], and flatten the result [M]."""
+        """Subtract from each tracked point's positions [R,C] their mean; return a vector [M]."""
         counts = np.bincount(self._track)[:, None]
         sums = np.stack([np.bincount(self._track, column) for column in values.T], axis=1)
         return (values - (sums / counts)[self._track]).ravel()

@@ -14,7 +14,7 @@ from phy124.errors import InputError
 from phy124.studies.fit.observation import Groups, Kind, Values
 
 Places = Sequence[Values]
-"""Points in the unit cube, each [P]."""
+"""Points in the space of the values to fit: each value is a fraction of its range [P]."""
 
 
 class Problem(Protocol):
@@ -41,7 +41,7 @@ class Problem(Protocol):
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for points of the unit cube, on the grid with index `level`.
+        """Predict the measurements [M] for points of values, on the grid with index `level`.
 
         A prediction is None if its run stopped early.
         """
@@ -60,7 +60,7 @@ class Distance:
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """Compute the weights of the measurements from the scale of each kind.
+        """Compute the weights of the measurements from a scale for each kind of measurement.
 
         By default, the scale is the RMS of the measured values of the kind.
         """
@@ -78,7 +78,7 @@ class Distance:
         return self._weights * (predicted - self.measured)
 
     def weigh(self, jacobian: Values) -> Values:
-        """Return the weighted Jacobian [M,P], in the same units as `residual`."""
+        """Return the Jacobian [M,P] multiplied by the measurements' weights, as in `residual`."""
         return self._weights[:, None] * jacobian
 
     def cost(self, predicted: Values | None) -> float:

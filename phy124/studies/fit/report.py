@@ -117,7 +117,10 @@ def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
 
 
 def _around(runs: Runs, place: Values, errors: Values) -> dict[str, Any]:
-    """Return the values at a point of the unit cube, with intervals of half-width `errors`."""
+    """Return the values at `place`, with intervals whose half-widths are `errors`.
+
+    Both are fractions of the values' ranges.
+    """
     value, low, high = map(runs.values, (place, place - errors, place + errors))
     return {n: {"value": value[n], "interval": [low[n], high[n]]} for n in runs.names}
 

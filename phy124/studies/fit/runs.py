@@ -102,16 +102,19 @@ class Runs:
         self._known = _digest(self.player, target.declared)
 
     def values(self, place: Values) -> dict[str, float]:
-        """Return the values at a point of the unit cube."""
+        """Return the fitted values at `place`, which contains fractions of their ranges."""
         pairs = zip(self.names, self._ranges, place, strict=True)
         return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 
     def scene_at(self, place: Values, level: int) -> Scene:
-        """Return the scene with the values at a point of the unit cube, on the grid of a level."""
+        """Return the scene with the values at `place`, on the grid with index `level`.
+
+        `place` contains fractions of the values' ranges.
+        """
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for points of the unit cube, on the grid with index `level`.
+        """Predict the measurements [M] for points of values, on the grid with index `level`.
 
         A prediction is None if its run stopped early.
         """
@@ -169,5 +172,5 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """Predict the measurements for a scene; `kept` is a pair (file, scene)."""
+    """Predict the measurements for a scene; `kept` is the file for the results, and the scene."""
     return player(kept[1])

@@ -19,13 +19,13 @@ PART = 0.6
 START = 0.2
 """Standard deviation of the first generation of CMA-ES, as a fraction of the range."""
 SETTLED = 3e-3
-"""The search ends when the standard deviation is below this fraction of the range."""
+"""The search ends when the standard deviation of CMA-ES is below this fraction of the range."""
 GENERATIONS = 60
 """Maximum number of generations."""
 
 
 def screen(problem: Problem, distance: Distance, seed: int) -> Values:
-    """Evaluate evenly distributed points of the unit cube, and return the best point.
+    """Evaluate points that are distributed evenly over the values' ranges; return the best point.
 
     Raises:
         InputError: The run fails at all points.
@@ -57,7 +57,7 @@ def generation_size(count: int) -> int:
 
 
 def search(problem: Problem, distance: Distance, start: Values, seed: int) -> Values:
-    """Search the unit cube for the point with the smallest cost, on the coarsest grid.
+    """Search for the point of values with the smallest cost, on the coarsest grid.
 
     Args:
         problem: The problem.
@@ -102,15 +102,19 @@ def search(problem: Problem, distance: Distance, start: Values, seed: int) -> Va
 LONGEST = 0.15
 """Maximum length of a Gauss-Newton step, as a fraction of the range."""
 SHORTEST = 1e-3
-"""The refinement ends when a step is shorter than this fraction of the range."""
+"""The refinement ends when a Gauss-Newton step is shorter than this fraction of the range."""
 INFORMATIVE = 0.01
-"""A step updates the derivatives if its length is at least this fraction of the range.
+"""A Gauss-Newton step corrects the derivatives if its length is at least this fraction of the
+range.
 
-Shorter steps change the predictions by no more than the random differences between runs.
+The effect of shorter steps on the predictions is no larger than the random differences between
+runs.
 """
 ROUNDS = 6
 HALVES = (1.0, 0.5)
-"""Fractions of a step that are evaluated in parallel; the one with the smallest cost is used."""
+"""Fractions of a Gauss-Newton step that are tried in parallel; the step with the smallest cost is
+taken.
+"""
 
 
 class Refined(NamedTuple):
@@ -119,7 +123,9 @@ class Refined(NamedTuple):
     place: Values
     predicted: Values
     jacobian: Values
-    """Derivatives of the prediction [M,P], updated by the steps (Broyden 1965)."""
+    """Derivatives of the prediction [M,P]. After each Gauss-Newton step, the derivatives are
+    corrected (Broyden 1965).
+    """
 
 
 def refine(

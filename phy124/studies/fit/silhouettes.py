@@ -71,7 +71,7 @@ class Silhouettes:
         return _blur(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
 
     def apart(self, predicted: Values) -> Values:
-        """Return the RMS difference in coverage for each frame [T], as a fraction of a pixel."""
+        """Return, for each frame [T], the RMS difference of the coverage of pixels, 0..1."""
         squares = (predicted - self.measured) ** 2
         return np.sqrt(squares.reshape(len(self._times), -1).mean(1))
 
@@ -88,7 +88,7 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of each pixel's block [T*h*w]; the pixels of a block are in one frame."""
+    """Return the index of the block of pixels to which each pixel of each frame belongs [T*h*w]."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
@@ -97,13 +97,13 @@ def _blocks(shape: tuple[int, ...]) -> Groups:
 ALIGN_BLUR = 2.0
 """Standard deviation of the filter that blurs silhouettes during alignment [pixels]."""
 STEP = 0.5
-"""Distance for central differences in the alignment [pixels]."""
+"""Shift for the central differences by which an alignment's derivatives are computed [pixels]."""
 LONGEST_STEP = 8.0
-"""Longest step of the alignment [pixels]."""
+"""Longest step in the alignment of a video with the camera's view [pixels]."""
 SETTLED = 0.01
-"""Step length below which the alignment ends [pixels]."""
+"""The alignment of a video with the camera's view ends at a step shorter than this [pixels]."""
 ROUNDS = 20
-"""Largest number of steps of the alignment."""
+"""Largest number of steps in the alignment of a video with the camera's view."""
 LEAST = 0.6
 """Smallest allowed intersection over union of two aligned silhouettes.
 
@@ -115,7 +115,7 @@ class Laid(NamedTuple):
     """The transform that aligns a video with the camera's view."""
 
     scale: float
-    """Factor by which the video's frames are magnified."""
+    """Factor by which the frames of a video are magnified to match the camera's view."""
     shift: tuple[float, float]
     """Shift of the frames' upper left corner (right, down), relative to the image's height."""
     shared: float

@@ -29,7 +29,7 @@ SIDE = 256
 LONGEST = 600
 """Maximum time for reading a video [s]."""
 FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
-"""Values that bytes 5 to 8 of MP4 and MOV files may have."""
+"""Bytes 5 to 8 of MP4 and MOV files have one of these values."""
 SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
 """Options that prevent ffmpeg from reading playlists, which may refer to other addresses."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")

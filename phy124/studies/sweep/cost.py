@@ -106,7 +106,7 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 SAMPLED = 256
 """Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""The fit contains the additional data point (zero work, zero time), with this weight per clip."""
+"""The line is also fitted to the point (no work, no time), with this weight per finished clip."""
 FEWEST = 3
 """Number of finished clips after which the remaining time is estimated."""
 
@@ -117,8 +117,7 @@ class Remaining:
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """Compute the work of a sample of the clips with the indices `numbers`, which this run
-        makes.
+        """Compute the work of some clips of this run; `numbers` are the indices of all its clips.
 
         The clock returns the current time [s] in the same form as the column `written` of the rows.
         """
@@ -126,8 +125,8 @@ class Remaining:
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)
-        """Five sums over finished clips: their number, work, seconds, work squared, work times
-        seconds.
+        """Sums over finished clips of five quantities: 1, work, seconds, squared work, and work
+        times seconds.
         """
         places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
@@ -175,8 +174,9 @@ def work_of(scene: Scene, *, films: bool) -> float:
 
 
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
-    """Fit a line of seconds over work by least squares; return its intercept [s] and slope [s per
-    work].
+    """Fit a line of seconds over work by least squares.
+
+    Return its intercept [s] and its slope [s per unit of work].
 
     Both are non-negative. If all clips have equal work, the data determine only the ratio of
     seconds to work. A small penalty on the intercept makes the fit unique in this case. The moments

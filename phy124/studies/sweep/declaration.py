@@ -190,7 +190,7 @@ Axis = Annotated[
 
 
 def interpolate(first: float, last: float, part: float, *, log: bool = False) -> float:
-    """Interpolate between two numbers; the result is exact for part = 0 and part = 1.
+    """Interpolate between two numbers; the results at `part` 0 and 1 are exact.
 
     Args:
         first: Result for part = 0.
@@ -217,7 +217,7 @@ KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]
-"""A tuple of strings; a single string is also accepted."""
+"""Type of a tuple of strings that also accepts a single string."""
 
 
 class Sweep(Section):

@@ -55,7 +55,7 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return the key of a request for a clip; the request may be invalid.
+    """Return the key of a request for a clip, which also exists if the request is invalid.
 
     `picture` is an address; `changes` maps dotted paths in the scene to values.
     """
@@ -78,7 +78,7 @@ def digest(address: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    """Return the digest of a file's content; a changed file has a new stamp."""
+    """Return the digest of a file's content; `stamp` is a value that changes with the file."""
     with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -107,12 +107,12 @@ def code() -> str:
 
 
 HEXADECIMAL = 16
-"""Number of hexadecimal digits of each key that `Seen` stores.
+"""Number of a key's first hexadecimal digits that the set `Seen` stores.
 
 For 1e6 keys, the probability that any two agree in all these digits is 3e-8.
 """
 RECENT = 4096
-"""Maximum number of keys in the unsorted set."""
+"""Maximum number of keys that `Seen` holds unsorted, before it sorts them into its array."""
 
 
 class Seen:

@@ -25,11 +25,13 @@ MANIFEST = "manifest.parquet"
 BATCH = 2048
 """Number of rows that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Folders of the row files, one for each first digit of the keys, so that folders stay small."""
+"""Folders of the files that contain one row of the manifest each. There is a folder for each first
+digit of the keys, so that no folder becomes large.
+"""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:
-    """Yield the keys of finished clips, which are read from the names of the row files."""
+    """Yield the keys of finished clips, from the names of the files with their rows."""
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 
 
@@ -40,7 +42,10 @@ def sweep_rows(storage: Storage) -> None:
 
 
 def flat(row: Row) -> Row:
-    """Flatten a row, so that each value in `set` and each time in `seconds` becomes a column."""
+    """Flatten a row of the manifest, so that it can be a row of a table.
+
+    Each value in `set` and each time in `seconds` becomes a column.
+    """
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
     set_ = {f"set.{path}": _cell(value) for path, value in row.get("set", {}).items()}
     seconds = {f"seconds.{stage}": value for stage, value in row.get("seconds", {}).items()}
@@ -113,7 +118,10 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
 
 
 def _last(table: Any) -> Any:
-    """Return the index of the newest row of each requested clip, in the order of the requests."""
+    """Return, for each requested clip, the index of its newest row in the table.
+
+    The order is that of the requests.
+    """
     asked = table["asked"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), asked))
     newest = np.append(asked[order][1:] != asked[order][:-1], True)
@@ -122,12 +130,12 @@ def _last(table: Any) -> Any:
 
 
 def _names(storage: Storage) -> Iterator[str]:
-    """Yield the names of all row files."""
+    """Yield the names of all files that contain a row of the manifest."""
     return (name for folder in FOLDERS for name in storage.names(folder))
 
 
 def _key(name: str) -> str:
-    """Return the key of a clip from the name of the clip's row file."""
+    """Return the key of a clip from the name of the file with its row."""
     return PurePosixPath(name).name.partition(".")[0]
 
 

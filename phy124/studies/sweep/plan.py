@@ -68,7 +68,10 @@ class Plan:
 
     @property
     def sources(self) -> int:
-        """Maximum number of different sources; clips of the same source share their Gaussians."""
+        """Maximum number of different sources (picture, generator and seed) in the sweep.
+
+        Clips with the same source share their Gaussians.
+        """
         shared = ("picture", "generator", "seed")
         axes = [self.axes[name] for name in shared if name in self.axes]
         counts = [axis.count if isinstance(axis, Counted) else len(self) for axis in axes]

@@ -143,7 +143,7 @@ def _orders(
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """Write the manifest row of a refused clip; the row's key is the key of the request."""
+    """Write the manifest row of a clip that was refused; its key is the key of the request."""
     key = key_of_request(item.picture, item.generator, item.changes)
     write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

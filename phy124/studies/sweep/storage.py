@@ -76,7 +76,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder; its files can be moved to a folder of the storage at any time."""
+        """Provide a local folder and a function that moves its files to a folder of the storage."""
         if self.here is not None:
             with staging(self.here / folder) as place:
                 yield Filling(place, partial(_deliver, place))

@@ -144,7 +144,7 @@ class Made(NamedTuple):
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians as plain data; None: the scene in the `Order`."""
+    """The scene for these Gaussians as plain data. None if it is the scene in the `Order`."""
     seconds: float
     refusal: str | None = None
 
@@ -335,7 +335,7 @@ def _store(
 
 
 def _numbers(report: dict[str, Any]) -> Row:
-    """Return the columns of the manifest that come from a clip's report."""
+    """Return the numbers from a clip's report that become columns of the manifest."""
     walls = report.get("walls") or {}
     forces = [wall["largest_force"] for wall in walls.values()]
     return {

@@ -46,7 +46,10 @@ def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 
 
 
 def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a rotation `omega` [3], rad/s, about the mean of x [P,3]."""
+    """Return velocities v [P,3] and gradients C [P,3,3] of a rotation `omega` [3], rad/s.
+
+    The rotation is about the mean of the positions x [P,3].
+    """
     wx, wy, wz = omega
     C = np.array([[0, -wz, wy], [wz, 0, -wx], [-wy, wx, 0]], float)
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
@@ -176,7 +179,7 @@ def make_lattice_solver(
 UP = (0.0, 0.0, 1.0)
 """Unit vector along z."""
 FAR = 1e3
-"""Position of a distant plane [m]; all grid nodes are inside the wall that the plane bounds."""
+"""Position of a plane [m] so far away that all grid nodes are in the wall that it bounds."""
 
 
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
@@ -206,8 +209,9 @@ def mirrors(*axes: int) -> list[HalfSpace]:
 
 
 def connected_end(x: NDArray[Any], gap: float) -> float:
-    """Return the last coordinate before the first gap between neighbours that is wider than `gap`
-    [m].
+    """Return the end of the connected part of coordinates, beginning at the smallest coordinate.
+
+    The part ends at the first gap between neighbours that is wider than `gap` [m].
     """
     x = np.sort(x.astype(float))
     gaps = np.flatnonzero(np.diff(x) > gap)

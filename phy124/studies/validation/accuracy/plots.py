@@ -27,7 +27,7 @@ PAGE = Path(__file__).with_name("plot.html")
 
 
 def find_dominated(rows: Sequence[Row]) -> set[str]:
-    """Return the names of the settings that are dominated by another setting."""
+    """Return the names of the settings that are not on the Pareto front of time and error."""
     known = [row for row in rows if _error(row) is not None]
     return {
         row.name

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 GRAVITY = 9.81
 FLOOR_NODE = 0.75
-"""Depth of the lowest nodes below the floor [cells], as in all simulations."""
+"""Depth of the grid's lowest nodes below the floor [cells], as in all simulations."""
 
 
 def angular_momentum(solver: Solver | LatticeSolver) -> Array:
@@ -177,7 +177,7 @@ class Vortex:
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return a stage that applies the body force of the exact motion in each substep."""
+        """Return a solver stage that applies the body force of the exact motion in each substep."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)

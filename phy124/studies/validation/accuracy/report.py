@@ -14,11 +14,11 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import PRESETS, Scene
 
 COARSEST = 8
-"""A level is recommended only if it has at least this number of cells across the object."""
+"""A setting is recommended only if it has at least this number of cells across the object."""
 KNOWN = 0.5
-"""A level is recommended only if the errors of at least this fraction of the frames are known."""
+"""A setting is recommended only if the errors of at least this fraction of the frames are known."""
 MOVING = 2
-"""A level is recommended only if the errors of at least this number of frames after the first are
+"""A setting is recommended only if the errors of at least this number of frames after the first are
 known.
 """
 GOOD = 0.04
@@ -36,7 +36,7 @@ class Row:
     binding: str
     particles: int
     particles_per_axis: float
-    """Median number of particles per axis, over all cells that contain particles."""
+    """Number of particles per cell and axis: the median over all cells that contain particles."""
     substeps: int
     predicted: float | None
     """Predicted time to simulate and to deform the Gaussians [s]; None if there is no forecast."""
@@ -45,7 +45,7 @@ class Row:
     energy loss by cause.
     """
     limiters: dict[str, float]
-    """For each limit, by name, the fraction of the substeps whose length it determines."""
+    """For each limit of the substep, by name, the fraction of substeps that it determines."""
     energy_lost: float
     """Energy that was lost, as a fraction of the energy that was supplied."""
     lost_to: dict[str, float] | None
@@ -53,16 +53,19 @@ class Row:
     angular_momentum_lost: float | None
     """Relative change of the angular momentum; None if forces or walls may change it."""
     from_finest: Difference | None = None
-    """Difference from the finest level; None for the finest level itself."""
+    """Difference from the motion on the finest grid; None for the setting with this grid."""
     error: float | None = None
-    """Estimated error as a fraction of the object's size; None if the levels do not converge."""
+    """Estimated error as a fraction of the object's size; None if the motions on the grids do not
+    converge.
+    """
     pixels: float | None = None
     """Estimated error in the video [pixels]; None if there is no error estimate."""
     torn: str = ""
     """Reason why the grid may have torn the material; a torn setting has no error estimate."""
     stated: dict[str, Any] | None = None
-    """The `error` in the report of a run at this level; None if the setting is not a level or the
-    study is not thorough."""
+    """The `error` that the report of such a run would state. None if the setting is not a level or
+    the study is not thorough.
+    """
 
     @property
     def level(self) -> bool:
@@ -87,7 +90,9 @@ class Report:
     until: float | None = None
     """Time up to which the errors are valid [s]; None if they are valid for the whole motion."""
     closest: float | None = None
-    """Distance between the two finest levels, in object sizes; None if there is one level."""
+    """Distance between the motions on the two finest grids, in object sizes; None if there is one
+    grid.
+    """
     interrupted: bool = False
     """Whether a cancellation or an error ended the study before all settings had been run."""
 
@@ -135,7 +140,7 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 
 
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
-    """Recommend a level in a sentence that also compares it with the next finer level.
+    """Return a sentence that recommends a grid spacing and compares it with the next finer spacing.
 
     The pair `known` contains the number of frames after the first whose errors are known, and the
     number of all frames after the first.

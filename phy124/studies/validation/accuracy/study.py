@@ -35,12 +35,13 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object on each level, from coarse to fine; all presets are among these levels.
+"""Cells across the object in each level (a grid spacing of the study), from coarse to fine. All
+presets are among these levels.
 """
 MIN_PARTICLES_PER_AXIS = 1.5
 """If there are fewer particles per cell and axis than this, finer grids are not more accurate."""
 VARIED = 24
-"""Resolution at which other options are varied, one at a time [cells across the object]."""
+"""Number of cells across the object in the settings that vary other options, one at a time."""
 SIZE = 256
 """Maximum width and height of the videos that are compared [pixels]."""
 
@@ -71,7 +72,9 @@ class Study:
     keep: bool = False
     """Whether finished settings are evaluated if the study is cancelled or fails later."""
     ended: Exception | None = field(default=None, init=False)
-    """The exception that ended the study early while `keep` was true; otherwise None."""
+    """The exception that ended the study early if `keep` is true; None if the study did not end
+    early.
+    """
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -276,7 +279,7 @@ class Study:
         known: dict[str, float],
         frames: int,
     ) -> Row:
-        """Add to a row its difference from the finest level and its error, and return the new row.
+        """Return a row with its error, and with its difference from the motion on the finest grid.
 
         If the object is torn, its row is returned unchanged. `levels` contains the clips of the
         levels, from coarse to fine. The `known` errors of the levels are valid for the first
@@ -318,7 +321,7 @@ def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
 
 
 def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
-    """If no error is known, append the names of torn levels to the reason."""
+    """If no error is known, add to the reason which grids may have torn the material."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
     if not torn or not convergence.why_not:
         return convergence
@@ -336,7 +339,7 @@ def _require_particles(per_axis: float | None) -> None:
 
 
 def _particles_per_axis(simulation: Simulation) -> float:
-    """Return the median number of particles per axis, over all cells that contain particles."""
+    """Return the number of particles per cell and axis: the median over cells with particles."""
     cells = np.floor(simulation.setup.particles.x / simulation.solver.model.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))

@@ -28,7 +28,7 @@ class Verdict:
     limit: float
     """Largest permitted error."""
     levels: tuple[int, ...] = ()
-    """Cells across the body on each grid, from coarse to fine; empty for a single grid."""
+    """Cells across the body on each grid, from coarse to fine; empty if there is only one grid."""
     order: float | None = None
     """Observed order of convergence; None if the solution is exact or no order was observed."""
     expected_order: Range | None = None

@@ -54,12 +54,14 @@ TOO_SOFT = (
 REST = 1.6
 """Duration of each load, in units of the period of the beam's first bending mode."""
 PIECES = 40
-"""Mean number of velocity reductions per period of the beam's first mode."""
+"""Mean number of times per period of the beam's first mode at which all velocities are reduced."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""The multiples of this number, modulo 1, never repeat; they vary the times of reductions."""
+"""Its multiples, modulo 1, never repeat; they vary the times at which velocities are reduced."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Function that creates a force from the beam's width [m], a profile and the tip's region."""
+"""Function that creates a force from the beam's width [m], the force's time profile, and the region
+of the beam's tip.
+"""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
@@ -101,9 +103,7 @@ def heavy_elastica_drop(load: float) -> float:
 
 
 def load_tip(width: float, profile: Keyframes, end: Region) -> Force:
-    """Return a load P at the tip of a beam. P is in units of `E I / L^2`; `width` is the beam's
-    width [m].
-    """
+    """Return a load P, in units of `E I / L^2`, at the tip of a beam `width` [m] wide."""
     unit = STIFFNESS * width / LENGTH**2
     return TotalForce(f=(0, 0, -unit), region=end, profile=profile)
 
@@ -219,12 +219,12 @@ def measure_lattice_drops(
 
 
 def _end_region(at: float, dx: float) -> Region:
-    """Return the cell around the beam's end."""
+    """Return the region of the cell around the beam's end."""
     return Region(lower=(at - dx / 2 - 1e-9, -1, -1), upper=(at + dx / 2 + 1e-9, 1, 1))
 
 
 def _steps(loads: Sequence[float]) -> Keyframes:
-    """Return a profile with one load after another.
+    """Return a time profile of a force that applies one load after another.
 
     In the first third of a load's duration, the factor rises to the load. It then stays constant.
     """

@@ -19,13 +19,12 @@ INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
 front divided by the column's width `a`.
 
 The values come from a separate two-dimensional solver (APIC and pressure projection with a
-ghost-fluid surface, 128 cells across a). With 64 cells, the results of this solver are at most 0.01
-smaller.
+ghost-fluid surface, 128 cells across a). With 64 cells, these values are at most 0.01 smaller.
 """
 HEIGHTS = (1.28, 2.0, 2.7)
 """Dimensionless times t sqrt(g / a) at which the height of the water at the wall is measured."""
 PASSAGE = (1.5, 3.5)
-"""Positions / a between which the front's mean speed is measured.
+"""Positions of the front, in units of `a`, between which its mean speed is measured.
 
 Unlike the front's position at a given time, this speed does not depend on a delay of the start.
 """
@@ -39,10 +38,10 @@ FRONTS = (
         (1.22, 1.44, 1.67, 1.89, 2.11, 2.33, 2.56, 2.78, 3.00, 3.22, 3.44, 3.67, 3.89, 4.11),
     ),
 )
-"""Times and positions of the front / a, for columns of height 2 a.
+"""Times, and positions of the front in units of `a`, for columns of the height 2 a.
 
-The columns are 2.25 and 1.125 inch wide (digitised by PySPH); the last data set is table 2 (as
-published with Ocellaris).
+The first two columns are 2.25 and 1.125 inch wide (digitised by PySPH); the last data set is table
+2 (as published with Ocellaris).
 """
 HEIGHT_TABLE = (
     (0.56, 0.77, 0.93, 1.08, 1.28, 1.46, 1.66, 1.84, 2.00, 2.21, 2.45, 2.70, 3.06, 3.44),
@@ -50,22 +49,22 @@ HEIGHT_TABLE = (
 )
 """Times t sqrt(g / a) and heights at the wall / initial height, from table 6 (see Ocellaris)."""
 READ = 0.02
-"""Maximum error of a tabulated height / initial height, and of a front position / a.
+"""Maximum error of a height that was read from a table, relative to the initial height, and of a
+front's position, relative to `a`.
 
-Tabulated heights differ by steps of 0.05 to 0.06. The distance between two positions has at most
-twice this error.
+The heights in the table differ by steps of 0.05 to 0.06. The distance between two front positions
+thus has at most twice this error.
 """
 SAMPLE = 0.1
 """Sampling interval of the front and the height, in dimensionless time t sqrt(2 g / a)."""
 PASTE = 630.0
-"""Viscosity of the control [Pa s]; its Reynolds number a sqrt(2 g a) / nu is 7."""
+"""Viscosity of the control run's liquid [Pa s]; its Reynolds number a sqrt(2 g a) / nu is 7."""
 
 
 def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
-    """Return mean speeds dZ/dT of the front, between the positions `PASSAGE` and the times
-    `PERIOD`.
+    """Return the mean speeds dZ/dT of the front.
 
-    The front is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
+    The first is between the positions `PASSAGE`, the second between the times `PERIOD`. The front is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
     """
     start, end = np.interp(PASSAGE, front, time)
     low, high = np.interp(PERIOD, time, front)
@@ -131,9 +130,9 @@ EXPERIMENT = Experiment(
     "separate two-dimensional computation with 128 cells across the column",
     measured="A projected liquid flows in a smooth channel. The experiment measures the "
     "position Z of the front, divided by the column's width a, at dimensionless times T = t "
-    "√(2g/a). The front is at the first gap wider than a cell. The experiment also measures the "
-    "front's mean speed dZ/dT between two positions and between two times, and the height of the "
-    "water at the wall, divided by the initial height, at times T/√2.",
+    "√(2g/a). The front is at the first gap in the liquid that is wider than a cell. The "
+    "experiment also measures the front's mean speed dZ/dT between two positions and between two "
+    "times, and the height of the water at the wall, divided by the initial height, at times T/√2.",
     band="inviscid front: ±3 %; speeds: from the lowest to the highest of the three data sets, "
     "widened by 2 %, since positions were read to within 0.02; heights: ±0.02, since the table's "
     "heights have steps of 0.05 to 0.06. The front's positions are not compared with the "

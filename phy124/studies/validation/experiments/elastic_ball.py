@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-"""Corners of the reference element, a square."""
+"""Corners of the reference element, which is a square."""
 PAIRS = np.array([[0, 0, 1, 1, 2], [0, 1, 0, 1, 2]])
 """Row and column indices of the nonzero components of F: rr, rz, zr, zz, and the hoop component."""
 FINER = 3.5
-"""Grading of the mesh towards the contact; 0 would be a uniform mesh."""
+"""How much finer the mesh is near the contact; with 0, the mesh would be uniform."""
 LARGEST_STEP = 0.02
-"""Maximum step of the plate, relative to the ball's radius."""
+"""Maximum movement of the plate in one step, relative to the ball's radius."""
 DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
 """Indentation depths, relative to the radius, to which a force law is fitted."""
 
@@ -78,7 +78,7 @@ class Mesh:
     quads: NDArray[np.int64]
     """Indices of each element's nodes [M,4]."""
     surface: NDArray[np.int64]
-    """Indices of the nodes on the surface, starting at the contact."""
+    """Indices of the mesh's nodes on the ball's surface, starting at the contact."""
     whole: bool
     """True for the whole ball, False for its upper half."""
 
@@ -116,9 +116,9 @@ class Elements:
     volume: Array
     """Volume of each integration point, revolved around the ball's axis [M,4]."""
     dofs: NDArray[np.int64]
-    """Indices of each element's displacements [M,8]."""
+    """Indices in the vector of displacements for each element's nodes [M,8]."""
     weights: Array
-    """Volume of each node [N]."""
+    """Volume that each node represents, revolved around the ball's axis [N]."""
 
     @classmethod
     def of(cls, mesh: Mesh) -> Elements:
@@ -141,7 +141,7 @@ class Elements:
         return cls(gradient.reshape(*r.shape, 5, 8), volume, dofs, weights)
 
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
-        """Return the forces [2N] of displacements u, and the elements' stiffness matrices [M,8,8].
+        """Return the elastic forces [2N] at the displacements u, and stiffness matrices [M,8,8].
 
         The displacements [2N] may be followed by other unknowns. The Lame parameters mu and lam are
         divided by E.

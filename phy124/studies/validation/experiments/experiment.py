@@ -11,7 +11,7 @@ import numpy as np
 from phy124.accuracy.convergence import richardson
 
 Values = tuple[float, ...]
-"""One number per quantity; NaN if a control does not measure the quantity."""
+"""One number per quantity; NaN if a control run does not measure the quantity."""
 
 
 @dataclass(frozen=True)
@@ -55,21 +55,29 @@ class Experiment:
     band: str
     """Description of the bands, with the reason for their width."""
     published: Callable[[], tuple[Quantity, ...]]
-    """Returns the published values, in the same order as `run` returns the simulated values."""
+    """Function that returns the published values, in the same order as `run` returns the simulated
+    values.
+    """
     run: Callable[[int], Values]
-    """Simulates with N cells across the length `across`, and returns the measured values."""
+    """Function that simulates with N cells across the length `across`, and returns the measured
+    values.
+    """
     control: Callable[[int], Values]
-    """Returns values simulated with a deliberate mistake; at least one must be outside its band."""
+    """Function that simulates the control: a run with a deliberate mistake. At least one of its
+    values must be outside its band.
+    """
     mistake: str
-    """Description of the control's mistake."""
+    """Description of the mistake in the control run."""
     grids: tuple[int, int, int]
-    """Cells across the length `across`, from coarse to fine; the control uses the coarsest grid."""
+    """Cells across the length `across`, from coarse to fine; the control run uses the coarsest
+    grid.
+    """
     across: str
     """Length across which cells are counted."""
     axis: str = ""
     """Label of the horizontal axis; empty if the quantities do not form a curve."""
     unit: str = ""
-    """Unit of all quantities, or their reference value."""
+    """Unit of all quantities, or the value by which all are divided."""
     quick: bool = False
     """Whether `phy124 validate --quick` runs the experiment."""
     seconds: float = 1.0
@@ -79,8 +87,9 @@ class Experiment:
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of a function between `low` and `high`; the function must have opposite signs
-    at these two points.
+    """Return the zero of a function between `low` and `high`.
+
+    The function must have opposite signs at these two points.
     """
     from scipy.optimize import brentq
 
@@ -95,7 +104,7 @@ class Estimate:
     levels: Values
     """The value on each grid, from coarse to fine."""
     control: float
-    """The value of the control, on the coarsest grid; NaN if it was not measured."""
+    """The value in the control run, on the coarsest grid; NaN if it was not measured."""
     value: float
     """The value by Richardson extrapolation, or on the finest grid if the grids do not converge."""
     error: float
@@ -123,7 +132,10 @@ class Estimate:
 
     @property
     def control_outside(self) -> bool:
-        """Whether the control is outside the band by more than the coarsest grid's error."""
+        """Whether the control run's value is outside the band by more than its error.
+
+        The error is that of the coarsest grid.
+        """
         error = abs(self.levels[0] - self.value) + self.error
         return not self.quantity.low - error <= self.control <= self.quantity.high + error
 
@@ -146,7 +158,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether the experiment detects the control's mistake: some value is outside its band."""
+        """Whether the experiment detects the control run's mistake: a value is outside its band."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -156,7 +168,10 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether no run failed, the mistake is detected, and values outside are explained."""
+        """Whether no run failed, and the control run's mistake is detected.
+
+        In addition, the reason for values outside their bands must be known.
+        """
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 

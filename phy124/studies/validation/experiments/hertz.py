@@ -15,9 +15,11 @@ from phy124.studies.validation.experiments.pressed_block import hold_plates
 RADIUS, E, NU = 0.5, 1e5, 0.3
 """Radius [m], Young's modulus [Pa] and Poisson's ratio of the pressed ball."""
 DEPTHS = (0.03, 0.05)
-"""Indentation depths of each plate in the ball [m]."""
+"""Depths to which each plate indents the ball [m]."""
 PLACES = (0.0, 0.5)
-"""Final positions of the plate relative to a node [cells]; the forces are averaged."""
+"""Final positions of the plate relative to a grid node [cells]. The forces at both positions are
+averaged.
+"""
 MOVE, HOLD = 0.4, 0.4
 """Duration for which the plate moves, and duration for which it then rests [s]."""
 
@@ -58,7 +60,7 @@ def press(
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the forces and the turning time from finite elements, relative to Hertz's theory."""
+    """Return the forces and the contact time from finite elements, relative to Hertz's theory."""
     forces = [
         Quantity.within(
             f"force at depth {part:g} R", fit_law(NU, whole=False).force(part) / half, 0.05
@@ -72,9 +74,9 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def turning_time(of: Law) -> float:
-    """Return the turning time of a bouncing ball for a force law, relative to Hertz's law.
+    """Return the contact time of a bouncing ball for a force law, relative to Hertz's law.
 
-    The turning time starts when the ball still moves down at half its initial speed, and ends when
+    The contact time starts when the ball still moves down at half its initial speed, and ends when
     the ball moves up at half its initial speed.
     """
     depth = restitution.SHALLOW
@@ -83,7 +85,7 @@ def turning_time(of: Law) -> float:
 
 
 def measure(cells: int, *, stiffer: float = 1.0) -> Values:
-    """Measure the forces and the turning time, relative to Hertz's theory; `stiffer` scales E."""
+    """Measure the forces and the contact time, relative to Hertz's theory; `stiffer` scales E."""
     time = (
         restitution.bounce(cells, 0.0, restitution.SHALLOW, stiffer=stiffer).turning
         / restitution.solve_theory(0.0, restitution.SHALLOW, Law(0.0)).turning
@@ -101,10 +103,10 @@ EXPERIMENT = Experiment(
     source="finite elements of the whole neo-Hookean ball, which approach Hertz's law (1882) for "
     "small depths (`phy124/studies/validation/experiments/elastic_ball.py`)",
     measured="The force on the plate at two depths is computed from the plate's impulses. Each "
-    "force is the mean for two positions of the plate between nodes. The contact time of a "
-    "bouncing ball is the time in which its velocity changes from half the initial speed, "
-    "downwards, to half the initial speed, upwards. All values are relative to Hertz's theory, "
-    "which treats both bodies as half-spaces with small strain.",
+    "force is the mean of two runs, with different positions of the plate between two grid nodes. "
+    "The contact time of a bouncing ball is the time in which its velocity changes from half the "
+    "initial speed, downwards, to half the initial speed, upwards. All values are relative to "
+    "Hertz's theory, which treats both bodies as half-spaces with small strain.",
     band="forces: ±5 %; time: ±1 %",
     published=publish,
     run=measure,

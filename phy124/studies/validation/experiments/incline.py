@@ -14,13 +14,15 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
 """Slope tan(angle) and coefficient of friction of each case; in the last case, nothing slides."""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
-"""Edge of the block [m], and the durations of settling and sliding [s]."""
+"""Edge of the block [m]; durations for which it comes to rest and for which it then slides [s]."""
 SAMPLES = 41
-"""Number of instants to which a parabola is fitted, to average over the block's rocking."""
+"""Number of times at which the block's position is measured. A parabola is fitted to these
+positions, so that the block's rocking is averaged out.
+"""
 
 
 def acceleration(slope: float, friction: float) -> float:
-    """Return the exact acceleration on a slope of the angle a: `max(0, sin a - mu cos a)` [g]."""
+    """Return the exact acceleration on a slope of angle `a`: `max(0, sin a - mu cos a)` [g]."""
     angle = math.atan(slope)
     return max(0.0, math.sin(angle) - friction * math.cos(angle))
 
@@ -59,7 +61,7 @@ def slide(cells: int, slope: float, friction: float, *, across: bool) -> float:
 
 
 def measure(cells: int, more: float) -> Values:
-    """Measure all accelerations, with `more` added to the correct coefficient of friction."""
+    """Measure all accelerations with a coefficient of friction that is `more` too large."""
     return tuple(
         slide(cells, slope, mu + more, across=across)
         for across in (False, True)
@@ -71,9 +73,9 @@ EXPERIMENT = Experiment(
     name="incline",
     title="Incline: Coulomb's friction",
     source="Coulomb's law: the acceleration is g (sin θ − μ cos θ), or zero if the block rests",
-    measured="The experiment measures the acceleration of a block in units of gravity. In half of "
-    "the cases, the incline is aligned with the grid, and gravity is tilted. In the other half of "
-    "the cases, the incline is oblique to the grid.",
+    measured="The experiment measures the acceleration of a block on an incline in units of "
+    "gravity. In half of the cases, the incline is parallel to a plane of the grid, and gravity is "
+    "tilted. In the other half, the incline is tilted against the grid.",
     band="±0.002 g, since the block still rocks slightly",
     published=publish,
     run=lambda cells: measure(cells, 0.0),

@@ -66,7 +66,7 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def tumble(cells: int, edges: Sequence[float]) -> Values:
-    """Simulate a body with these edges [m]; `cells` is the number of cells across `EDGES[2]`."""
+    """Simulate a body with the edges `edges` [m]; a cell is `EDGES[2] / cells` wide."""
     dx = EDGES[2] / cells
     counts = [round(2 * edge / dx) for edge in edges]
     x = lattice(counts, dx / 2, [-n * dx / 4 for n in counts])
@@ -75,7 +75,7 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
 
 
 def observe(solver: Solver | LatticeSolver) -> Values:
-    """Advance to the end of the run, and measure the spinning body.
+    """Advance to the end of the run, and measure the flips and the conserved quantities.
 
     Returns:
         The times of two flips [s], and the remaining fractions of energy and angular momentum.
@@ -88,7 +88,7 @@ def observe(solver: Solver | LatticeSolver) -> Values:
 
 
 def _spin(solver: Solver | LatticeSolver) -> tuple[float, float]:
-    """Return the spin about the body's middle axis [rad/s], and twice the rotational energy.
+    """Return the spin about the body's middle axis [rad/s], and the doubled rotational energy.
 
     The energy is computed for unit masses, since only ratios of energies are used.
     """
@@ -108,8 +108,8 @@ EXPERIMENT = Experiment(
     source="Euler's equations for a rigid body, integrated numerically",
     measured="A free `rigid` box of 0.6 × 0.4 × 0.2 m spins about its axis of intermediate inertia "
     "and flips repeatedly. The experiment measures the first two times at which the spin about "
-    "that axis is zero, and the fractions of kinetic energy and angular momentum that remain "
-    "after 4 s. The angular momentum includes the part that APIC stores in C.",
+    "this middle axis is zero, and the fractions of kinetic energy and angular momentum that "
+    "remain after 4 s. The angular momentum includes the part that APIC stores in C.",
     band="±1 % for the times; within 1 % of the initial energy, and within 0.01 % of the initial "
     "angular momentum",
     published=publish,

@@ -113,7 +113,7 @@ def hold_plates(
 
 
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
-    """Return a smooth plate on the block's positive side along an axis."""
+    """Return a smooth plate that presses on the block's positive side along an axis."""
     normal = -np.eye(3)[axis]
     low = tuple((STRAIN * SIZE / 2 * normal).tolist())
     path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None

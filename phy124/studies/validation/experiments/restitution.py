@@ -34,10 +34,11 @@ With nu = 0, the viscous stress is damping / mu times the rate of the elastic st
 F + loss dF/dt is therefore exact for a quasi-static contact.
 """
 SHALLOW, DEEP = 0.06, 0.12
-"""Maximum contact depths by Hertz's law, relative to the radius; they determine the initial speed.
+"""Maximum depths of the contact according to Hertz's law, relative to the radius. They determine
+the ball's initial speed.
 
 The contact time is measured for a shallow contact, as Hertz's law requires. The energy loss is
-measured for a deep contact, because this contact covers more cells.
+measured for a deep contact, whose area covers more cells.
 """
 SAMPLES = 300
 """Number of samples per run."""
@@ -51,7 +52,7 @@ class Bounce:
 
     times: NDArray[np.float64]
     speeds: NDArray[np.float64]
-    """Upward velocities, in units of the initial speed."""
+    """Upward velocities of the ball's centre, in units of the initial speed."""
 
     @property
     def restitution(self) -> float:
@@ -60,7 +61,7 @@ class Bounce:
 
     @property
     def turning(self) -> float:
-        """Time between half the initial speed downwards and half the initial speed upwards [s]."""
+        """Time in which the velocity changes from minus half to plus half the initial speed [s]."""
         down, up = (find_zeros(self.times, self.speeds - level)[0] for level in (-0.5, 0.5))
         return float(up - down)
 

@@ -1,4 +1,4 @@
-"""Runs experiments in parallel processes: one run per grid, and one for the control."""
+"""Runs experiments in parallel processes: one run per grid, and one control run with a mistake."""
 
 import math
 import time
@@ -32,7 +32,7 @@ class Measured(NamedTuple):
 
 
 def list_runs(experiment: Experiment) -> list[Run]:
-    """Return the runs of an experiment: one per grid, from fine to coarse, then the control."""
+    """Return the runs of an experiment: one per grid, from fine to coarse, then the control run."""
     coarse, *_ = experiment.grids
     grids = [Run(experiment.name, cells, False) for cells in reversed(experiment.grids)]
     return [*grids, Run(experiment.name, coarse, True)]

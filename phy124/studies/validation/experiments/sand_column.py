@@ -19,13 +19,13 @@ For an aspect ratio `a`, the run-out relative to the column's width is `l1 a` if
 a^(2/3)` otherwise.
 """
 LAJEUNESSE = (1.8, 2.3, 3.0)
-"""Coefficients of the run-out law for glass beads, as for `LUBE`."""
+"""Coefficients (l1, l2, a0) of the run-out law in `LUBE`, but for glass beads."""
 WIDTH = 0.1
 """Width of the column [m]."""
 SLOPE = 31.0
 """Angle of friction of the sand in the channel, in plane strain [degrees]."""
 STIFF = 300.0
-"""Ratio of Young's modulus to the pressure at the column's base.
+"""Young's modulus of the sand, divided by the pressure at the column's base.
 
 With this ratio, gravity compresses the sand at the base by about 0.3 %.
 """
@@ -89,10 +89,10 @@ EXPERIMENT = Experiment(
     title="Sand columns: run-out in a channel, in both regimes",
     source="Lube et al. 2005 (sand, rice, sugar) and Lajeunesse et al. 2005 (glass beads), as "
     "compared by Lagrée, Staron and Popinet 2011",
-    measured="The experiment measures the run-out of the heap divided by the column's width, up "
-    "to the first gap wider than a cell. Let H/L be the ratio of the column's height to its "
-    "width. Published run-outs are 1.2 H/L to 1.8 H/L for low columns, and 1.9 (H/L)^(2/3) to 2.3 "
-    "(H/L)^(2/3) for high columns.",
+    measured="The experiment measures the run-out of the heap divided by the column's width. The "
+    "heap ends at the first gap in the sand that is wider than a cell. Let H/L be the ratio of "
+    "the column's height to its width. Published run-outs are 1.2 H/L to 1.8 H/L for low columns, "
+    "and 1.9 (H/L)^(2/3) to 2.3 (H/L)^(2/3) for high columns.",
     band="from 0.9 times the run-out by Lube's law to the run-out by Lajeunesse's law",
     published=publish,
     run=lambda cells: measure(cells, ASPECTS, plane_strain(SLOPE)),

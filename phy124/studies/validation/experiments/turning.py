@@ -26,13 +26,15 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 
 RUBBER = NeoHookean(E=4e6, nu=0.3, density=1000.0, damping=50.0)
 RADIUS, SLOPE, FRICTION = 0.1, 0.3, 0.8
-"""Radius of the ball [m], tangent of the slope's angle, and coefficient of friction."""
+"""Radius of the rolling ball [m], tangent of the slope's angle, and coefficient of friction."""
 SETTLING, ROLLING = 0.15, 0.35
-"""Time before the ball's motion is measured, and duration of the measurement [s]."""
+"""Time before the rolling ball's acceleration is measured, and duration of the measurement [s]."""
 PLATE = (0.4, 0.0125, 0.1)
 """Edges of the plate [m]. The plate swings in its own plane about a point on its longest axis."""
 HINGE, GRIP = 0.15, 0.04
-"""Distance of the hinge from the plate's centre, and radius of the fixed material [m]."""
+"""Distance of the hinge from the plate's centre, and radius of the material that the hinge holds
+[m].
+"""
 ANGLE = 0.1
 """Amplitude of the swing [rad]."""
 STIFFNESS = 1e6

@@ -17,7 +17,7 @@ SMALL: dict[str, Any] = {
 }
 LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 1e8}
 EXCESS = 1.4
-"""Ratio of estimated time to time budget at which a scene is refused on every device."""
+"""Estimated time divided by the time budget; at this ratio, every device refuses the scene."""
 REFUSED: dict[str, dict[str, Any]] = {
     "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
     "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},
@@ -27,7 +27,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 }
 """Scenes that are refused if the time budget is less than the estimated time."""
 TOO_LONG = 2.5
-"""Multiple of the stable substep that makes a run unstable; users cannot choose this value."""
+"""Multiple of the stable substep at which a run becomes unstable; users cannot choose it."""
 
 
 def advice(setting: Setting) -> list[Check]:
@@ -54,7 +54,7 @@ def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check
 
 
 def _with_short_budget(scene: Scene, setting: Setting) -> Scene:
-    """Return the scene with a time budget that is less than the estimated time on the device."""
+    """Return a scene whose time budget is shorter than its estimated time on the device."""
     context = RunContext(device=setting.device)
     seconds = prepare(surface_of_ball(40), scene, context).estimate.seconds
     return scene.replaced({"time.budget": seconds / EXCESS})
@@ -113,7 +113,10 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
-    """Return a scene on the particle solver, because its substeps are proportional to `cfl`."""
+    """Return a scene that becomes unstable.
+
+    It uses the particle solver, whose substeps are proportional to `cfl`.
+    """
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
     wrong = scene.resolution.model_copy(update=update)

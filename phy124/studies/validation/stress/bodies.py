@@ -15,7 +15,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
-"""Maximum relative difference in a short run due to a different order of summation."""
+"""Maximum relative difference that another order of summation causes in a short run."""
 DX = 0.125
 """Grid spacing of the bodies [m]; a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
@@ -38,7 +38,10 @@ def body(
 
 
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
-    """Return v [P,3] and C [P,3,3] of a volume-preserving extension along x; its rate is in 1/s."""
+    """Return velocities v [P,3] and their gradients C [P,3,3] for an extension along x.
+
+    The extension preserves volume; `strain_rate` is its rate [1/s].
+    """
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
 
@@ -54,12 +57,12 @@ def volume_ratios(solver: Solver) -> Array:
 
 
 def deform(solver: Solver, F: Array) -> None:
-    """Set the deformation gradients of all particles to F [P,3,3] or [3,3]."""
+    """Set the deformation gradients of all particles to F, which is [P,3,3] or [3,3]."""
     assign(solver, "F", np.broadcast_to(F, (len(solver.model.rest), 3, 3)))
 
 
 def assign(solver: Solver, name: str, values: Array) -> None:
-    """Overwrite the array `name` of the state."""
+    """Overwrite the array with the name `name` in the solver's state."""
     array, real = getattr(solver.state, name), solver.model.real
     scalars = values.astype(np.float32 if real is wp.float32 else np.float64)
     array.assign(wp.array(scalars, dtype=array.dtype, device="cpu"))

@@ -56,11 +56,11 @@ class Case(NamedTuple):
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether the table shows the precision and the device after the name of the case."""
+    """Whether the results show the precision and the device after the name of the case."""
 
 
 class Row(NamedTuple):
-    """A row of the table: a case, its bounds, the measured values and the verdict."""
+    """A row of the results: a case, its bounds, the measured values, and whether they are good."""
 
     case: str
     bound: str

@@ -144,11 +144,13 @@ def slow_drift(setting: Setting) -> list[Check]:
 FLAT = (0.01, 0.01, 1e-4)
 """Scales [m] of a flat Gaussian with an aspect ratio of 100."""
 APART = 0.05
-"""Two axes have defined directions if their lengths differ by at least this fraction."""
+"""Smallest relative difference between the lengths of two axes at which their directions are
+defined.
+"""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
-    """Return a body that rotates and vibrates, with one Gaussian on each particle."""
+    """Return a body that rotates and vibrates, and one Gaussian at each of its particles."""
     x = block(4, 0.25)
     spin, stretch = turning(x, (0.5, 1.0, 3.0)), vibrating(x, 1.0)
     s = body(x, setting, size=0.25, **{name: spin[name] + stretch[name] for name in spin})

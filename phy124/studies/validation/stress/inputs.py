@@ -24,7 +24,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def quick(setting: Setting, **changes: object) -> Scene:
-    """Return a scene with a coarse grid and two frames."""
+    """Return a scene that runs quickly, with a coarse grid and two frames."""
     resolution = {"cells": 8, "precision": setting.precision}
     return Scene().replaced({"accuracy": resolution, "time.frames": 2, **changes})
 
@@ -50,8 +50,9 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """Read a file with invalid values in some rows; return the Gaussians and the number of dropped
-    rows.
+    """Read a file that has invalid values in some rows.
+
+    Return the Gaussians, and the number of dropped rows.
 
     `poisons` maps a row to the name of a column and the invalid value for this column.
     """

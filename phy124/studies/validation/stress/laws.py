@@ -96,7 +96,7 @@ def thrown_sand(setting: Setting) -> list[Check]:
 
 
 HEAP = 0.4
-"""Radius of the heaps [m]."""
+"""Radius of the heaps of sand [m]."""
 
 
 def heap(setting: Setting) -> list[Check]:
@@ -149,7 +149,7 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
 
 
 def slope(heap: Solver) -> float:
-    """Measure the slope [degrees] of a heap that was initially a cone of radius `HEAP`.
+    """Measure the slope [degrees] of a heap of sand that was initially a cone of radius `HEAP`.
 
     The height of the surface in each ring around the axis is the mean of the three highest
     particles. The top and the foot of the heap are excluded.

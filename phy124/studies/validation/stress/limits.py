@@ -44,7 +44,7 @@ def check_isolated(setting: Setting) -> list[Check]:
 
 
 def check_coincident(setting: Setting) -> list[Check]:
-    """Check that the limit for a single particle also holds for 100 particles at one point."""
+    """Check that a single particle's stability limit also holds for 100 particles at one point."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
@@ -103,8 +103,9 @@ def disturb(
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """Check that values are finite and the number of substeps is as expected for E of 1e2 to 1e13
-    Pa.
+    """Check the values and the number of substeps for E from 1e2 to 1e13 Pa.
+
+    All values must be finite, and the number must be as expected.
     """
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
@@ -172,7 +173,10 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """Measurements of a block on another block: smallest and largest J, and number of substeps."""
+    """Results for a block that rests on another block.
+
+    They are the smallest and the largest J, and the number of substeps.
+    """
 
     min_J: float
     max_J: float
@@ -180,7 +184,7 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """Simulate, for a time [s], a block that rests on a block with a mass `ratio` times smaller."""
+    """Simulate a block on another block, whose mass is `ratio` times smaller, until a time [s]."""
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]

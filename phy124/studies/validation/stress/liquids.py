@@ -93,7 +93,7 @@ def bodies(setting: Setting) -> list[Check]:
 
 
 def bodies_on_lattices(setting: Setting) -> list[Check]:
-    """Check the same bodies on lattices, and the buoyancy of a stone on the floor.
+    """Check the bodies of the case `bodies` on lattices, and the buoyancy of a stone on the floor.
 
     The energy is compared in every frame. An undamped body with a hundredth of the density would be
     simulated by MPM (`phy124.scene.lattices`).
@@ -127,7 +127,7 @@ def _swing() -> Path:
 
 
 def _block(low: Sequence[float], high: Sequence[float]) -> Array:
-    """Return positions [P,3], m, of particles in a box between two corners, 8 in each cell."""
+    """Return positions [P,3], m, of particles in a box between two corners, with 8 in each cell."""
     counts = [round(2 * (b - a) / DX) for a, b in zip(low, high, strict=True)]
     return lattice(counts, DX / 2, low)
 
@@ -200,8 +200,9 @@ def _immerse(setting: Setting, material: NeoHookean) -> ImmersedSolver:
 
 
 def _advance(solver: AnySolver, time: float, after: Callable[[], object] = lambda: None) -> float:
-    """Simulate a duration [s], call a function after each frame, and return the largest speed in
-    the last quarter [m/s].
+    """Simulate a duration [s], and call a function after each frame.
+
+    Return the largest speed in the last quarter of the duration [m/s].
     """
     fastest, frames, start = 0.0, round(24 * time), solver.clock.time
     for frame in range(frames):

@@ -16,11 +16,13 @@ from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
 DEEPEST = 0.3
-"""Maximum permitted depth of a Gaussian below the floor [cells]."""
+"""Maximum permitted depth of a shape's Gaussian below the floor [cells]."""
 LOOSE = 0.4
-"""Maximum permitted depth below the floor with accuracy `fine` and the lattice solver [cells]."""
+"""Maximum permitted depth of a shape's Gaussian below the floor [cells], with accuracy `fine` and
+the lattice solver.
+"""
 PIERCED = 2.5
-"""Maximum permitted depth of a Gaussian inside another body [cells].
+"""Maximum permitted depth of a shape's Gaussian inside another body [cells].
 
 The method cannot prevent such penetration; see docs/lab/stability.md.
 """
@@ -119,7 +121,7 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
 
 
 def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) -> float:
-    """Return the largest depth of a shape's Gaussians in a cushion of the same material [cells].
+    """Return how deep a shape's Gaussians sink into a cushion of the same material [cells].
 
     Each Gaussian's position is mapped to the undeformed cushion, and its depth is measured there. A
     dent in the cushion is therefore not counted as penetration.
