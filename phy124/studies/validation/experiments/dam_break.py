@@ -64,8 +64,8 @@ PASTE = 630.0
 def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
     """Return the mean speeds dZ/dT of the front.
 
-    The first is between the positions `PASSAGE`, the second between the times `PERIOD`. The front is
-    at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
+    The first is between the positions `PASSAGE`, the second between the times `PERIOD`. The front
+    is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
     """
     start, end = np.interp(PASSAGE, front, time)
     low, high = np.interp(PERIOD, time, front)
