@@ -1,4 +1,4 @@
-"""A pinhole camera with pixel centres at half-integers, and the four views of the paper.
+"""A pinhole camera with pixel centres at half-integers, and the four views of the Phy124 paper.
 Only this module defines the camera's axes. The axes are OpenCV's: x right, y down, z forward. Pixel
 (i, j) covers [i, i+1) x [j, j+1), so its centre is (i + 0.5, j + 0.5). The optical axis meets the
 image at (width/2, height/2) unless the axis is shifted.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 VIEWS = {"front": 0.0, "right": 90.0, "back": 180.0, "left": 270.0}
 """Azimuths of the four views in the Phy124 paper [degrees]. The front of the object is its side
-towards +x, and the right is its side towards +y. The front is +x, the right is +y."""
+towards +x, and the right is its side towards +y."""
 FOV_Y = 49.1
 """Default vertical field of view [degrees]. LGM uses the same value."""
 

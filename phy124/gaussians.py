@@ -35,14 +35,15 @@ SH_C3 = (
     1.445305721320277,
     -0.5900435899266435,
 )
-"""Factors of the spherical harmonics of degrees 1 to 3. Signs and order are those of Kerbl et al.
-2023."""
+"""Factors of the spherical harmonics of degrees 1 to 3. The harmonics have the signs and the order
+of Kerbl et al. 2023."""
 SH_COEFFICIENTS = (1, 4, 9, 16)
 """Allowed values of K in `sh [N,K,3]`, for degrees 0 to 3."""
 
 
 BLOCK = 1 << 15
-"""Number of rows that are processed at a time, chosen so that they fit into the cache."""
+"""Number of rows of an array that are processed at a time, chosen so that they fit into the cache.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +234,7 @@ class Frame:
     """Force and torque of the object on each wall, by the wall's name; None if not requested."""
     carried: tuple[Array, Array] | None = None
     """Positions [C,3], m, and deformation gradients [C,3,3] of the particles that carry the
-    Gaussians. None if the frames are not kept in memory."""
+    Gaussians. The value is None if the frames are not kept in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,12 +253,12 @@ class Particles:
     material: NDArray[np.int32]
     """Material index of each particle [P]."""
     gaussian: NDArray[np.int32]
-    """Index of the Gaussian at the particle's position [P]; -1 if there is none."""
+    """For each particle, the index of the Gaussian at its position [P]; -1 if there is none."""
     body: NDArray[np.int32] | None = None
     """Object index of each particle [P]; None if there is a single object."""
     surface: NDArray[np.float64] | None = None
-    """Surface points [m], outward normals and object indices [S,7] of bodies on lattices. None if
-    there are no bodies on lattices.
+    """Surface points [m], outward normals and object indices [S,7] of bodies on lattices. The array
+    is None if there are no bodies on lattices.
     """
     copies: NDArray[np.int8] | None = None
     """For each cell of a lattice and each of its 27 nodes: which copy of the node the cell uses

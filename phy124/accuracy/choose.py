@@ -160,7 +160,10 @@ class _Runs:
         return simulation.run(record=self.see)
 
     def _make_denser(self, cells: int) -> None:
-        """Repeat a level on which the material tore; use more particles if the limit allows it."""
+        """Repeat the run on a grid on which the material tore.
+
+        The repeated run uses more particles if the limit allows it.
+        """
         self.denser = self.scene.particles_per_axis + 1 <= DENSEST
         if self.denser:
             with suppress(InputError):

@@ -112,7 +112,9 @@ def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGRE
 def longest_convergence(
     spacings: Sequence[float], clips: Sequence[NDArray], size: float = 1.0
 ) -> tuple[Convergence, int]:
-    """Estimate the errors over the clips' longest initial part in which the levels converge.
+    """Estimate the errors on several grids from the initial part of the clips.
+
+    The longest part is used in which the results on finer grids converge.
 
     The motions on two grids may become different, for example if the object topples on only one of
     the grids. As long as the motions agree, the results on finer grids converge.

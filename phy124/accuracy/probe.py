@@ -50,8 +50,8 @@ ROUNDS = 5
 GRAPH_PROBE = (20, 120)
 """Numbers of substeps in the two short runs that measure the time of a substep on a GPU.
 
-A substep on a GPU takes so little time that the fixed cost of a frame would dominate a single
-probe. The difference between the times of the two runs does not contain this fixed cost.
+A substep on a GPU takes so little time that the fixed cost of a frame would dominate a single short
+run. The difference between the times of the two runs does not contain this fixed cost.
 """
 FILMED = 2, 6
 """Numbers of frames of two test videos, which separate the cost per video from the cost per
@@ -333,8 +333,10 @@ class Pilot:
         return self.dx / dx
 
     def substeps(self, cells: int, rest: float | None = None) -> tuple[int, dict[str, float]]:
-        """Predict the number of substeps on another grid, and for each stability limit the fraction
-        of the substeps that it determines.
+        """Predict the number of substeps on another grid.
+
+        Also return, for each stability limit, the fraction of the substeps whose length it
+        determines.
 
         The number of substeps in a frame is rounded up.
 

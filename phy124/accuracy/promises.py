@@ -36,8 +36,8 @@ class Promise:
     """The error bound of a scene, or the reason why there is none."""
 
     error: float | None
-    """Error bound: a limit of the RMS distance of the Gaussians from the exact motion. None if
-    there is no bound.
+    """Error bound: a limit of the RMS distance of the Gaussians from the exact motion. The value is
+    None if there is no bound.
 
     The bound is a fraction of the object's size. The RMS is taken over the clip, or over its first
     `seconds`.

@@ -42,7 +42,10 @@ class Clamp(Movable):
         return self.contact == "sticky"
 
     def response(self) -> str:
-        """Return "held" for sticky clamps, which act up to their surface; otherwise `contact`."""
+        """Return the rule by which nodes respond: "held" for sticky clamps, otherwise `contact`.
+
+        A sticky clamp acts exactly up to its surface.
+        """
         return "held" if self.contact == "sticky" else self.contact
 
     def reach(self, dx: float) -> float | None:
@@ -71,7 +74,9 @@ class Held(Clamp):
         return self
 
     def outline(self) -> str:
-        """Return the name of the distance function of a box or a cylinder."""
+        """Return the name of the function that computes the distance from the box or the
+        cylinder.
+        """
         return "cylinder" if self.cylinder else "box"
 
     def geometry(self, model: Rest) -> tuple[Vector, Vector, Vector]:

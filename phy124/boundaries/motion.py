@@ -65,7 +65,7 @@ class Path(Motion):
         return Track(to_keys(times, points), origin=self.start, period=period)
 
     def gentler(self) -> dict[str, Any]:
-        """Return new field values that double the time of the path."""
+        """Return new field values that double the duration of the motion along the path."""
         return {"times": [2 * time for time in self.times]}
 
 
@@ -101,7 +101,7 @@ class Free(Section):
 
 AnyMotion = Annotated[Path | Swing, Field(discriminator="kind")]
 OwnMotion = Annotated[Path | Swing | Free, Field(discriminator="kind")]
-"""The motions of a rigid object of the scene."""
+"""The kinds of motion that a rigid object of a scene may have."""
 
 
 def to_keys(times: np.ndarray, points: np.ndarray) -> tuple[Key, ...]:

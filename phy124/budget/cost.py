@@ -55,8 +55,9 @@ BYTES_PER_POINT = 1100
 """Memory per lattice point, including the arrays from which the lattice is built [bytes]."""
 BYTES_PER_NODE = 32
 BYTES_PER_CELL = 4 * 1000
-"""Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. Each
-such cell takes 1 kB. In a basin, the liquid may spread over four times as many cells as at rest.
+"""Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. A cell
+that contains liquid takes 1 kB. In a basin, the liquid may spread over four times as many cells as
+at rest.
 """
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""
@@ -70,7 +71,7 @@ BYTES_PER_SHAPE = 250
 
 @dataclass(frozen=True)
 class Rates:
-    """Costs per unit of work on a machine."""
+    """Time that a machine needs for one unit of each kind of work."""
 
     generate: float = 3.0
     """Seconds to make Gaussians from a picture."""
@@ -141,7 +142,8 @@ class Work:
         *,
         nodes: float | None = None,
     ) -> Work:
-        """Return the work of a run whose counts are known.
+        """Return the amounts of work in a run from its numbers of substeps, particles, frames and
+        nodes.
 
         Args:
             scene: The scene.
@@ -205,7 +207,7 @@ def largest_speed(scene: Scene) -> float:
 
 
 def _acceleration(force: Force, mass: float) -> float:
-    """Return the largest acceleration [m/s^2] of an object of this mass [kg] by a force."""
+    """Return the largest acceleration [m/s^2] that a force gives to an object of this mass [kg]."""
     match force:
         case TotalForce():
             return math.hypot(*force.f) / mass

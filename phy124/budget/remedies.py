@@ -175,7 +175,7 @@ SLOW = {
     "user": ("ceiling",),
     "wave": (),
 }
-"""Keys of the `REMEDIES` that lengthen the substep, by the limit that determines the substep."""
+"""For each limit of the substep, the keys of the `REMEDIES` that lengthen the substep."""
 
 
 def _reduce_viscosity(scene: Scene) -> Remedy | None:

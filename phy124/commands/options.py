@@ -45,7 +45,8 @@ def help_of(model: Any, name: str, *, example: str = "") -> Any:
 
 
 Listed = tuple[str, ...] | None
-"""Several values, separated by spaces or commas. The scene checks the values."""
+"""Several values, separated by spaces or commas. These values are checked when the scene is made.
+"""
 
 
 @dataclass(frozen=True)

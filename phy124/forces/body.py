@@ -97,7 +97,9 @@ class Impulse(Force):
         return Track(track.keys, self.start, end, track.origin, track.period, mean)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Accelerate the region by p / (m I), with its mass m and the profile's time integral I."""
+        """Accelerate the region by p / (m I), where m is its mass and I the time integral of the
+        profile.
+        """
         x, y, z = per_mass(self, self.p, model)
         time = self.duration * self._mean()
         return accelerate(self, (x / time, y / time, z / time), model, state, tracks)

@@ -39,7 +39,8 @@ class Cost(NamedTuple):
     cells: int
     substeps: float
     others: float
-    """Time that does not depend on the grid [s]: computing and showing the Gaussians."""
+    """Computing time of a frame that does not depend on the grid [s]: computing and showing the
+    Gaussians."""
 
     def on(self, cells: int) -> float:
         """Estimate the computing time of a frame on another grid [s]."""

@@ -24,7 +24,7 @@ class GrabRecord:
     options: dict[str, Any]
     """Constant fields of `Grab`."""
     times: list[float]
-    """Time of each target since `start` [s]."""
+    """Time of each target of the grab, counted from `start` [s]."""
     targets: list[Vector]
     end: float | None = None
     """Time of release [s]; None before the release."""

@@ -142,7 +142,7 @@ def check_number(field: str, value: float, least: float, most: float) -> float:
 
 
 def shorten(field: str, value: Sequence[float], most: float, unit: str) -> tuple[Vector, str]:
-    """Limit the length of a vector; return the vector and a sentence.
+    """Limit the length of a vector; return the vector and a sentence about the reduction.
 
     The sentence is empty if the vector was not changed.
 

@@ -14,7 +14,8 @@ from phy124.schema.section import Section
 FEW = 1.5
 """Number of particles per cell and axis for metal, foam and granular materials, which cannot tear.
 With 2 particles per cell and axis, a run takes 1.7 times as long and its error does not change
-(docs/lab/accuracy.md). Plasticine has 2, because its surface becomes bumpy with fewer particles.
+(docs/lab/accuracy.md). For plasticine the number is 2, because its surface becomes bumpy with fewer
+particles.
 """
 FLOWING = 4.0
 """Limit on the longest axis of Gaussians in plastic or fluid material, relative to its length at
@@ -153,7 +154,9 @@ class Material(Section):
         return math.inf
 
     def cheaper(self, field: str) -> str:
-        """Return a remedy for slow runs, for messages; `field` is the material's scene field."""
+        """Return a remedy for slow runs, for messages; `field` is the path of the material in the
+        scene.
+        """
         return f"a smaller {field}.E"
 
     def notes(self) -> list[str]:

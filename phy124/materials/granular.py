@@ -57,7 +57,7 @@ class Sand(Logarithmic):
     """Poisson's ratio."""
     friction_angle: float = Field(default=35.0, ge=1, le=60)
     """Angle of internal friction in triaxial compression [degrees]. Heaps are up to 5 degrees
-    steeper.
+    steeper than this angle.
     """
     repose_angle: float | None = Field(default=None, ge=1, le=60, examples=[34.0])
     """Slope angle of heaps [degrees]. Default: determined by friction_angle."""
@@ -106,8 +106,8 @@ class Snow(Elastic):
     compression: float = Field(default=0.025, ge=1e-4, le=0.5)
     """Compression at which snow starts to pack."""
     extension: float = Field(default=0.0075, ge=1e-4, le=0.5)
-    """Stretch at which snow starts to break. If it is below nu x compression, pressed snow is
-    pushed apart sideways.
+    """Stretch at which snow starts to break. If this value is below nu x compression, pressed snow
+    is pushed apart sideways.
     """
     hardening: float = Field(default=10.0, ge=0, le=20)
     """Rate at which packing increases the stiffness, up to a factor e^4."""
@@ -135,8 +135,9 @@ class Snow(Elastic):
         return min(elastic, math.log(growth) / max(self.hardening, 1.0))
 
     def histories(self, x: NDArray) -> NDArray[np.float64]:
-        """Return the initial Jp - 1 (zero) and the relative deviation of `extension` [P,2] at x
-        [P,3], m.
+        """Return the initial history variables [P,2] of the particles at x [P,3], m.
+
+        They are Jp - 1, which is zero, and the relative deviation of `extension`.
         """
         rows = super().histories(x)
         if self.unevenness:

@@ -50,9 +50,9 @@ OBSERVERS: tuple[type[Observer], ...] = (
 """All observers, in the order in which a run calls them.
 
 Each observer adds its stages around the stages of the observers before it. `ExternalWork` therefore
-measures all walls together. Its measurement includes the stages that measure single walls. If an
-observer finds an error, the attempt to compute the frame ends, so `Tearing` reads only valid
-frames.
+measures all walls together. The measurement of `ExternalWork` includes the stages that measure
+single walls. If an observer finds an error, the attempt to compute the frame ends, so `Tearing`
+reads only valid frames.
 """
 
 

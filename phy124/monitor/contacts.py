@@ -122,7 +122,7 @@ class Contacts(Observer):
         return {str(worker): wp.clone(sums) for worker, sums in self._impulses.items()}
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums from a snapshot."""
+        """Restore the sums of the walls' impulses from a snapshot."""
         for worker, sums in self._impulses.items():
             copy = snapshot.get(str(worker))
             sums.zero_() if copy is None else sums.assign(copy)

@@ -58,7 +58,7 @@ class CoupledWatchdog(LatticeWatchdog):
     """Checks a run that has both lattices and particles."""
 
     def totals_of(self, solver: Any) -> Totals:
-        """Return the sums over the solver's nodes and particles."""
+        """Return the sums of momentum and energy over the solver's nodes and particles."""
         return CoupledTotals(solver)
 
 

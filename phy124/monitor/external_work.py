@@ -44,7 +44,7 @@ SOURCES = (PUSH, WALL, UNIFORM, MEAN_PUSH, MEAN)
 ROOM = 16
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 IMPULSES = slice(kernels.IMPULSE, kernels.IMPULSE + 3)
-"""Position of the impulse in an array of impulse and work."""
+"""Place of the impulse in an array that contains impulse and work."""
 Sums = NDArray[np.float64]
 
 
@@ -232,7 +232,7 @@ class ExternalWork(Observer):
         return float(self._sum(WALL)[kernels.WORK])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot of the state, as plain data."""
+        """Return a snapshot of the sums of impulse and work, as plain data."""
         return {
             "closed": {name: sums.tolist() for name, sums in self._closed.items()},
             "open": {name: sums.numpy().tolist() for name, sums in self._device.items()},
@@ -242,7 +242,7 @@ class ExternalWork(Observer):
         }
 
     def restore(self, snapshot: dict[str, Any]) -> None:
-        """Restore the sums from a snapshot."""
+        """Restore the sums of impulse and work from a snapshot."""
         self._closed = {name: np.array(sums) for name, sums in snapshot["closed"].items()}
         for name, sums in snapshot["open"].items():
             open_sums = np.array(sums) if sums else np.zeros((0, ROOM))
@@ -265,7 +265,7 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the sums of all workers, added up, since their kernel launches were last
+        """Return the impulse and work that all workers have summed since launches were last
         recorded.
         """
         rows: NDArray[Any] = self._device[name].numpy()

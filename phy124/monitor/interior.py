@@ -199,7 +199,7 @@ class Interior(Observer):
 
     @cached_property
     def _neighbours(self) -> NDArray[np.intp]:
-        """Neighbours at rest of each particle in `_inside` [I,7]."""
+        """Indices of the neighbours at rest of each particle that a tear may expose [I,7]."""
         return np.concatenate([neighbours for *_, neighbours in self._objects])
 
     def _prepare_object(

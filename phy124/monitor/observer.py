@@ -180,8 +180,10 @@ class Observer(Kept):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the kernel launch that follows the gather of a worker's particles (if
-        `in_gathers`).
+        """Record the kernel launch that follows each transfer from the grid to a worker's
+        particles.
+
+        The method is called if `in_gathers` is set.
 
         Args:
             part: A worker's particles of one law.

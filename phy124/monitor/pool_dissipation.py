@@ -257,6 +257,6 @@ class ImmersedDissipation(PoolDissipation):
 
 
 def without_liquids(subject: Subject) -> Subject:
-    """Return the subject without the materials that are liquids."""
+    """Return the properties of the run, without the materials that are liquids."""
     solid = [section for section in subject.materials if section.device_law.name != "fluid"]
     return subject._replace(materials=solid)

@@ -71,8 +71,8 @@ class Sleep(Observer):
         self.since: int | None = None
         """Index of the first skipped frame; None if there is none."""
         self.skipped = self.saved = 0
-        """Number of skipped frames, and number of substeps that this saved. The second number is
-        estimated from the last computed frame."""
+        """Number of skipped frames, and number of substeps that this saved. The number of substeps
+        is estimated from the last computed frame."""
 
     @classmethod
     def called_for(cls, subject: Subject) -> bool:

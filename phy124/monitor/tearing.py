@@ -39,8 +39,8 @@ MANY, FEW = 5e-3, 3
 particles in a cross-section. At the corners of a body, a few particles always separate.
 
 In tests, ducks were pressed, dropped and bounced. Every duck stayed whole if fewer than 5.2e-3
-P^(2/3) particles were that far apart. With 6.7e-3 P^(2/3) such particles, a duck lost its head.
-With 7.9e-3 P^(2/3), another duck stayed whole.
+P^(2/3) particles were farther apart than `APART`. With 6.7e-3 P^(2/3) such particles, a duck lost
+its head. With 7.9e-3 P^(2/3), another duck stayed whole.
 """
 REACH = 1.5
 """Reach of a particle's B-spline [cells]. A wider layer without particles separates two pieces of
@@ -53,7 +53,7 @@ ALONE = 1.0
 """A particle has no neighbours if the distance between particles at rest is larger than this
 [cells]."""
 STURDY = 1e9
-"""Stretch limit that no particle reaches. It excludes a particle from the check."""
+"""Stretch limit that no particle reaches. A particle with this limit is excluded from the check."""
 FAR = 4096
 """Number of cubes of space along an axis above which empty space is removed before pieces of
 material are labelled."""

@@ -48,8 +48,8 @@ energy exceeds any limit within a few frames.
 EXCHANGE_GAIN = 0.25
 """There is a note if the exchange between a liquid and bodies creates more than this fraction of
 the largest supplied energy. The created energy is computed only if `checks.energy` is on. In 14
-test scenes, it is at most 15 %. In 3 scenes with foam or very light bodies, it is 77 to 148 %
-(docs/design/liquids.md).
+test scenes, the created energy is at most 15 %. In 3 scenes with foam or very light bodies, the
+created energy is 77 to 148 % (docs/design/liquids.md).
 """
 MOMENTUM_GAIN = {"float32": 1e-3, "float64": 1e-6}
 """Tolerated spurious momentum, relative to all transferred momentum."""
@@ -64,8 +64,8 @@ LEVEL = 0.05
 energy that lifts the liquid by this height.
 """
 CROWDED = 0.1
-"""Largest mean excess of the density of a liquid with projected pressure. If this excess is
-exceeded, the space between the walls is too small for the liquid."""
+"""Largest mean excess of the density of a liquid with projected pressure. If the excess is larger,
+the space between the walls is too small for the liquid."""
 ROUNDING = {"float32": 1e-5, "float64": 1e-12}
 """Largest energy loss due to rounding, relative to the sum of absolute work."""
 QUIET = 1e-9
@@ -77,10 +77,10 @@ UNSEEN = 3e-4
 FADING = {"float32": 2e-9, "float64": 4e-18}
 """Largest strain per substep due to rounding errors of F.
 
-F grows by dt C F. In a stiff body that rotates slowly, F changes in a substep by less than its last
-digit, so rounding strains the body. The measured strain per substep in float32 is 3e-10, at any
-distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy of a strain is quadratic
-in the strain, and a quarter of the energy is tolerated.
+In a substep dt, F grows by dt C F. In a stiff body that rotates slowly, F changes in a substep by
+less than its last digit, so rounding strains the body. The measured strain per substep in float32
+is 3e-10, at any distance from the origin, or 7e-10 with half the `accuracy.cfl`. The energy of a
+strain is quadratic in the strain, and a quarter of the energy is tolerated.
 """
 FAST = ("solver", "cells", "push")
 ROUNDED = ("precision",)
@@ -147,7 +147,7 @@ class Watchdog(Observer):
         yield from (make_totals(law, real) for law in subject.laws)
 
     def bind(self, solver: AnySolver, observers: Sequence[Observer] = ()) -> None:
-        """Bind to the solver; its state is the initial state of the run."""
+        """Connect the observer to the solver, whose state is the initial state of the run."""
         self._solver = solver
         self.model, self.state, self.clock = solver.model, solver.state, solver.clock
         self.external = find(observers, ExternalWork)

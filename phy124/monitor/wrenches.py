@@ -155,8 +155,8 @@ class Wrenches(Observer):
         return wrenches
 
     def report(self, frames: Sequence[Frame]) -> dict[str, Any]:
-        """Return the report's sections about wrenches on walls and, if there are several objects,
-        in pairs.
+        """Return the report's sections about wrenches on walls and, with several objects, between
+        objects.
         """
         report = {"walls": summary(frames, self.walls) if self._of_walls else None}
         if self._of_pairs:

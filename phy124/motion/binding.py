@@ -32,7 +32,8 @@ class Binding(NamedTuple):
     """The particles that carry each Gaussian, and their weights."""
 
     particles: NDArray[np.int32]
-    """Indices of the K particles of each Gaussian [N,K], or of its single particle [N]."""
+    """Indices of the K particles that carry each Gaussian [N,K], or of the single particle that
+    carries it [N]."""
     weights: NDArray[np.float32] | None
     """Weights that sum to 1 [N,K]; None if each Gaussian follows a single particle."""
 

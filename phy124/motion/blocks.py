@@ -15,7 +15,7 @@ THREADS = "shapes"
 
 
 class Step(NamedTuple):
-    """A kernel that is launched over the Gaussians."""
+    """A kernel that processes the Gaussians, with its arguments."""
 
     kernel: Any
     mine: list[Any]

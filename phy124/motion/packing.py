@@ -27,7 +27,8 @@ STEP_F = 2.0**-10
 FRAMES = 32
 """Number of frames that are packed together."""
 FAST = 1 << 20
-"""Arrays with more values than this are compressed at the second, faster level of `LEVELS`."""
+"""Arrays with more values than this number are compressed at the second, faster level of `LEVELS`.
+"""
 LEVELS = 9, 1
 """Levels of compression for small and for large arrays."""
 BITS = 10
@@ -143,7 +144,7 @@ def _take_gaussians(arrays: Tensors, prefix: str = "") -> Gaussians:
 
 
 class Steps:
-    """The frames of a packed array of the particles.
+    """One packed array of the motion (positions or deformation gradients), read frame by frame.
 
     The group of frames that was read last stays unpacked.
     """

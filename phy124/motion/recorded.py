@@ -45,7 +45,7 @@ MOVING = ("means", "quats", "scales", "rotations")
 
 
 class Rows(Protocol):
-    """One array per frame."""
+    """A sequence with one array per frame."""
 
     def __len__(self) -> int: ...
 
@@ -350,7 +350,7 @@ class Computed(NDArrayOperatorsMixin):
         return np.stack([self[int(index)][rest] for index in chosen])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
-        """Return the whole array."""
+        """Compute all frames, and return the whole array."""
         return np.asarray(self[:], dtype)
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:

@@ -104,7 +104,10 @@ class Scenery:
 
 
 def _multiply(a: NDArray, b: NDArray) -> NDArray[np.float64]:
-    """Multiply quaternions wxyz a [4] and b [..., 4]; the product rotates by b, then by a."""
+    """Multiply the quaternions wxyz `a` [4] and `b` [..., 4].
+
+    The product rotates by `b`, and then by `a`.
+    """
     w, v = b[..., :1], b[..., 1:]
     first = a[0] * w - (v @ a[1:])[..., None]
     return np.concatenate([first, a[0] * v + w * a[1:] + np.cross(a[1:], v)], axis=-1)

@@ -61,7 +61,7 @@ class Objects(NamedTuple):
     """The objects of a scene that are made from pictures or files."""
 
     gaussians: Gaussians
-    """Gaussians of these objects, with `object_id` if there are several."""
+    """Gaussians of the objects, with `object_id` if there are several objects."""
     scene: Scene
     """The scene. Each object of this scene stores its position in its picture."""
     about: dict[str, Any]
@@ -294,7 +294,7 @@ def check_sources(scene: Scene, more: Sequence[PathLike]) -> None:
 
 
 def at_rest(path: PathLike) -> Gaussians:
-    """Return the object of a clip in the first frame.
+    """Return the Gaussians of a clip's object in the first frame.
 
     Raises:
         InputError: The file is not a clip, or the clip has several objects.

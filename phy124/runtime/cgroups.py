@@ -76,7 +76,9 @@ def _quota(group: Path) -> float:
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """Yield the folders of the groups that control this process, each followed by its parents."""
+    """Yield the folders of the control groups of this process, each followed by its parent
+    folders.
+    """
     paths = dict(_own_groups(root))
     for mount in _mounts(root):
         if mount.version == 1 and controller not in mount.controllers:

@@ -9,8 +9,8 @@ from phy124.mpm.timestep import beside_rpic
 from phy124.schema.section import Section, omit_default
 
 USUAL = {"transfer": "apic", "gradient": "affine", "rpic_damping": 0.0}
-"""Default settings of MPM's transfers between particles and grid. All other solvers ignore these
-settings.
+"""Default settings of MPM's transfers between particles and grid. Solvers other than MPM ignore
+these settings.
 """
 
 
@@ -117,7 +117,7 @@ def describe_accuracy() -> str:
 
 
 def _list_choices(kind: Any) -> list[str]:
-    """List the texts that a type accepts."""
+    """Return all texts that a `Literal` type accepts."""
     if isinstance(kind, str):
         return [kind]
     return [choice for each in get_args(kind) for choice in _list_choices(each)]

@@ -21,7 +21,7 @@ TAGS = ("law", "kind")
 LENGTH = ("time.frames", "time.seconds")
 """Two fields that set a scene's length; a change of `time.seconds` removes `time.frames`."""
 BARE = re.compile(r"([\[,=]\s*)(?!(?:true|false|inf|nan)\b)([A-Za-z][\w./-]*)(?=\s*[],}])")
-"""A word without quotes that is a value of a list or an inline table."""
+"""Matches a word without quotes that is a value in a list or an inline table."""
 REFERENCE = "`phy124 scenes --reference` lists all fields."
 
 

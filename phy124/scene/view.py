@@ -113,7 +113,8 @@ class View(Section):
 
     seamless: bool = False
     """Make videos that repeat without a jump. If the object nearly returns to its first pose, the
-    last pictures fade into the first pictures. If not, the motion runs forwards and then backwards.
+    last pictures fade into the first pictures. If the object does not return, the motion runs
+    forwards and then backwards.
     """
     megabytes: float | None = Field(default=None, gt=0, le=1000, examples=[2.0])
     """Largest size of a gif or webp [MB]: pictures are reduced until it fits."""
@@ -163,7 +164,7 @@ class View(Section):
         return next((camera for camera in self.cameras if camera.name == side), None)
 
     def only(self, side: str) -> View:
-        """Return the section with only the view that has this name."""
+        """Return a copy of these options with only the view of this name."""
         camera = self.camera(side)
         views = tuple(name for name in self.views if name == side)
         angle = () if views or camera else (float(side.removeprefix("azimuth-")),)

@@ -87,7 +87,8 @@ class Kinds:
     group: str
     """Entry-point group that registers kinds, one of the `GROUPS`."""
     union: Any
-    """Union of the kinds that phy124 defines, which plugins cannot replace."""
+    """Union of the classes that phy124 defines for the kinds. Plugins cannot replace these classes.
+    """
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:

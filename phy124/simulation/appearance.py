@@ -28,7 +28,7 @@ class Appearance(NamedTuple):
     gaussians: Gaussians
     """All N + G Gaussians at rest, in metres; the grains come last."""
     particles: Particles
-    """Particles of the solver. Each moving Gaussian may be represented by a particle."""
+    """Particles of the solver. A particle may represent a moving Gaussian."""
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that move [N + G]."""
     max_stretch: NDArray[np.float64]
@@ -186,7 +186,9 @@ def _laws(materials: Sequence[AnyMaterial]) -> list[str]:
 
 
 def _elongation(scales: Array, chosen: NDArray[np.int64]) -> tuple[float, float]:
-    """Return the largest ratios of the longest axis to the middle and to the shortest axis."""
+    """Return the largest ratios of a Gaussian's longest axis to its middle and to its shortest
+    axis.
+    """
     needle = flat = 1.0
     for start in range(0, len(chosen), BLOCK):
         # Sorting the three lengths of each Gaussian would take six times as long.

@@ -51,7 +51,7 @@ class Placed(NamedTuple):
     """One object in its final position in the scene."""
 
     scene: Scene
-    """The scene without the other objects."""
+    """The scene with only this object."""
     cleaned: Cleaning
     belonging: NDArray[np.bool_]
     """Mask of the Gaussians that belong to the object, not to its surroundings [N]."""
@@ -69,7 +69,7 @@ class Body(NamedTuple):
     """One object, or all objects of a scene combined, ready for the solver."""
 
     scene: Scene
-    """The scene; its parts refer to the Gaussians after cleaning."""
+    """The scene. Its parts select Gaussians by their indices after cleaning."""
     cleaning: list[str]
     """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
@@ -80,7 +80,8 @@ class Body(NamedTuple):
     stiffness: NDArray | None
     """Factor on Young's modulus of the material for each particle [P]; None if all are 1."""
     interiors: Sequence[tuple[Solid, float]] = ()
-    """Interior, without surroundings, and longest side [m] of each moving object."""
+    """For each moving object: its interior, without its surroundings, and the length of its longest
+    side [m]."""
     placed: Placed | None = None
     """The object in its position; None if there are several objects."""
 

@@ -30,7 +30,7 @@ class Buried(NamedTuple):
     """Fraction of the material that starts more than `DEEPEST` cells behind the surface of the
     wall."""
     depth: float
-    """Depth of the deepest particle [m]."""
+    """Depth of the deepest particle inside the wall [m]."""
 
     @property
     def what(self) -> str:

@@ -366,7 +366,7 @@ class Simulation:
         return every and known
 
     def _motion(self, times: NDArray[np.float64]) -> Motion:
-        """Return the motion from which the Gaussians are computed at some times [T], s."""
+        """Return the motion at some times [T], s, from which the Gaussians can be computed."""
         setup, count = self.setup, len(self.frames)
         carried = [frame.carried for frame in self.frames if frame.carried is not None]
         tracks = [track.values(times) for _, track in setup.scenery.tracks]

@@ -51,13 +51,14 @@ class Setup:
     solid_scene: Scene
     """The scene, in which objects on a path are also walls."""
     cleaned_scene: Scene
-    """The scene; its parts refer to the Gaussians after cleaning."""
+    """The scene. Its parts select Gaussians by their indices after cleaning."""
     cleaning: list[str]
     """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
     """The cleaned Gaussians at rest, at their positions in the scene [m]."""
     interiors: Sequence[tuple[Solid, float]]
-    """Interior, without surroundings, and longest side [m] of each moving object."""
+    """For each moving object: its interior, without its surroundings, and the length of its longest
+    side [m]."""
     placed: Placed | None
     """The object in its final position, for further setups; None if there are several objects."""
     appearance: Appearance
@@ -207,7 +208,8 @@ def sort_for_slabs(
     dx: float,
     axis: int,
 ) -> tuple[Particles, NDArray | None]:
-    """Return particles sorted by layers of cells, so that each slab is contiguous in memory.
+    """Return the particles, sorted so that those of each slab (layers of cells) are stored
+    together.
 
     Args:
         particles: Particles sorted by law, and along x within each law; the order of laws is kept.

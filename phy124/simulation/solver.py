@@ -152,7 +152,8 @@ def find_tops(
 
 
 def wrap(scene: Scene, observers: Sequence[Observer]) -> dict[str, Any]:
-    """Return the arguments of the solver's `bind`: forces and boundaries, wrapped by the observers.
+    """Return the forces and boundaries for `bind` of the solver, with the stages that observers
+    add.
 
     The solver of a liquid with projected pressure itself sums the impulses of walls.
     """

@@ -159,7 +159,8 @@ class About:
     work: float = 0.0
     """Measured work of the network for one picture; 0 if it was not measured.
 
-    The unit is one operation of a product of float32 matrices that takes as long.
+    The value is the number of operations of a float32 matrix product that takes as long as the
+    network.
     """
 
 

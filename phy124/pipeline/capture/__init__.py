@@ -96,7 +96,7 @@ def in_file_units(scene: Scene) -> bool:
 
 @dataclass(frozen=True)
 class _Read:
-    """Gaussians with the default position and size.
+    """The Gaussians of a file, turned upright and scaled to the default position and size.
 
     A position y in the file was mapped to `x = scale * rotation @ (y - origin) + offset`.
     """
