@@ -43,21 +43,23 @@ from phy124.simulation import Simulation, prepare
 from phy124.simulation.bodies import Placed
 
 FIRST = (12, 16, 24)
-"""Cells across the object on the first levels; an order of convergence needs three levels."""
+"""Cells across the object on the grids that are simulated first. An order of convergence needs
+three grids."""
 STEP = 1.5
-"""Largest ratio of the cells across the object between a new level and the finest level so far."""
+"""Largest ratio of the cells across the object between a new grid and the finest grid so far."""
 CELLS = (8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-"""Numbers of cells across the object on the grids after the first levels.
+"""Numbers of cells across the object on the grids that may follow the first grids.
 
 A run on the finest grids takes minutes on two cores, and less than 2 GB of memory.
 """
 GUESSED_ORDER = 1.0
-"""Order of convergence that is assumed if the levels do not converge. With free surfaces, the error
-is of first order."""
+"""Order of convergence that is assumed if the results on the grids do not converge. With free
+surfaces, the error is of first order."""
 START = 16
 """The search for a maximum time begins on a grid with this number of cells across the object."""
 ATTEMPTS = 2
-"""Maximum number of further levels that are run if the first levels do not converge."""
+"""Maximum number of further grids that are simulated if the results on the first grids do not
+converge."""
 DENSEST = 4.0
 """Maximum number of particles per cell and axis."""
 
@@ -176,7 +178,7 @@ class _Runs:
 
     @property
     def torn(self) -> list[int]:
-        """Levels on which the material may have torn. Estimates of the error ignore them."""
+        """Grids on which the material may have torn. Estimates of the error ignore these grids."""
         tearing = {level: run.find(Tearing) for level, (run, _) in self.done.items()}
         return sorted(level for level, search in tearing.items() if search and search.likely)
 
@@ -423,7 +425,7 @@ def _sum_compilation(runs: _Runs) -> float:
 
 
 def _sum_preparation(runs: _Runs) -> float:
-    """Return the time spent so far on creating particles and solvers for all levels [s]."""
+    """Return the time spent so far on creating particles and solvers for all grids [s]."""
     seconds = runs.context.watch.seconds
     return sum(seconds.get(stage, 0.0) for stage in ("particles", "compile"))
 

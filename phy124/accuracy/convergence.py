@@ -27,36 +27,38 @@ SAFETY = 1.25
 """Factor on the errors if the order is outside `TRUSTED` by more than `NEAR` (Roache 1998)."""
 NEAR = 0.1
 AGREE = 1e-5
-"""Levels count as equal if the distance between them is at most this value, in the unit of the
+"""Two results count as equal if the distance between them is at most this value, in the unit of the
 results."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Order of convergence and errors of grid levels, estimated from distances between levels."""
+    """Order of convergence and errors of grids (levels), from distances between their results."""
 
     order: float | None
-    """Observed order of convergence; None if the levels do not converge, or if all levels agree."""
+    """Observed order of convergence. It is None if the results on the grids do not converge, or if
+    they all agree."""
     errors: tuple[float, ...] = ()
-    """Estimated error of each level, in the unit of the distances; empty without an estimate."""
+    """Estimated error on each grid, in the unit of the distances; empty without an estimate."""
     why_not: str = ""
     """Reason why there is no estimate of the errors."""
     note: str = ""
     """Remark on the estimated errors, such as the reason why they are only rough."""
     exact: tuple[float, ...] = ()
-    """Weights of the levels in the extrapolated result; the weights sum to 1."""
+    """Weights of the grids' results in the extrapolated result; the weights sum to 1."""
     inside: float = 0.0
-    """Mean, weighted by `exact`, of the levels' square distances from the extrapolated result."""
+    """Mean, weighted by `exact`, of the square distances between the grids' results and the
+    extrapolated result."""
     factor: float = 1.0
     """Safety factor by which the errors are multiplied."""
 
     @property
     def error(self) -> float | None:
-        """Estimated error of the finest level; None if there is no estimate."""
+        """Estimated error on the finest grid; None if there is no estimate."""
         return self.errors[-1] if self.errors else None
 
     def error_of(self, apart: NDArray) -> float | None:
-        """Estimate the error of a result from its distances to the results of all levels [L].
+        """Estimate the error of a result from its distances to the results on all grids [L].
 
         Returns:
             The error, or None if there is no extrapolated result.
@@ -68,7 +70,7 @@ class Convergence:
 
 
 def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
-    """Return the order of convergence of levels whose errors are known.
+    """Return the order of convergence of grids whose errors are known.
 
     The order is the slope of a straight line, fitted by least squares, in a log-log plot of the
     error over the spacing.
@@ -77,7 +79,7 @@ def fit_order(spacings: Sequence[float], errors: Sequence[float]) -> float:
 
 
 def richardson(spacings: Sequence[float], apart: NDArray, *, agree: float = AGREE) -> Convergence:
-    """Estimate the order of convergence and the error of each level, from three or more levels.
+    """Estimate the order of convergence and the error on each grid, from three or more grids.
 
     Args:
         spacings: Grid spacings, from coarse to fine [L].
@@ -146,7 +148,7 @@ def longest_convergence(
 
 
 def _observe_order(h: NDArray, apart: NDArray) -> float:
-    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of pairs of levels."""
+    """Return the order p for which C |h_i^p - h_j^p| best fits the distances of pairs of grids."""
     orders, pairs = np.linspace(*ORDERS, 251), np.triu_indices(len(h), 1)
     power = h[:, None] ** orders
     ratio = np.log(apart[pairs][:, None] / (power[pairs[0]] - power[pairs[1]]))
@@ -154,7 +156,7 @@ def _observe_order(h: NDArray, apart: NDArray) -> float:
 
 
 def _fit(h: NDArray, apart: NDArray, p: float) -> Convergence:
-    """Fit the model u + h^p e to the levels, for a fixed order p."""
+    """Fit the model u + h^p e to the results on the grids of spacing h, for a fixed order p."""
     power = h**p
     columns = np.stack([np.ones(len(h)), power], axis=1)
     weighted = columns / power[:, None] ** 2
@@ -186,7 +188,10 @@ def distances(results: Sequence[NDArray]) -> NDArray[np.float64]:
 def guess_errors(
     spacings: tuple[float, float], difference: float, order: float
 ) -> tuple[float, float]:
-    """Return the errors of two levels (coarse, fine) from their distance and an assumed order."""
+    """Return the errors on two grids (coarse, fine) from the distance of their results.
+
+    The order of convergence is assumed.
+    """
     coarse, fine = (h**order for h in spacings)
     error = difference * fine / (coarse - fine)
     return error + difference, error

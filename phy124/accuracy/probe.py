@@ -298,7 +298,9 @@ LIMITERS = ("elastic", "speed", "gradient", "viscous", "user", "wave")
 
 @dataclass(frozen=True)
 class Pilot:
-    """Numbers of substeps that a motion needs, counted in a pilot run on a coarse grid."""
+    """Numbers of substeps that a motion needs, counted in a short run on a coarse grid (the pilot
+    run).
+    """
 
     cells: int
     counts: dict[str, NDArray[np.float64]]
@@ -307,7 +309,7 @@ class Pilot:
     rest: float
     """Number of substeps per frame that the initial state needs."""
     growth: float
-    """Mean number of nodes in the grid's window during the run, relative to the initial number."""
+    """Mean number of stored grid nodes during the run, relative to the initial number."""
     stopped: bool
     """Whether the pilot run became unstable, so that the forecast is not reliable."""
     viscous: float = 0.0

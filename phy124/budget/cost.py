@@ -46,7 +46,7 @@ DAMPED = 0.235
 """Damping ratio of the fastest vibration of a lattice, multiplied by the viscous limit of the
 substep and divided by dx / c."""
 WINDOW = 11
-"""Number of nodes per axis in the grid's window, in addition to the nodes across the object."""
+"""Number of nodes per axis that the grid stores in addition to the nodes across the object."""
 GRAVITY = 9.81
 """Acceleration that limits the time step of a liquid with projected pressure [m/s^2]."""
 BYTES_PER_PARTICLE = 400

@@ -23,8 +23,10 @@ from phy124.schema.region import Vector
 
 
 def weights(rest: NDArray, point: Vector | None, radius: float) -> NDArray[np.float64]:
-    """Return the weight of each particle in the part [P]. At the distance d from `point`, the
-    weight is (1 - (d / radius)^2)^2. If the part is the whole body, all weights are 1.
+    """Return the weight of each particle in the part of the object on which a force acts [P].
+
+    At the distance d from `point`, the weight is (1 - (d / radius)^2)^2. If the part is the whole
+    body, all weights are 1.
 
     Args:
         rest: Positions at rest [P,3], m.
@@ -45,20 +47,21 @@ class Part(NamedTuple):
 
     chosen: wp.array
     share: wp.array
-    """Each particle's fraction of the force on the part, w m / sum(w m), in float64."""
+    """Each particle's fraction of the force on the part of the object, w m / sum(w m), in float64.
+    """
     per_force: wp.array
-    """Acceleration of each particle in the part if a force of 1 N acts on the part [1/kg]."""
+    """Acceleration of each particle if a force of 1 N acts on the part of the object [1/kg]."""
     means: wp.array
     second: wp.array
     mass: float
-    """Weighted mass of the part, which is the sum of w m over its particles [kg]."""
+    """Weighted mass of the part of the object, which is the sum of w m over its particles [kg]."""
     drawn: float
-    """Effective mass of the part at the start [kg]: a force on the part, divided by the
-    acceleration of the part's centre that it causes."""
+    """Effective mass of the part of the object at the start [kg]: a force on the part, divided by
+    the acceleration of the part's centre that it causes."""
     reach: float
     """Distance between the centre of the part and its farthest particle, at rest [m]."""
     inertia: float
-    """Smallest moment of inertia of the part about its centre, at rest [kg m^2]."""
+    """Smallest moment of inertia of the part of the object about its centre, at rest [kg m^2]."""
 
     @classmethod
     def of(

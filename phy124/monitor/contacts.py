@@ -160,7 +160,8 @@ class Contacts(Observer):
         return Stage(STAGE, before), Stage(STAGE, between), Stage(STAGE, after)
 
     def _sums(self, grid: Grid, model: Model) -> wp.array:
-        """Return the array [P,3] in which a worker sums the impulses of the walls on each particle.
+        """Return the array [P,3] in which a CPU worker sums the impulses of the walls on each
+        particle.
 
         Nodes of several workers may act on one particle, so each worker has a separate array.
         """

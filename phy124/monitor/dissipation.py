@@ -79,8 +79,8 @@ class Dissipation(Observer):
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the kernel launch that sums the work of the stress on a worker's particles of one
-        law.
+        """Record the kernel launch that sums the work of the stress on one CPU worker's particles
+        of one law.
 
         Args:
             part: A worker's particles of one law.

@@ -121,8 +121,8 @@ class ExternalWork(Observer):
         """
         self._summed = summed
         self._device: dict[str, wp.array] = {}
-        """Sums [W,ROOM] of each worker since its kernel launches were last recorded, which are not
-        yet part of the totals."""
+        """Sums [W,ROOM] of each CPU worker since its kernel launches were last recorded, which are
+        not yet part of the totals."""
         self.stored = 0.0
         """Energy that the object has gained without motion since the start [J]."""
         self._closed: dict[str, Sums] = {name: np.zeros(kernels.EXCHANGE) for name in SOURCES}
@@ -265,7 +265,7 @@ class ExternalWork(Observer):
         return total
 
     def _open(self, name: str) -> Sums:
-        """Return the impulse and work that all workers have summed since launches were last
+        """Return the impulse and work that all CPU workers have summed since launches were last
         recorded.
         """
         rows: NDArray[Any] = self._device[name].numpy()

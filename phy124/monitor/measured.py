@@ -50,8 +50,8 @@ class NodesNear:
         """Number of threads along each axis for a kernel that processes the rows of these nodes in
         segments."""
         self.read: list[Any] = []
-        """First inputs of a kernel that runs over these segments: segment length, box of nodes, the
-        grid's stored range of nodes, and the nodes."""
+        """First inputs of a kernel that runs over these segments of rows: segment length, box of
+        nodes, the grid's stored range of nodes, and the nodes."""
         self.copy: wp.array | None = None
         """Memory for a copy of the nodes in the box."""
 

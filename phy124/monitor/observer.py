@@ -208,7 +208,9 @@ class Observer(Kept):
         """Prepare the frame that starts at `time` [s]."""
 
     def before_attempt(self, *, closely: bool) -> None:
-        """Prepare an attempt at a frame, with a check after every substep if `closely` is set.
+        """Prepare an attempt to compute a frame.
+
+        If `closely` is set, each substep will be checked.
 
         After a failure, the next attempt halves the substeps.
         """

@@ -189,7 +189,7 @@ class Wrenches(Observer):
         return Stage(STAGE, near.record_copy), Stage(STAGE, after)
 
     def _worker_sums(self, name: str, grid: Grid, model: Model) -> wp.array:
-        """Return the array in which a worker sums the impulses on one wall.
+        """Return the array in which a CPU worker sums the impulses on one wall.
 
         No other thread adds to this array.
         """

@@ -17,8 +17,8 @@ from phy124.motion.blocks import BlockLauncher, Step
 from phy124.runtime.cores import cores
 
 PER_CELL = 2
-"""Mean number of particles per cell of the search grid with which the carriers of Gaussians are
-found."""
+"""Mean number of particles per cell of the search grid that finds the particles that carry
+Gaussians."""
 MOST_CELLS = 256
 """Largest number of cells of the search grid along each axis of the particles' bounding box."""
 FARTHEST = 4.0

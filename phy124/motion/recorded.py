@@ -73,7 +73,7 @@ class Motion:
     times: NDArray[np.float64]
     """Times of the frames [T], s."""
     on_tracks: tuple[int, ...]
-    """Indices of the objects that follow a track."""
+    """Indices of the objects that follow a prescribed path."""
     tracks: NDArray[np.float64]
     """Displacements of the objects in `on_tracks` [T,K,3], m."""
     free: tuple[int, ...]
@@ -96,7 +96,7 @@ class Motion:
 
 
 class Track:
-    """Displacement of an object along its track, in each frame."""
+    """Displacement of an object along its prescribed path, in each frame."""
 
     def __init__(self, times: NDArray, displacements: NDArray) -> None:
         """Store the displacements [T,3] at the times [T]."""

@@ -15,7 +15,7 @@ from phy124.gaussians import Array, Frame, Gaussians, rotation_matrices
 IDENTITY = np.array([1, 0, 0, 0], np.float32)
 """The identity rotation, wxyz."""
 INSTANT = 1e-6
-"""Time step of the difference quotient for the velocity of an object on a track [s]."""
+"""Time step of the difference quotient for the velocity of an object on a prescribed path [s]."""
 
 
 class Track(Protocol):
@@ -35,7 +35,7 @@ class Scenery:
     moves: NDArray[np.bool_]
     """Mask of the Gaussians that the solver moves [N]."""
     tracks: tuple[tuple[int, Track], ...] = ()
-    """Index of each object that follows a track, and its displacement over time [m]."""
+    """Index of each object that follows a prescribed path, and its displacement over time [m]."""
     free: tuple[int, ...] = ()
     """Indices of the objects that are rigid solids."""
 

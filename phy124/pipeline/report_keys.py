@@ -344,7 +344,8 @@ class Report(TypedDict):
     departures: NotRequired[list[dict[str, Any]]]
     """Views in which the object leaves the picture, and the camera distance that would avoid it."""
     grid: dict[str, Any]
-    """Cell width `dx` [m], and number of nodes in the last `window` of the grid."""
+    """Width `dx` of a grid cell [m], and number of nodes in the last `window`, which is the part of
+    the grid that is stored."""
     threads: int
     """Number of CPU threads. Runs with the same number of threads are equal bit for bit."""
     limiters: dict[str, int]

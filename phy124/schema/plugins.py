@@ -81,14 +81,13 @@ class Kinds:
     """
 
     base: type[Section]
-    """Base class of all kinds."""
+    """Base class of all classes of section that the field accepts."""
     tag: str
-    """Name of the field that states the kind, "law" or "kind"."""
+    """Name of the field that states the class of a section in files, "law" or "kind"."""
     group: str
-    """Entry-point group that registers kinds, one of the `GROUPS`."""
+    """Entry-point group in which packages register classes of section, one of the `GROUPS`."""
     union: Any
-    """Union of the classes that phy124 defines for the kinds. Plugins cannot replace these classes.
-    """
+    """Union of the classes of section that phy124 defines. Plugins cannot replace these classes."""
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:
@@ -106,7 +105,7 @@ class Kinds:
         return kind is not None and data.keys() <= kind.model_fields.keys()
 
     def has_name(self, section: Section) -> bool:
-        """Return whether the kind of a section has a name in files."""
+        """Return whether the class of a section has a name in files."""
         if not self.is_foreign(section):
             return True
         return load_plugin(self.group, getattr(section, self.tag, "")) is type(section)

@@ -92,7 +92,7 @@ class _Place(NamedTuple):
     """The field of the scene that an error concerns."""
 
     keys: list[int | str]
-    """Path of the field as a user writes it, without the names of kinds."""
+    """Path of the field as a user writes it, without the names of laws and kinds."""
     node: Node
     """Schema of the field or, if the field does not exist, of the section."""
     around: Node

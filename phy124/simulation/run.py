@@ -452,7 +452,7 @@ class Simulation:
         return problem
 
     def before_attempt(self, *, closely: bool = False) -> None:
-        """Prepare the observers for an attempt at a frame."""
+        """Prepare the observers for an attempt to compute a frame."""
         for observer in self.observers:
             observer.before_attempt(closely=closely)
 
