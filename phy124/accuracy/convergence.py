@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 ORDERS = (0.5, 3.0)
-"""Smallest and largest order of convergence in the search."""
+"""Smallest and largest order of convergence that is searched for."""
 TRUSTED = (1.0, 2.0)
 """Range of convergence orders that may be used to estimate errors.
 

@@ -61,7 +61,8 @@ class Expectation(NamedTuple):
     """The predicted error of a scene, or the reason why there is none."""
 
     error: float | None
-    """Bound on the RMS distance of the Gaussians from the exact motion, relative to the size."""
+    """Bound on the RMS distance of the Gaussians from the exact motion, as a fraction of the
+    object's size."""
     unmeasured: str = ""
     """The kind of the scene, if no scene of this kind was measured; otherwise empty."""
     such: str = ""

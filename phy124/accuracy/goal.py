@@ -135,4 +135,4 @@ STAGES = {
     "encode": "the videos",
     "save": "saving",
 }
-"""Descriptions of the stages in messages, by the names in the report."""
+"""For each stage of a run, by its name in the report: the description of the stage in messages."""

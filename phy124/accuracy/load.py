@@ -26,7 +26,8 @@ SECOND_THREAD = 1.5
 MINIMUM, MAXIMUM = 0.8, 1.5
 """Range of the ratio of measured to predicted time on an idle machine (docs/lab/forecasts.md)."""
 BUSY = 1.2
-"""Factor that widens the range of the time on a busy machine, where the load may change."""
+"""Factor that widens the range of the predicted time on a busy machine, where the load may change.
+"""
 FRESH = 10.0
 """Maximum age at which a measurement of the load is reused [s]."""
 

@@ -373,9 +373,8 @@ def lightest(model: Model) -> float:
 
 
 def contact_mass_fraction(model: Model) -> float:
-    """Return the contact threshold, as a fraction of the mass that is expected at a wall.
-
-    A body counts as touching the wall if its mass at the wall exceeds the threshold.
+    """Return the mass at a wall above which a body touches the wall, relative to the expected
+    mass.
 
     The fraction is 0.9 for solids, so contact begins 0.07 cells before the surfaces meet. With a
     smaller fraction, solids are too stiff at first contact. With a larger fraction, columns with

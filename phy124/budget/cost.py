@@ -56,8 +56,8 @@ BYTES_PER_POINT = 1100
 BYTES_PER_NODE = 32
 BYTES_PER_CELL = 4 * 1000
 """Memory of a liquid with projected pressure per cell that the liquid fills at rest [bytes]. A cell
-that contains liquid takes 1 kB. In a basin, the liquid may spread over four times as many cells as
-at rest.
+that contains liquid takes 1 kB of memory. In a basin, the liquid may spread over four times as many
+cells as at rest.
 """
 BYTES_PER_GAUSSIAN = 40
 """Memory per Gaussian and frame of the clip [bytes]."""

@@ -63,13 +63,13 @@ class Sand(Logarithmic):
     """Slope angle of heaps [degrees]. Default: determined by friction_angle."""
 
     def theta(self) -> tuple[float, ...]:
-        """Return the parameters of the device law: (mu, lambda, alpha), with alpha the slope of the
-        cone.
+        """Return the parameters of the device law: (mu, lambda, alpha).
 
-        An infinitely long slope flows at constant volume if its shear stress is 3 alpha / sqrt(2)
-        times the pressure. The angle beta of such a slope satisfies tan(beta) = 3 alpha / sqrt(2).
-        A slope at rest stays stable up to the angle asin(tan(beta)). A steep heap therefore comes
-        to rest at an angle larger than beta, so beta is chosen smaller than the repose angle.
+        The slope of the yield cone is alpha. An infinitely long slope flows at constant volume if
+        its shear stress is 3 alpha / sqrt(2) times the pressure. The angle beta of such a slope
+        satisfies tan(beta) = 3 alpha / sqrt(2). A slope at rest stays stable up to the angle
+        asin(tan(beta)). A steep heap therefore comes to rest at an angle larger than beta, so beta
+        is chosen smaller than the repose angle.
         """
         if self.repose_angle is not None:
             flow = self.repose_angle - STEEPER * max(0.0, self.repose_angle - GENTLE)

@@ -39,8 +39,8 @@ MANY, FEW = 5e-3, 3
 particles in a cross-section. At the corners of a body, a few particles always separate.
 
 In tests, ducks were pressed, dropped and bounced. Every duck stayed whole if fewer than 5.2e-3
-P^(2/3) particles were farther apart than `APART`. With 6.7e-3 P^(2/3) such particles, a duck lost
-its head. With 7.9e-3 P^(2/3), another duck stayed whole.
+P^(2/3) particles were farther apart than `APART`. With 6.7e-3 P^(2/3) particles farther apart than
+`APART`, a duck lost its head. With 7.9e-3 P^(2/3) of these particles, another duck stayed whole.
 """
 REACH = 1.5
 """Reach of a particle's B-spline [cells]. A wider layer without particles separates two pieces of

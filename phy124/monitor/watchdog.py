@@ -384,7 +384,9 @@ class Watchdog(Observer):
         return Violation(what, ROUNDED if self.model.precision == "float32" else self._unstable())
 
     def _unstable(self) -> tuple[str, ...]:
-        """Return possible causes of instability: the substep and, for violent motions, others."""
+        """Return possible causes of instability: the solver, the substep and, if the motion is
+        violent, the constitutive law and pushes.
+        """
         violent = self.min_J < SQUEEZED or self.clock.stable().limiter in ("speed", "gradient")
         return ("solver", "substep", *(("law", "push") if violent else ()))
 

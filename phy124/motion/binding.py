@@ -86,8 +86,10 @@ def pick_values(gaussians: Gaussians, particles: Particles, values: NDArray) -> 
 def _carriers_of(
     gaussians: Gaussians, particles: Particles
 ) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return the carriers [N,K] of each Gaussian and their weights [N,K]. Gaussian and carriers
-    belong to the same object.
+    """Return the particles [N,K] that carry each Gaussian (its carriers), and their weights
+    [N,K].
+
+    A Gaussian and its carriers belong to the same object.
     """
     if particles.body is None or gaussians.object_id is None:
         return _carriers_within(gaussians.means, particles.x, particles.volume)
@@ -148,7 +150,7 @@ def find_carriers(
 
 
 def _bound_particles(count: int, particles: Particles | None) -> NDArray[np.int32] | None:
-    """Return the particle of each Gaussian [N], or None.
+    """Return the index of the particle that represents each Gaussian [N], or None.
 
     None means that Gaussians and particles have the same order, or that the binding is a lattice.
     """

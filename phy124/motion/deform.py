@@ -273,7 +273,9 @@ def shapes_of(device: str) -> tuple[Any, int]:
 
 
 def carry_of(real: Any, device: str, *, lattice: bool) -> tuple[Any, int]:
-    """Return the kernel that carries Gaussians, and the number of Gaussians per kernel thread."""
+    """Return the kernel that moves Gaussians with particles, and the number of Gaussians per
+    thread.
+    """
     if not lattice:
         return deform.make_follow(real), 1
     return (deform.make_carry_simd(real), 8) if device == "cpu" else (deform.make_carry(real), 1)

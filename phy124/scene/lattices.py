@@ -86,7 +86,9 @@ def reason_for_others(scene: Any) -> str:
 
 
 def _find_too_light(scene: Any, sections: Sequence[Any]) -> str:
-    """Return the law of the first undamped material that is too light for a liquid, or ""."""
+    """Return the law of the first undamped material that is too light for a lattice in a liquid, or
+    "".
+    """
     densest = max(section.density for section in scene.materials if section.law == "fluid")
     light = (
         section.law

@@ -373,7 +373,9 @@ class Scene(Section):
 
     @property
     def unregistered(self) -> dict[str, str]:
-        """Classes without a name in scene files, each with its entry-point group."""
+        """Classes of the scene that have no name in scene files, each with its entry-point
+        group.
+        """
         sections = ((LAWS, self.materials), (FORCES, self.forces), (BOUNDARIES, self.boundaries))
         return {
             type(section).__name__: kinds.group

@@ -104,8 +104,8 @@ class Checks(Section):
     """Monitoring of a run. Each check costs time and detects one kind of failure."""
 
     measure: int = Field(default=16, ge=1, le=32)
-    """Maximum number of substeps between two measurements of the stable limit. It is at most 4 if a
-    particle may stiffen much before the next measurement.
+    """Maximum number of substeps between two measurements of the stable limit. This number is at
+    most 4 if a particle may stiffen much before the next measurement.
     """
     balance: bool = True
     """Stop the run if the changes of energy and momentum differ from the work and the impulse of

@@ -51,7 +51,7 @@ class Setup:
     solid_scene: Scene
     """The scene, in which objects on a path are also walls."""
     cleaned_scene: Scene
-    """The scene. Its parts select Gaussians by their indices after cleaning."""
+    """The scene. The parts of this scene select Gaussians by the indices after cleaning."""
     cleaning: list[str]
     """Messages about Gaussians that cleaning has changed or dropped."""
     gaussians: Gaussians
