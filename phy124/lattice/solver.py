@@ -250,7 +250,7 @@ class LatticeSolver(Kept):
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage in the first thread."""
+        """For each stage of a substep, seconds and number of its launches in the first thread."""
         return self.workers[0].timings
 
     def start(self) -> None:

@@ -162,7 +162,9 @@ class ImmersedSolver:
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage in the first thread of the lattices."""
+        """For each stage of a substep, seconds and number of its launches in the lattices' first
+        thread.
+        """
         return self.lattice.timings
 
     def __getattr__(self, name: str) -> Any:

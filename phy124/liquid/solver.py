@@ -218,7 +218,7 @@ class LiquidSolver(Kept):
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage in the first thread."""
+        """For each stage of a step, seconds and number of its launches in the first thread."""
         return self.workers[0].timings
 
     def advance(

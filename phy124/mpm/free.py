@@ -26,16 +26,16 @@ from phy124.mpm.stage import Recorded
 from phy124.mpm.tracks import Track, Tracks
 
 STAGE = "free"
-"""Name of the stages of free bodies in reports."""
+"""Name under which reports list the time for freely moving solids."""
 SOLUTIONS = 3
-"""In each substep, the six equations of motion are solved this number of times. The first solution
-finds most of the approaching nodes, and the second solution finds most of the friction. The next
-substep corrects the remaining error.
+"""In each substep, a solid's six equations of motion are solved this number of times. The first
+solution finds most of the nodes that approach the solid, and the second solution finds most of the
+friction. The error that remains after the last solution is corrected in the next substep.
 """
 MARGIN = 1.5
-"""Nodes up to this distance from a solid can be in contact with the solid [cells]."""
+"""Nodes of the grid up to this distance from a solid can be in contact with the solid [cells]."""
 POINTS = {"sphere": 1, "capsule": 2, "box": 8}
-"""Number of points of each shape at which a wall may act."""
+"""For each shape of a solid, the number of its points at which a flat wall may act."""
 Vector3 = NDArray[np.float64]
 
 
@@ -50,7 +50,7 @@ class FreeBody(NamedTuple):
     place: tuple[float, float, float]
     """Centre of the solid [m]."""
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
-    """Unit quaternion wxyz from local to world axes."""
+    """Orientation of the solid: unit quaternion wxyz from its local axes to the world axes."""
     density: float = 1000.0
     """Density [kg/m^3]."""
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -64,7 +64,7 @@ class FreeBody(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """Volume [m^3]."""
+        """Volume of the solid [m^3]."""
         if self.shape == "box":
             return 8 * math.prod(self.half)
         radius, length = min(self.half), max(self.half) - min(self.half)
@@ -72,12 +72,12 @@ class FreeBody(NamedTuple):
 
     @property
     def mass(self) -> float:
-        """Mass [kg]."""
+        """Mass of the solid [kg]."""
         return self.density * self.volume
 
     @property
     def moments(self) -> Vector3:
-        """Moments of inertia about the local axes [3], kg m^2."""
+        """Moments of inertia of the solid about its local axes [3], kg m^2."""
         half = np.array(self.half)
         if self.shape == "box":
             return self.mass / 3 * ((half**2).sum() - half**2)
@@ -94,13 +94,15 @@ class FreeBody(NamedTuple):
         return moments
 
     def start(self) -> Vector3:
-        """Return the state at time 0, in the layout of phy124/kernels/free/numbers.py."""
+        """Return the state of the solid at time 0, in the layout of
+        phy124/kernels/free/numbers.py.
+        """
         angular = self.axes * self.moments @ self.axes.T @ np.array(self.spin)
         return np.array([*self.place, *self.turn, *self.velocity, *angular, 0.0])
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Local axes as columns [3,3]."""
+        """Local axes of the solid as columns [3,3]."""
         return rotation_matrices(np.array([self.turn]))[0]
 
     def measure_depth(self, x: NDArray) -> NDArray[np.float64]:
@@ -129,20 +131,20 @@ class Plane(Protocol):
 
     @property
     def friction(self) -> float:
-        """Coulomb friction coefficient."""
+        """Coulomb friction coefficient of the wall."""
         ...
 
     @property
     def contact(self) -> str:
-        """sticky, slip or separate."""
+        """Kind of contact with the wall: sticky, slip or separate."""
         ...
 
     def geometry(self, model: Model) -> Any:
-        """Return a point on the wall [m], and the normal that points out of the wall."""
+        """Return a point on the flat wall [m], and the normal that points out of the wall."""
         ...
 
     def track(self, model: Model) -> Track | None:
-        """Return the displacement over time [m], or None if the wall never moves."""
+        """Return the displacement of the wall over time [m], or None if the wall never moves."""
         ...
 
 
@@ -224,7 +226,9 @@ class FreeBodies(Kept):
         ]
 
     def record(self, grid: Grid, body: int) -> list[Recorded]:
-        """Return the launches, in order, for the contact of all solids with a particle body."""
+        """Return the kernel launches, in order, for the contact of all solids with a
+        particle body.
+        """
         solids = range(len(self.all))
         launches = (launch for index in solids for launch in self._meet(index, grid, body))
         return [(STAGE, launch) for launch in launches]
@@ -259,7 +263,7 @@ class FreeBodies(Kept):
         return [(STAGE, self._walls_launch(index, drifts=True)) for index in range(len(self.all))]
 
     def _walls_launch(self, index: int, *, drifts: bool) -> wp.Launch | None:
-        """Record the kernel launch for the contact of a solid with the walls."""
+        """Record the kernel launch for the contact of a freely moving solid with the flat walls."""
         solid, tracks = self.all[index], self._tracks
         inputs = [solid.mass, wp.vec3d(*solid.moments), wp.vec3d(*solid.half), POINTS[solid.shape]]
         inputs += [*self._walls, tracks.clock, tracks.values, tracks.rates]
@@ -305,12 +309,17 @@ class FreeBodies(Kept):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """For each pair of a particle body and a solid, the names of both; the body comes first."""
+        """Names of all pairs of a particle body and a solid: the body's name, then the solid's
+        name.
+        """
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return tuple(f"{called[body]}_on_{solid.name}" for solid in self.all for body in self._met)
 
     def wrenches(self, seconds: float) -> list[Wrench]:
-        """Return the mean wrench of each particle body on each solid since `begin`, `seconds` ago.
+        """Return the mean wrench of each particle body on each solid during the last `seconds`
+        seconds.
+
+        The mean starts at the call of `begin`.
 
         The wrenches are in the order of `names`. Torques are about the origin.
         """
@@ -353,7 +362,7 @@ class FreeBodies(Kept):
 
 
 _GRIP = {"sticky": 1e9, "slip": 0.0}
-"""Friction coefficients of the kinds of contact that have a fixed coefficient."""
+"""Friction coefficients of the kinds of contact that do not use the scene's coefficient."""
 
 
 def refuse_thin(solid: FreeBody, dx: float) -> None:

@@ -26,25 +26,27 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, Extremes, decay
 from phy124.mpm.workers import Worker, run_timed
 
 STAGE = "graph"
-"""Name of the graph among the stages in reports."""
+"""Name under which reports list the time of the graph."""
 LIMITERS = ("elastic", "speed", "gradient", "viscous", "user")
-"""The limits of a substep, in the order of phy124/kernels/timestep.py."""
+"""Names of the limits of a substep's length, in the order of phy124/kernels/timestep.py."""
 STRAIN = 1.0
-"""Sum of |C| dt after which control returns to the host, so that the host can repair particles."""
+"""Sum of |C| dt over substeps after which control returns to the host, so that the host can repair
+particles.
+"""
 MOST = 400
-"""Number of substeps after which control returns to the host, so that the host can stop the run.
-Returning takes about as long as ten substeps. The number is constant, so that a repeated run takes
-the same substeps.
+"""Number of substeps of a graph after which control returns to the host, so that the host can stop
+the run. Returning control to the host takes about as long as ten substeps. This number of substeps
+is constant, so that a repeated run takes the same substeps.
 """
 
 
 class Graph:
-    """The substeps of one run on a device."""
+    """The substeps of a run as a CUDA graph on the device."""
 
     def __init__(
         self, model: Model, clock: Clock, grid: Grid, worker: Worker, stray: wp.array
     ) -> None:
-        """Bind to a run.
+        """Prepare the graph of a run.
 
         Args:
             model: The constants of the run.
@@ -65,7 +67,9 @@ class Graph:
         self._per_substep, self._reason = 0, 0
 
     def forget(self) -> None:
-        """Discard the captured graph; call this when the launches of a substep have changed."""
+        """Discard the captured graph; call this when the kernel launches of a substep have
+        changed.
+        """
         self._captured = None
 
     def run(
@@ -163,7 +167,9 @@ class Graph:
         self._limiters.upload({})
 
     def _download(self) -> int:
-        """Update the clock from the device; return the code of the reason why the loop ended."""
+        """Update the clock from the device; return the code of the reason why the series of
+        substeps ended.
+        """
         clock, limiters = self._clock, self._limiters.download()
         state = self._progress.download()[0]
         clock.time, clock.last_dt = float(state["time"]), float(state["last"])
@@ -182,7 +188,7 @@ class Mirrored:
     """An array on the device with a copy in the host's memory."""
 
     def __init__(self, dtype: Any, count: int, device: str) -> None:
-        """Allocate zeros.
+        """Allocate the array and its copy in the host's memory, filled with zeros.
 
         Args:
             dtype: Type of an item (a number or a structure).

@@ -19,8 +19,8 @@ from phy124.mpm.timestep import TRAVEL, Maxima
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest corner of a box [m]."""
 MARGIN = 2 * TRAVEL
-"""Margin of the window around the particles [cells]: twice the distance that a particle may travel
-between two measurements.
+"""Margin of the grid's window around the particles [cells]: twice the distance that a particle may
+travel between two measurements.
 """
 CROSSED = "particles crossed more cells than allowed between two measurements"
 FARTHEST = 2**30
@@ -50,21 +50,24 @@ class Grid:
         self.window = wp.zeros(2, dtype=wp.vec3i, device=device)
         self.low, self.size = np.zeros(3, int), np.zeros(3, int)
         self.nodes = wp.zeros(0, dtype=t.vec4, device=device)
-        """Velocity and mass of each node after the grid update."""
+        """Velocity and mass of each node after the update of the grid."""
         self.momenta = self.nodes
-        """Momentum and mass of each node, to which particles scatter."""
+        """Momentum and mass of each node, to which particles scatter in each substep."""
         self.apart = apart
-        """Whether `momenta` is a separate array, which the gather then clears."""
+        """Whether `momenta` and `nodes` are separate arrays; the gather then clears `momenta`."""
         self._changes: wp.array | None = None
         self.particles = particles
-        """The span of the body's particles."""
+        """The range of indices of the body's particles."""
         self.stale = True
-        """Whether the particles may have moved so far that the window no longer contains them."""
+        """Whether the particles may have moved so far that the grid's window no longer contains
+        them.
+        """
         self.layers: tuple[int, int] | None = None
-        """Layers (first <= i < last) that the next recorded launches may change; None: all layers.
+        """Layers of nodes (first <= i < last) that the kernel launches recorded next may change;
+        None: all layers.
         """
         self.worker, self.workers = 0, 1
-        """Index of the worker whose launches are being recorded, and number of workers."""
+        """Index of the worker whose kernel launches are being recorded, and number of workers."""
 
     @property
     def count(self) -> int:
@@ -112,13 +115,15 @@ class Grid:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Allocate `size` [3] nodes with zero values; the lowest node is `low` [3]."""
+        """Allocate `size` [3] nodes with zero values; the window's lowest node is `low` [3]."""
         # The array has one additional node, since SIMD code reads four nodes at once.
         count = int(np.prod(size)) + 1
         self.use(low, size, wp.zeros(count, dtype=self.vec4, device=self.device))
 
     def use(self, low: NDArray, size: NDArray, nodes: wp.array) -> None:
-        """Set the window to `size` [3] nodes from `low` [3] on; `nodes` has one extra node."""
+        """Set the window to `size` [3] nodes from the node `low` [3] on; `nodes` has an additional
+        node.
+        """
         self.low, self.size, self.nodes, self.stale = low, size, nodes, False
         self.momenta = wp.zeros_like(nodes) if self.apart else nodes
         self._changes = None
@@ -140,12 +145,14 @@ class Grid:
         return low, high
 
     def run(self, particles: int) -> slice:
-        """Return the span of particles to which the current worker may apply forces."""
+        """Return the range of particles to which the current worker applies forces."""
         ends = (self.worker, self.worker + 1)
         return slice(*(particles * end // self.workers for end in ends))
 
     def nodes_within(self, lower: NDArray, upper: NDArray) -> tuple[NDArray, NDArray]:
-        """Return the first of the window's nodes in a box [m], and their number along each axis."""
+        """Return the first node of the window in a box [m], and the number of nodes along each
+        axis.
+        """
         low, size = self.low, self.size
         start = np.floor(np.clip((lower - self.origin) / self.dx - low, 0, size)).astype(int)
         stop = np.ceil(np.clip((upper - self.origin) / self.dx - low + 1, 0, size)).astype(int)
@@ -195,8 +202,9 @@ def fit_all(grids: Sequence[Grid], corners: Sequence[Corners], *, returned: bool
 
 
 def corners_of(rows: NDArray[np.float64], bodies: Sequence[int], count: int) -> list[Corners]:
-    """Return the lowest and highest corner of each body; both are infinite for a body without a
-    row.
+    """Return the lowest and highest corner of each body's bounding box.
+
+    The corners of a body without a row in `rows` are infinite.
 
     Args:
         rows: Measured maxima of parts of the particles [R,M]; see `Maxima.of`.

@@ -16,7 +16,9 @@ class Kept:
     """An object whose state is in the attributes named in `kept`."""
 
     kept: tuple[str, ...] = ()
-    """Names of the attributes; keys of a snapshot are these names without a leading underscore."""
+    """Names of the attributes that belong to the state. The keys of a snapshot are these names
+    without a leading underscore.
+    """
 
     def snapshot(self) -> dict[str, Any]:
         """Return a snapshot of the state, as arrays and plain data."""
@@ -34,8 +36,9 @@ class Kept:
 
 
 def copy_of(value: Any) -> Any:
-    """Return a copy of a value, as an array or as plain data; lists of objects become dictionaries
-    by index.
+    """Return a copy of a value for a snapshot: an array, or plain data.
+
+    Lists of objects become dictionaries by index.
     """
     if hasattr(value, "snapshot"):
         return value.snapshot()
@@ -77,8 +80,10 @@ def put_back(now: Any, copy: Any) -> Any:
 
 
 def put_rows(sums: wp.array, rows: Any) -> None:
-    """Set an array. If it has one row per worker and the number of workers has changed, the first
-    row gets the total.
+    """Set an array of sums from a snapshot.
+
+    If there is a row per worker and the number of workers has changed, the first row gets the
+    total.
     """
     if len(rows) != len(sums):
         rows = np.asarray(rows.numpy() if isinstance(rows, wp.array) else rows)

@@ -33,9 +33,11 @@ class Group:
     start: int
     stop: int
     theta: wp.array
-    """Parameters of the law: one row for all particles, or one row per particle."""
+    """Parameters of the group's constitutive law: one row for all particles, or one row per
+    particle.
+    """
     body: int = 0
-    """Index of the body to which the particles belong."""
+    """Index of the body to which the group's particles belong."""
 
     def __len__(self) -> int:
         """Return the number of particles in the group."""
@@ -43,11 +45,11 @@ class Group:
 
     @property
     def particles(self) -> slice:
-        """Span of the group among all particles."""
+        """Range of the indices of the group's particles among all particles."""
         return slice(self.start, self.stop)
 
     def rows(self, part: slice) -> wp.array:
-        """Return the parameters of a span of the group's particles."""
+        """Return the law's parameters for a range of the group's particles."""
         if len(self.theta) == 1:
             return self.theta
         return cast("wp.array", self.theta[part.start - self.start : part.stop - self.start])
@@ -64,7 +66,7 @@ class Model:
     volume: wp.array
     """Volumes at rest [P], m^3."""
     history: NDArray[np.float64]
-    """Initial history variables of the laws [P,2]."""
+    """Initial history variables of the constitutive laws [P,2]."""
     groups: tuple[Group, ...]
     """Groups of particles, sorted by body and then by constitutive law."""
     materials: tuple[Material, ...]
@@ -73,15 +75,17 @@ class Model:
     origin: tuple[float, float, float]
     """Position of node (0, 0, 0) of the grid [m]."""
     cfl: float
-    """Substep as a fraction of the elastic limit; some parameters of the laws depend on this
-    fraction.
+    """Length of a substep as a fraction of the elastic limit; some parameters of constitutive laws
+    depend on this fraction.
     """
     precision: str
     """float32 or float64."""
     device: str
     """Warp device, "cpu" or "cuda:0"."""
     form: str
-    """Implementation of the transfers: "simd" (float32 on the CPU), "plain" or "spline"."""
+    """Implementation of the transfers between particles and grid: "simd" (float32 on the CPU),
+    "plain" or "spline".
+    """
     held: frozenset[int] = frozenset()
     """Indices of bodies that never move."""
     wet: frozenset[int] = frozenset()
@@ -93,14 +97,14 @@ class Model:
     integration points of a lattice lie below its surface, and free solids have no particles.
     """
     whole: Model | None = None
-    """The model of all bodies, if this model has only some of them. Boundaries are placed relative
-    to all bodies.
+    """The model of all bodies, if this model contains only some of them. Boundaries are placed
+    relative to all bodies of the scene.
     """
     least_stiffness: float = 1.0
-    """Smallest of the particles' factors on Young's modulus E."""
+    """Smallest factor by which a particle's Young's modulus E is multiplied."""
     respond: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None
-    """Function that returns the accelerations [P] caused by forces on points; None if particles are
-    independent of each other.
+    """Function that returns the accelerations [P] caused by forces on the integration points of a
+    lattice; None if the particles do not depend on each other.
     """
 
     @classmethod
@@ -257,7 +261,7 @@ class Model:
         return float(np.sum(self.mass.numpy()[self.moves], dtype=np.float64))
 
     def array(self, values: object, dtype: Any) -> wp.array:
-        """Return an array on the device, in the model's precision."""
+        """Return an array on the model's device, in the model's precision."""
         return _array(values, dtype, self.precision, self.device)
 
     def launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> wp.Launch | None:
@@ -286,13 +290,15 @@ class State(Kept):
     v: wp.array
     """Velocities [P,3], m/s, half a substep behind the positions."""
     C: wp.array
-    """APIC velocity gradients [P,3,3], 1/s."""
+    """Velocity gradients of the APIC scheme [P,3,3], 1/s."""
     F: wp.array
     """Elastic deformation gradients [P,3,3]."""
     history: wp.array
-    """History variables of the laws [P,2]; empty if no law has any."""
+    """History variables of the constitutive laws [P,2]; empty if no law has any."""
     total: wp.array
-    """Total deformation gradients [P,3,3], including plastic strain; empty if no law is plastic."""
+    """Total deformation gradients [P,3,3], which include plastic strain; empty if no material is
+    plastic.
+    """
 
     @classmethod
     def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
@@ -324,12 +330,17 @@ class State(Kept):
 
     @property
     def deformation(self) -> wp.array:
-        """Deformation gradients that Gaussians follow: F_total with a plastic law, otherwise F."""
+        """Deformation gradients that Gaussians follow: F_total if a material is plastic, otherwise
+        F.
+        """
         return self.total if len(self.total) else self.F
 
 
 def part_of(array: wp.array, part: slice) -> wp.array:
-    """Return a slice of an array; an empty array, which no law uses, is returned unchanged."""
+    """Return a slice of an array with a row per particle.
+
+    An empty array, which no law uses, is returned unchanged.
+    """
     return cast("wp.array", array[part]) if len(array) else array
 
 
@@ -377,7 +388,8 @@ def parameters(
 
 
 def _runs(materials: Sequence[Material], material: NDArray, body: NDArray) -> list[tuple[int, int]]:
-    """Return the first index and the end index of the particles of each law in each body.
+    """Return the first index and the end index of the particles of each constitutive law in each
+    body.
 
     Raises:
         ValueError: The particles of different bodies or laws are mixed, or a body has no particle.

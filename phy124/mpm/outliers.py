@@ -25,13 +25,17 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import Part
 
 MAX_NODES = 2**25
-"""Largest number of nodes in a window."""
+"""Largest number of nodes in a window of the grid."""
 MIN_NODES = 2**20
-"""A window with at most this number of nodes is always allowed."""
+"""A window of the grid with at most this number of nodes is always allowed."""
 GROWTH = 16
-"""The number of nodes in a window may grow to this multiple of the number in the initial window."""
+"""The number of nodes in a window may grow to this multiple of the number of nodes in the initial
+window.
+"""
 EVERYWHERE = 1e30
-"""A coordinate larger than any position [m], but finite in float32."""
+"""A coordinate that stands for infinity [m]; it is larger than any position, but finite in
+float32.
+"""
 
 
 class Outliers(Kept):
@@ -43,21 +47,25 @@ class Outliers(Kept):
         self._model, self._state, self._half = model, state, np.zeros(3)
         corners = np.array([[-EVERYWHERE] * 3, [EVERYWHERE] * 3])
         self.corners = model.array(corners, types(model.real).vec3)
-        """Lowest and highest corner on the device [m]."""
+        """Lowest and highest corner of the box on the device [m]."""
         self.bounded = False
         self.indices = wp.zeros(0, dtype=int, device=model.device)
-        """Indices of the particles that are currently outside the box."""
+        """Indices of the particles that are currently outside the box of the grid."""
         # The extent of the particles at rest, without single distant particles.
         runs = [model.rest[model.particles(body)] for body in range(model.bodies)]
         first = sum(self._nodes(*np.quantile(rest, (0.05, 0.95), axis=0)) for rest in runs)
         self.allowed = min(MAX_NODES, max(MIN_NODES, GROWTH * min(first, MAX_NODES)))
-        """Largest number of nodes in a window that contains all particles."""
+        """Largest number of nodes that a window of the grid may have if it contains all
+        particles.
+        """
         self.most, self.changed = 0, False
-        """Largest number of outliers so far; whether the last measurement changed the indices."""
+        """Largest number of outliers so far, and whether the last measurement changed their
+        indices.
+        """
 
     @property
     def count(self) -> int:
-        """Number of particles that are currently outside the box."""
+        """Number of particles that are currently outside the box of the grid."""
         return len(self.indices)
 
     def restore(self, snapshot: dict[str, Any]) -> None:
@@ -68,8 +76,9 @@ class Outliers(Kept):
         self.indices = wp.array(out, dtype=int, device=self._model.device)
 
     def confine(self, corners: Sequence[tuple[NDArray, NDArray]]) -> bool:
-        """Adapt the box to the corners of all bodies [3], m; return whether particles must be
-        measured again.
+        """Adapt the box to the corners of the bodies' bounding boxes [3], m.
+
+        The function returns whether the particles must be measured again.
         """
         if self.bounded:
             lower = np.min([low for low, _ in corners], axis=0)
@@ -88,8 +97,7 @@ class Outliers(Kept):
         return True
 
     def around(self, part: Part, gather: Recorded, grid: Grid, tracks: Tracks) -> list[Recorded]:
-        """Return the kernel launches for the gather of `part`, including launches that move
-        outliers.
+        """Return the kernel launches for the gather of `part`, including those that move outliers.
 
         Args:
             part: Some of the particles.
@@ -120,7 +128,10 @@ class Outliers(Kept):
         self.most = max(self.most, len(out))
 
     def _beyond(self) -> NDArray[np.int32]:
-        """Return the indices of particles outside the box, determined in the device's precision."""
+        """Return the indices of particles outside the box of the grid.
+
+        The comparison uses the device's precision.
+        """
         (low, high), x = self.corners.numpy(), self._state.x.numpy()
         return np.flatnonzero(~np.all((x >= low) & (x <= high), axis=1)).astype(np.int32)
 

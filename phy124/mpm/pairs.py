@@ -22,10 +22,10 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Recorded
 
 STAGE = "pairs"
-"""Name of the stages of contact between bodies."""
+"""Name under which reports list the time for contact between bodies."""
 ROOM = 16
-"""Length of the array in which a worker sums the contact of a pair. With this length, no two
-workers write to the same cache line.
+"""Length of the array in which a worker sums the impulses between a pair of bodies. With this
+length of the arrays, no two workers write to the same cache line.
 """
 Box = tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -40,11 +40,11 @@ class Pair(NamedTuple):
     friction: float = 0.5
     """Coefficient of Coulomb friction."""
     sticky: bool = False
-    """Whether both bodies have equal velocities at every node at which both have mass."""
+    """Whether the two bodies have equal velocities at every node at which both have mass."""
 
 
 class Pairs(Kept):
-    """All pairs of the bodies of one run."""
+    """All pairs of bodies of a run, and the contact between them."""
 
     kept = ("_sums", "_begun", "_added")
 
@@ -67,12 +67,14 @@ class Pairs(Kept):
             )
         pairs = [chosen.get(number, Pair(*number)) for number in numbers]
         self.all = [pair for pair in pairs if not {pair.first, pair.second} <= model.held]
-        """All pairs except pairs of two fixed bodies, which cannot act on each other."""
+        """All pairs of bodies, except pairs of two fixed bodies, which cannot act on each other."""
         self._model = model
         shape = (workers, len(self.all), ROOM)
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
         self._added = np.zeros((len(self.all), SUMS))
-        """Sums of a liquid's impulses [pairs,6]. Another solver computes these impulses."""
+        """For each pair of bodies [pairs,6], sums of a liquid's impulses. The impulses of a liquid
+        are computed by another solver.
+        """
         self._begun = self._total()
         self._fill = fill_of(model)
 
@@ -105,7 +107,8 @@ class Pairs(Kept):
         return self._signs() @ self._total()[:, :MOMENT]
 
     def rows(self) -> tuple[wp.array, wp.array]:
-        """Return the sums of impulses, one row per worker and pair, and a sign for each row.
+        """Return the sums of impulses, with a row for each worker and pair, and a sign for each
+        row.
 
         The sign is 1 or -1 if the first or the second body of the pair is fixed, otherwise 0.
         """
@@ -120,7 +123,7 @@ class Pairs(Kept):
         return np.array(signs, float)
 
     def sums_of(self, index: int) -> wp.array:
-        """Return the sums of impulse and moment for a pair, as added up by the first worker."""
+        """Return the first worker's sums of impulse and moment between a pair of bodies."""
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
@@ -174,7 +177,7 @@ class Pairs(Kept):
 
 
 def fill_of(model: Model) -> list[float]:
-    """Return for each body the fraction of a cell that a unit of the body's mass fills [1/kg]."""
+    """Return for each body the fraction of a cell that one kilogram of the body fills [1/kg]."""
     mass, volume = (a.numpy().astype(np.float64) for a in (model.mass, model.volume))
     runs = [model.particles(body) for body in range(model.bodies)]
     return [float(volume[run].sum() / mass[run].sum() / model.dx**3) for run in runs]
@@ -186,6 +189,6 @@ def kernels(real: Any) -> list[Any]:
 
 
 def _overlap(first: Grid, second: Grid) -> Box:
-    """Return the first node in both windows, and the node after the last."""
+    """Return the first node in the windows of both bodies, and the node after the last."""
     low = np.maximum(first.low, second.low)
     return low, np.minimum(first.low + first.size, second.low + second.size)

@@ -22,14 +22,21 @@ from phy124.mpm.timestep import CELLS_PER_STEP, STRAIN_PER_STEP, TRAVEL
 from phy124.mpm.tracks import Tracks
 
 TRIES = 100
-"""Largest number of trials; each trial is at most half as long as the trial before."""
+"""Largest number of trials for a substep; each trial is at most half as long as the trial
+before.
+"""
 FIRST = 4
-"""If any force may be sudden, this number of substeps at the start of a run are trials."""
+"""If any force may change velocities suddenly, the first substeps of a run are trials; this is
+their number.
+"""
 PULL = 0.1
-"""A substep is run as a trial if forces could move a particle at rest farther than this [cells]."""
+"""A substep is run as a trial if forces could move a particle at rest farther than this in the
+substep [cells].
+"""
 ROUNDED = 1 - 1e-6
-"""The bounds also cover this fraction of the previous frame. The first moment of this frame is left
-out, because rounding errors could add forces that ended just before the frame.
+"""The bounds of forces and walls also cover this fraction of the previous frame. The first moment
+of the previous frame is left out, because rounding errors could add forces that ended just before
+it.
 """
 
 
@@ -44,7 +51,7 @@ class StepRejection:
         pushes: Sequence[Stage],
         accumulators: Sequence[Sums],
     ) -> None:
-        """Bind to a run.
+        """Prepare the trials of a run.
 
         Args:
             model: The constants of the run.
@@ -58,19 +65,19 @@ class StepRejection:
         self._pushed = [state.v, *([state.C] if turning else [])] if pushes else []
         self._fastest = wp.zeros(1, dtype=model.real, device=model.device)
         self.pressed = 0.0
-        """Largest acceleration due to the pressure of a liquid [m/s^2]."""
+        """Largest acceleration of a particle due to the pressure of a liquid [m/s^2]."""
         self._pushes = pushes
         self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
-        """Number of substeps that were rejected."""
+        """Number of trial substeps that were rejected."""
 
     def keep(self, sums: Sums) -> None:
         """From now on, restore these sums as well after each rejected substep."""
         self._accumulators = [*self._accumulators, sums]
 
     def begin(self, start: float, end: float) -> None:
-        """Compute bounds of forces and walls from `start` to `end` [s].
+        """Compute upper bounds of forces and wall speeds from `start` to `end` [s].
 
         Forces and walls outside the interval are ignored, so that a push does not shorten the
         substeps of another frame. A kick includes half of the previous substep, so the bounds also
@@ -82,7 +89,9 @@ class StepRejection:
         """Upper bound of the acceleration of particles by forces [m/s^2]."""
         tops = [stage.top_speed(before, end) for stage in self._pushes if stage.top_speed]
         self.wall = max(_max_rate(self._tracks, before, end), *tops, 0.0)
-        """Largest speed of a wall or a stream [m/s], which a particle may reach in one substep."""
+        """Largest speed of a wall or a stream [m/s]; a particle may reach this speed in a single
+        substep.
+        """
         self._changing = any(track.changes(before, end) for track in self._tracks.tracks)
 
     def sudden(self, clock: Clock) -> bool:
@@ -90,8 +99,9 @@ class StepRejection:
         return self._pushy and (self._changing or clock.substeps < FIRST)
 
     def must_try(self, clock: Clock, dt: float, *, flying: bool = False) -> bool:
-        """Return whether, according to the last measurement, a substep may move a particle or a
-        wall too far.
+        """Return whether a substep may move a particle or a wall too far.
+
+        The estimate is based on the last measurement.
 
         Args:
             clock: Clock with the last measurement.
@@ -109,8 +119,9 @@ class StepRejection:
         )
 
     def interval(self, clock: Clock, calm: float) -> int:
-        """Return the number of substeps between measurements of speeds; the user's number, if it is
-        safe.
+        """Return the number of substeps between two measurements of speeds.
+
+        The number in the user's options is returned if it is safe.
 
         Up to the strain `calm`, no material stiffens significantly.
         """
@@ -126,7 +137,8 @@ class StepRejection:
         return every if each * every <= 1 else max(MEASURE_EVERY, int(1 / each))
 
     def room(self, clock: Clock) -> int:
-        """Return the number of substeps in which no particle can leave the margin of its window.
+        """Return the number of substeps in which no particle can leave the margin of its grid's
+        window.
 
         In substep k, a particle moves by at most `(v + k a dt) dt`. The term `a dt^2` is limited to
         `PULL` cells. If `a dt^2` is larger, substeps are run as trials. After a violent trial,

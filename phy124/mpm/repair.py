@@ -17,17 +17,23 @@ from phy124.mpm.kept import Kept
 from phy124.mpm.model import Model, State
 
 SOUND_J = (1e-5, 1e6)
-"""Range of valid volume ratios; a particle outside this range is reset and counted."""
+"""Range of volume ratios that count as valid; a particle outside this range is reset and
+counted.
+"""
 SOUND_F = 1e3
-"""Largest norm of a valid deformation gradient."""
+"""Largest norm of a particle's deformation gradient that counts as valid."""
 NARROWEST = 1e-5
-"""If the smallest stretch is below this fraction of the largest one, J may be wrong."""
+"""If the smallest stretch of a particle is below this fraction of its largest stretch, its volume
+ratio J may be wrong.
+"""
 MAX_TOTAL = 1e6
-"""Largest norm of F_total; the visible shape stops growing at a stretch of 4."""
+"""Largest norm of the total deformation gradient F_total. The visible shape of a particle already
+stops growing at a stretch of 4.
+"""
 AFTER_STRAIN = 1.0
-"""Deformations are checked again after this strain (sum of |C| dt over substeps)."""
+"""Deformations are checked again after this strain (the sum of |C| dt over substeps)."""
 NO_PARTICLE = 2**31 - 1
-"""An index larger than any particle's index."""
+"""A number that is larger than the index of any particle."""
 
 
 class Repair(Kept):
@@ -48,7 +54,9 @@ class Repair(Kept):
                 are computed from the nodes.
         """
         self.count, self.first = 0, NO_PARTICLE
-        """Number of resets in finished frames, and the lowest index of a reset particle."""
+        """Number of particles that were reset in finished frames, and the lowest index of such a
+        particle.
+        """
         self._resets = wp.zeros(2, dtype=int, device=model.device)
         real, limits = model.real, [*SOUND_J, SOUND_F, NARROWEST]
         outputs, count = [state.F, state.C, self._resets], len(model) if needed else 0
@@ -58,14 +66,18 @@ class Repair(Kept):
         self._started, self._strain, self._last = False, 0.0, 0.0
 
     def begin(self, clock: Clock) -> None:
-        """Start a frame, or another attempt at the same frame."""
+        """Start a frame, or another attempt at the same frame; repair the deformations of the
+        particles.
+        """
         self._resets.assign([self.count, self.first])
         self._launch(self._reset)
         self.count, self.first = self._resets.numpy().tolist()
         self._started, self._strain, self._last = True, 0.0, clock.time
 
     def substep(self, clock: Clock) -> None:
-        """Repair deformations after a substep if the accumulated strain exceeds `AFTER_STRAIN`."""
+        """Repair deformations after a substep if the strain since the last check exceeds
+        `AFTER_STRAIN`.
+        """
         if not self._started:
             return
         self._strain += clock.extremes.gradient * (clock.time - self._last)
@@ -76,7 +88,7 @@ class Repair(Kept):
             self._strain = 0.0
 
     def end(self) -> None:
-        """Finish a frame."""
+        """Finish a frame: read the number of repaired particles, and limit F_total."""
         self.count, self.first = self._resets.numpy().tolist()
         self._launch(self._limit)
 

@@ -9,12 +9,12 @@ from phy124.mpm.workers import Timings, run_timed
 
 
 class Worker(Protocol):
-    """The phases and other tasks of one thread."""
+    """The phases and other tasks of one thread (worker)."""
 
     timings: Timings
 
     def run(self, task: int, /) -> None:
-        """Run the phase or other task with this number."""
+        """Run the phase or other task with a number."""
         ...
 
 
@@ -34,7 +34,7 @@ class Runner:
         return self.team.running() if self.team.size > 1 else nullcontext()
 
     def run(self, phase: int) -> None:
-        """Run a phase after all threads have reached it."""
+        """Run a phase of a substep after all threads have reached it."""
         task = self._task(phase)
         if self.team.alive:
             run_timed(self._workers[0].timings, "wait", lambda: self.team.put(task))
@@ -48,7 +48,7 @@ class Runner:
             run_timed(self._workers[0].timings, "wait", self.team.join)
 
     def complete(self, number: int) -> None:
-        """Run a task on all workers and wait; no stage includes the waiting time."""
+        """Run a task on all workers and wait; reports do not count the waiting time."""
         self.team.complete(self._task(number))
 
     def _task(self, number: int) -> Task:

@@ -47,7 +47,9 @@ from phy124.mpm.workers import (
 )
 
 CALM = 0.9
-"""Largest growth of stiffness between measurements, relative to the stable growth."""
+"""Largest growth of stiffness between two measurements, relative to the growth up to which substeps
+are stable.
+"""
 
 
 class Solver(Kept):
@@ -58,7 +60,9 @@ class Solver(Kept):
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[Clock]] = Clock
     guest: Any = None
-    """A launch of another solver, which runs after the update of the grids and before the walls."""
+    """A kernel launch of another solver, which runs after the update of the grids and before the
+    walls.
+    """
 
     def __init__(
         self,
@@ -105,7 +109,7 @@ class Solver(Kept):
         self.clock = self.clock_type(model, ceiling=ceiling, measure_every=measure_every)
         on_device = usable(model.device) if graph is None else graph
         self.on_device = on_device and model.bodies == 1 and not free and not model.held
-        """Whether frames run as graphs."""
+        """Whether the substeps of a frame run as a CUDA graph."""
         self.grids = grids_of(model, apart=self.on_device)
         """The grid of each body."""
         self.outliers = Outliers(model, self.state)
@@ -122,11 +126,13 @@ class Solver(Kept):
         self._stray = wp.zeros(1, dtype=int, device=model.device)
         self._missed = wp.zeros((count, 1), dtype=int, device=model.device)
         self.flying = False
-        """Whether no force on particles, no wall and no other body is near the window."""
+        """Whether the particles fly freely: no force acts on them, and no wall or other body is
+        near the grid's window.
+        """
         self._moved = False
-        """Whether a window has moved since the launches were recorded."""
+        """Whether a window has moved since the kernel launches were recorded."""
         self.softened = 1.0
-        """Current factor on the stiffness of all particles."""
+        """Current factor on the initial stiffness of all particles."""
         self.runner = Runner(self.workers)
         self._graph = Graph(model, self.clock, self.grids[0], self.workers[0], self._stray)
         self.bind(**acting)
@@ -185,7 +191,7 @@ class Solver(Kept):
 
     @property
     def timings(self) -> Timings:
-        """Seconds and number of launches of each stage in the first thread."""
+        """For each stage of a substep, seconds and number of its launches in the first thread."""
         return self.workers[0].timings
 
     def start(self) -> None:
@@ -266,7 +272,9 @@ class Solver(Kept):
             self._record()
 
     def _restore_slabs(self, snapshot: dict[str, Any]) -> bool:
-        """Restore the slabs; return False if the snapshot has a different number of threads."""
+        """Restore the workers' nodes (slabs); return False if the snapshot has another number of
+        threads.
+        """
         if self.slabs is None:
             return True
         known = self.slabs.restore(snapshot)
@@ -316,7 +324,9 @@ class Solver(Kept):
             self.runner.run(phase)
 
     def _run_graph(self, until: float) -> bool:
-        """Take substeps on the device; return False if the host must take the next substep."""
+        """Take substeps of a frame on the device; return False if the host must take the next
+        substep.
+        """
         alone = self.on_device and len(self.workers) == 1
         if not alone or self.rejection.sudden(self.clock):
             return False
@@ -357,7 +367,7 @@ class Solver(Kept):
             clock.interval = min(interval, room)
 
     def _calm_strain(self) -> float:
-        """Return the strain up to which the substep remains stable, although materials stiffen."""
+        """Return the strain up to which the substep remains stable although materials stiffen."""
         growth = max(CALM / self.clock.cfl**2, 1.05)
         stiffness = self.clock.extremes.stiffness / (self.model.least_stiffness * self.softened)
         return min(m.calm_strain(growth, stiffness) for m in self.model.materials)
@@ -387,14 +397,15 @@ class Solver(Kept):
             self._measure_due()
 
     def _corners(self, rows: NDArray[np.float64]) -> list[Corners]:
-        """Return the lowest and highest corner of each body [m] from the measured maxima."""
+        """Return the corners of each body's bounding box [m] from the measured maxima."""
         parts = self.slabs.parts if self.slabs else ()
         bodies = [part.group.body for part in parts] or range(len(rows))
         return corners_of(rows, bodies, len(self.grids))
 
     def _fit_slabs(self, rows: NDArray[np.float64], force: bool) -> bool:
-        """Fit the slabs to the particles, or divide the particles again; return whether slabs
-        changed.
+        """Fit each worker's nodes (slabs) to the particles, or divide the particles again.
+
+        The function returns whether the slabs changed.
         """
         slabs = self.slabs
         if slabs is None or not slabs.fit(rows, force=force):
@@ -412,7 +423,8 @@ class Solver(Kept):
             worker.glances = self._recorder.speeds(worker, self._stray)
 
     def _maxima(self) -> NDArray[np.float64]:
-        """Measure the particles; return a row of maxima per part of each worker, or per body.
+        """Measure the particles; return a row of maxima for each part of each worker, or for each
+        body.
 
         Raises:
             Unstable: A value of a particle is not finite.
@@ -438,7 +450,7 @@ class Solver(Kept):
             raise Unstable(f"{lost} particles are NaN or infinite")
 
     def _safe_interval(self) -> int:
-        """Return a safe number of substeps between two measurements of speeds."""
+        """Return a number of substeps between two measurements of speeds that is safe."""
         interval = min(self.clock.measure_every, MEASURE_EVERY)
         if not self.on_device:
             interval = self.rejection.interval(self.clock, self._calm_strain())

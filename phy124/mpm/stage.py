@@ -11,31 +11,45 @@ from phy124.mpm.tracks import Tracks
 
 
 class Stage(NamedTuple):
-    """A launch that a force, a boundary or an accumulator adds to a substep."""
+    """A kernel launch that a force, a boundary or an accumulator adds to each substep."""
 
     name: str
-    """Name of the stage in a report's list of times."""
+    """Name under which reports list the stage's time."""
     record: Callable[[Grid], wp.Launch | None]
-    """Function that records the launch for the grid's window; None if no launch is needed."""
+    """Function that records the kernel launch for the grid's current window; None if no launch is
+    needed.
+    """
     sudden: bool = False
-    """Whether the stage may change a velocity abruptly even if its strength is small."""
+    """Whether the stage may change a velocity abruptly even if the values of its track are
+    small.
+    """
     in_newtons: bool = False
-    """Whether the track is a force on each particle [N] instead of an acceleration [m/s^2]."""
+    """Whether the stage's track contains a force on each particle [N] instead of an acceleration
+    [m/s^2].
+    """
     keeps_C: bool = False
-    """Whether the stage never changes C; sums of its work then need not read C."""
+    """Whether the stage never changes the velocity gradients C; sums of its work then need not read
+    C.
+    """
     by_run: bool = False
-    """Whether each worker records the stage for only the worker's particles (`Grid.run`)."""
+    """Whether each worker records a launch of the stage for only its part of the particles
+    (`Grid.run`).
+    """
     alone: bool = False
-    """Whether one worker launches the stage for all layers while the other workers wait."""
+    """Whether one worker launches the stage for all layers of nodes while the other workers
+    wait.
+    """
     with_update: Callable[[Grid], wp.Launch | None] | None = None
-    """Function that records one launch for stage and grid update; None if impossible."""
+    """Function that records a single kernel launch for the stage and the grid update; None if this
+    is impossible.
+    """
     limit: Callable[[float, float], float] | None = None
-    """Function that returns the largest acceleration of a particle [m/s^2] between two times [s];
-    None: use the track's values.
+    """Function that returns the largest acceleration of a particle [m/s^2] between two times [s].
+    If it is None, the track's values are used.
     """
     top_speed: Callable[[float, float], float] | None = None
     """Function that returns the speed [m/s] up to which the stage accelerates particles between two
-    times [s]; None: no limit.
+    times [s]. If it is None, there is no limit.
     """
 
 
@@ -70,7 +84,7 @@ class Accumulator(Attachable, Sums, Protocol):
 
 
 Named = tuple[str, Callable[[], Any]]
-"""The name of a launch, and a function that repeats the launch."""
+"""The name of a stage, and a function that repeats its kernel launch."""
 
 
 class Repeatable(Protocol):
@@ -82,9 +96,11 @@ class Repeatable(Protocol):
 
 
 Recorded = tuple[str, Repeatable | None]
-"""The name of a launch, and the recorded launch; None if there is none."""
+"""The name of a stage, and its recorded kernel launch; None if there is no launch."""
 
 
 def launches(records: list[Recorded]) -> list[Named]:
-    """Return named functions that repeat the recorded kernel launches; omit missing launches."""
+    """Return named functions that repeat the recorded kernel launches; missing launches are
+    omitted.
+    """
     return [(name, launch.launch) for name, launch in records if launch is not None]

@@ -29,7 +29,9 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import GATHER, Part, Slabs, Worker
 
 MEASURING = 2**17
-"""Largest number of threads that measure limits on a GPU; each block of threads writes once."""
+"""Largest number of GPU threads that measure the limits of a substep; each block of threads writes
+once.
+"""
 
 
 class Transfers(NamedTuple):
@@ -58,7 +60,7 @@ def kernels(laws: Iterable[Law], real: Any, form: str) -> Iterator[Any]:
 
 
 class Gathered(Protocol):
-    """An object that reads the particles of one part at a time, after their gather."""
+    """An object that reads the particles of one worker and law at a time, after their gather."""
 
     def allocate(self, model: Model, workers: int) -> None:
         """Allocate memory for a number of workers."""
@@ -91,21 +93,27 @@ class Recorder:
     outliers: Outliers
     workers: Sequence[Worker]
     slabs: Slabs | None
-    """The slabs of several workers; None for a single worker."""
+    """The sets of nodes (slabs) to which several workers scatter; None for a single worker."""
     pairs: Pairs
     """Contact between bodies."""
     free: FreeBodies
     """Freely moving rigid solids."""
     missed: wp.array
-    """Flag of each worker [W,1]: 1 if g2p skipped a particle outside the window, otherwise 0."""
+    """Flag of each worker [W,1]: 1 if the gather skipped a particle outside the window, otherwise
+    0.
+    """
     fluctuation: Fluctuation | None = None
-    """Object that restores motion that the grid does not represent; None for APIC."""
+    """Object that restores the motion that the grid does not represent; None for the APIC
+    scheme.
+    """
     gathered: Sequence[Gathered] = ()
-    """Objects that read each part of the particles right after the part's gather."""
+    """Objects that read each worker's particles right after these particles' gather."""
     rpic: float = 0.0
-    """Decay rate of the symmetric part of C [1/s]."""
+    """Rate at which the symmetric part of the velocity gradients C decays [1/s]."""
     guest: Any = None
-    """A launch of another solver, which runs after the update of the grids and before the walls."""
+    """A kernel launch of another solver, which runs after the update of the grids and before the
+    walls.
+    """
 
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
@@ -134,7 +142,9 @@ class Recorder:
         self.workers[0].phases[GATHER] += launches(last)
 
     def _passes(self, parts: Sequence[Part], worker: int) -> Iterator[list[Named]]:
-        """Yield a worker's phases for the passes over the grid before the substep's scatter."""
+        """Yield a worker's phases for the passes of AFLIP or XPIC over the grid, before the
+        scatter.
+        """
         kept = self.fluctuation
         for turn in range(kept.scheme.passes if kept else 0):
             assert kept is not None
@@ -165,7 +175,7 @@ class Recorder:
 
     @property
     def _grid(self) -> Grid:
-        """A grid for launches that need a grid as an argument but do not use its nodes."""
+        """A grid for kernel launches that need a grid as an argument but do not use its nodes."""
         return next(grid for grid in self.grids if grid.count) if self.model.wet else self.grids[0]
 
     def _push(self, stages: Sequence[Stage], worker: int) -> list[Named]:
@@ -181,7 +191,8 @@ class Recorder:
         return launches([(stage.name, stage.record(self._grid)) for stage in stages])
 
     def _update_phases(self, walls: Sequence[Stage], worker: int) -> list[list[Recorded]]:
-        """Return a worker's phases after the scatter: grid update, contact of bodies, and walls.
+        """Return a worker's phases that follow the scatter: grid update, contact of bodies, and
+        walls.
 
         Walls come last, so that no other stage can push material through them.
         """
@@ -208,15 +219,18 @@ class Recorder:
         return phases
 
     def _update_with(self, wall: Stage) -> Recorded | None:
-        """Return one launch for the grid update and a wall; None if two launches are needed."""
+        """Return a single kernel launch for the grid update and a wall; None if two launches are
+        needed.
+        """
         if wall.with_update is None or len(self.grids) > 1 or not self._grid.apart:
             return None
         launch = wall.with_update(self._grid)
         return None if launch is None else (wall.name, launch)
 
     def _meet_free(self) -> list[Recorded]:
-        """Return a worker's kernel launches for the contact of free bodies with each particle body
-        in turn.
+        """Return a worker's kernel launches for the contact of freely moving solids.
+
+        The launches handle each particle body in turn.
         """
         records = (self.free.record(self.grids[body], body) for body in self._moving)
         return list(itertools.chain(*records))
@@ -224,8 +238,9 @@ class Recorder:
     def _wall(
         self, wall: Stage, grid: Grid, place: int, worker: int, *, alone: bool
     ) -> Recorded | None:
-        """Return a worker's kernel launches for a wall and a body; the first worker handles some
-        walls alone.
+        """Return a worker's kernel launches for a wall and a body.
+
+        Some walls are handled by the first worker alone.
         """
         if alone:
             return (wall.name, wall.record(grid)) if worker == 0 else None
@@ -258,7 +273,7 @@ class Recorder:
                 yield "clear", self.grids[body].nodes.zero_
 
     def measures(self, worker: Worker, stray: wp.array) -> list[wp.Launch]:
-        """Return the launches that measure the substep's limits over a worker's particles."""
+        """Return the kernel launches that measure a substep's limits over a worker's particles."""
         model, s, measures = self.model, self.state, []
         for part in worker.parts:
             group, run = part.group, part.particles
@@ -281,7 +296,8 @@ class Recorder:
         return [launch for launch in glances if launch is not None]
 
     def _scatter(self, part: Part) -> Iterator[Recorded]:
-        """Yield the scatter of a part, preceded by RPIC damping if the scheme includes RPIC.
+        """Yield the kernel launches that scatter a part of the particles, after RPIC damping if
+        required.
 
         The damping runs before the scatter instead of after the gather, so that measurements
         between two substeps include the strain of the substep.
@@ -320,8 +336,9 @@ class Recorder:
         return records
 
     def _update(self, body: int, worker: int, clock: wp.array | None = None) -> list[Recorded]:
-        """Return the kernel launch that updates a worker's part of a grid; the default is the run's
-        clock.
+        """Return the kernel launch that updates a worker's part of a grid.
+
+        By default, the launch uses the clock of the run.
         """
         model, grid, slabs = self.model, self.grids[body], self.slabs
         momenta = grid.nodes if clock is not None else grid.momenta

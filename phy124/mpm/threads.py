@@ -21,13 +21,17 @@ from phy124.kernels.reduction import meet
 from phy124.runtime.cores import cores
 
 ROUNDS = 20
-"""For this number of spins, a thread that waits at a barrier only yields its core."""
+"""While a thread waits at a barrier, it only yields its core for this number of spins."""
 NAP = 5e-5
-"""Between later spins, the thread sleeps for this time [s]."""
+"""Between later spins at the barrier, the waiting thread sleeps for this time [s]."""
 SPINS = 100_000
-"""Number of checks of the barrier per spin if every thread has a core; otherwise one check."""
+"""Number of times that a waiting thread checks the barrier per spin, if every thread has a core.
+Otherwise, the thread checks it once per spin.
+"""
 Task = Callable[[int], None]
-"""Function that runs one member's part of a task; its argument is the member's index."""
+"""Function that runs the part of a task that belongs to a member of the team; its argument is the
+member's index.
+"""
 
 
 class Team:
@@ -42,13 +46,13 @@ class Team:
         self.size = size
         self._barrier: Barrier | None = None
         self._tasks: list[Task | None] = [None, None]
-        """The last two tasks, since members may read a task after the next has started. These tasks
-        are not kept after the threads have ended, because a task refers to arrays.
+        """The last two tasks of the team, since members may read a task after the next task has
+        started. Tasks are not kept after the threads have ended, because a task refers to arrays.
         """
         self._started = 0
-        """Number of tasks that were started since the threads began."""
+        """Number of tasks that the team started since its threads began."""
         self._errors: list[BaseException | None] = []
-        """Exception of each member's last task."""
+        """Exception that each member's last task raised, or None."""
         self.seconds = [0.0] * size
         """CPU time that each member except the first has used [s]."""
 
@@ -140,7 +144,7 @@ class Barrier:
         spins = SPINS if parties <= cores() else 1
         self._launches = [self._record(ticket, parties, spins) for ticket in self._tickets]
         self.abandoned = False
-        """Whether threads should stop waiting."""
+        """Whether threads that wait at a barrier should stop waiting."""
 
     def _record(self, ticket: wp.array, parties: int, spins: int) -> Any:
         inputs, outputs = [parties, spins], [self._counter, ticket]

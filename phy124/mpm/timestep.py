@@ -20,19 +20,23 @@ from numpy.typing import NDArray
 from phy124.kernels.measure import GRADIENT, HIGH, LOW, SPEED, STIFFNESS
 
 CFL = 0.75
-"""Substep as a fraction of the elastic limit."""
+"""Length of a substep as a fraction of the elastic limit."""
 CELLS_PER_STEP = 0.5
 """Largest distance that a particle moves in one substep [cells]."""
 STRAIN_PER_STEP = 0.4
-"""Largest |C| dt; if |C| dt is below 1, an element cannot become inverted in one substep."""
+"""Largest product of the velocity gradient |C| and a substep's length dt. If |C| dt is below 1, an
+element cannot become inverted in one substep.
+"""
 MEMORY = 0.95
-"""Decay factor of the assumed stiffness within `MEASURE_EVERY` substeps after a measurement."""
+"""Factor by which the assumed stiffness decays during the `MEASURE_EVERY` substeps after a
+measurement.
+"""
 TRAVEL = 2
-"""Largest distance that particles move between measurements of positions [cells]; the margin of the
-grid's window is twice as wide.
+"""Largest distance that particles may move between two measurements of their positions [cells]; the
+margin of the grid's window is twice as wide.
 """
 MEASURE_EVERY = 4
-"""Number of substeps between two measurements of the limits, safe for any motion."""
+"""Number of substeps between two measurements of the particles that is safe for any motion."""
 
 
 class Extremes(NamedTuple):
@@ -46,8 +50,10 @@ class Extremes(NamedTuple):
     """A / rho0 [m^2/s^2]."""
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return these extremes, but with a speed of at least `speed`, and a stiffness of at least
-        the decayed stiffness of `before`.
+        """Return these extremes, but with lower bounds for speed and stiffness.
+
+        The speed is at least `speed`, and the stiffness is at least the decayed stiffness of
+        `before`.
 
         Args:
             before: Extremes measured `substeps` earlier.
@@ -62,7 +68,7 @@ class Maxima(NamedTuple):
     """Extremes and bounding box of some particles, as measured on the device."""
 
     extremes: Extremes
-    """Values that limit the substep."""
+    """Measured values that limit the length of a substep."""
     lower: NDArray[np.float64]
     """Lowest corner of the particles' bounding box [3], m."""
     upper: NDArray[np.float64]
@@ -86,7 +92,7 @@ class Substep(NamedTuple):
     dt: float
     """Length [s]."""
     limiter: str
-    """elastic, speed, gradient, viscous or user."""
+    """Name of the limit: elastic, speed, gradient, viscous or user."""
 
 
 def stable_substep(
@@ -118,13 +124,13 @@ def stable_substep(
 
 
 def decay(value: float, substeps: int) -> float:
-    """Return the value assumed some substeps after a measurement; the value decays by `MEMORY`."""
+    """Return the value that is assumed some substeps after a measurement; it decays by `MEMORY`."""
     return MEMORY ** (substeps / MEASURE_EVERY) * value
 
 
 def beside_elastic(cfl: float) -> float:
-    """Return the stable fraction of the viscous limit for substeps of `cfl` times the elastic
-    limit.
+    """Return the stable fraction of the viscous limit, for substeps that are `cfl` times the
+    elastic limit.
 
     An oscillator with omega dt = 2 cfl and damping gamma dt, both integrated explicitly, is stable
     while (omega dt)^2 <= 4 - 2 gamma dt.
@@ -133,7 +139,8 @@ def beside_elastic(cfl: float) -> float:
 
 
 def beside_rpic(cfl: float) -> float:
-    """Return the stable fraction of the elastic limit if RPIC damps the strain rate in C.
+    """Return the stable fraction of the elastic limit if the scheme RPIC damps the strain rate in
+    C.
 
     An oscillator that keeps the fraction s of its velocity in each substep is stable while (omega
     dt)^2 <= 2 + 2 s; in the worst case s is 0.

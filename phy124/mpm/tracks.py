@@ -1,4 +1,4 @@
-"""Tracks: quantities that vary in time, evaluated on the device once per substep.
+"""Tracks: quantities that change over time, evaluated on the device once per substep.
 
 Every time profile becomes a piecewise linear table, so kernels need not distinguish profiles.
 """
@@ -30,21 +30,23 @@ FOREVER = 1e30
 Key = tuple[float, Vector]
 """Time [s] and value."""
 Over = Literal["", "kick", "drift"]
-"""Interval over which a value is averaged: no interval, the kick, or the drift."""
+"""Interval over which a track's value is averaged: no interval, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
-"""Flag of a track for each interval over which the track's values may be averaged."""
+"""For each interval over which values may be averaged, the flag of a track."""
 
 
 class Table(Section):
     """Base class of time profiles: tables of times [s] and factors, optionally repeated."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times since the start [s] and factors at these times, linear in between."""
+        """Return times since the start of the profile [s] and factors at these times; factors are
+        linear in between.
+        """
         raise NotImplementedError
 
     @property
     def period(self) -> float:
-        """Time after which the table repeats [s]; 0 if it never repeats."""
+        """Time after which the table of factors repeats [s]; 0 if it never repeats."""
         return 0.0
 
 
@@ -54,7 +56,7 @@ class Constant(Table):
     kind: Literal["constant"] = "constant"
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a table that contains a single key."""
+        """Return the time [s] and the factor of the profile's only key."""
         return np.zeros(1), np.ones(1)
 
 
@@ -70,7 +72,7 @@ class Ramp(Table):
     """Factor at the end of the ramp and afterwards."""
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a table that contains the start and the end of the change as keys."""
+        """Return the times [s] and factors at the start and the end of the change."""
         return np.array([0.0, self.duration]), np.array([self.first, self.last])
 
 
@@ -81,17 +83,17 @@ class Sine(Table):
     frequency: float = Field(default=1.0, ge=1e-5, le=1e4)
     """Frequency of the oscillation [Hz]."""
     phase: float = Field(default=0.0, ge=-360, le=360)
-    """Phase at the start [degrees]."""
+    """Phase of the sine at the start [degrees]."""
     offset: Factor = 0.0
-    """Mean factor, around which the sine oscillates."""
+    """Mean factor of the profile, around which the sine oscillates."""
 
     @property
     def period(self) -> float:
-        """One period [s]."""
+        """Duration of one period [s]."""
         return 1 / self.frequency
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a table of one period."""
+        """Return the times [s] and factors of a single period."""
         parts = np.linspace(0, 1, SEGMENTS + 1)
         wave = np.sin(2 * math.pi * (parts + self.phase / 360))
         return parts / self.frequency, self.offset + wave
@@ -115,11 +117,11 @@ class Keyframes(Table):
 
     @property
     def period(self) -> float:
-        """The time of the last key [s] if the keys repeat, otherwise 0."""
+        """Time of the last key [s] if the keys of the profile repeat, otherwise 0."""
         return self.times[-1] if self.repeat else 0.0
 
     def table(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the table of keys."""
+        """Return the profile's times [s] and the factors at these times."""
         return np.array(self.times), np.array(self.factors)
 
 
@@ -143,21 +145,24 @@ def check_times(times: Sequence[float], values: int, name: str) -> None:
 
 @dataclass(frozen=True)
 class Track:
-    """Values at key times, linear in between, and constant before the first and after the last."""
+    """A quantity that changes over time: values at key times, linear in between, and constant
+    before the first and after the last key.
+    """
 
     keys: tuple[Key, ...]
-    """Times since the origin [s], and values at these times."""
+    """Times of the keys since the origin [s], and the track's values at these times."""
     start: float = -FOREVER
     """Time from which the track is active [s]."""
     end: float = FOREVER
     """Time until which the track is active [s]."""
     origin: float = 0.0
-    """Time [s] from which the times of the keys are counted."""
+    """Time that is the origin of the keys' times [s]."""
     period: float = 0.0
-    """Time after which the keys repeat [s]; 0 if they never repeat."""
+    """Time after which the keys of the track repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """True: the device uses the mean of the track over each velocity update, and zero while the
-    track is inactive. False: see the slot's flags.
+    """If it is true, the device uses the mean of the track over each velocity update, and zero
+    while the track is inactive. If it is false, the flags in the track's slot determine which value
+    the device uses.
     """
 
     @classmethod
@@ -191,7 +196,7 @@ class Track:
 
     @property
     def varies(self) -> bool:
-        """Whether the value changes in time."""
+        """Whether the value of the track changes in time."""
         return len(self.keys) > 1 or self.start > -FOREVER or self.end < FOREVER
 
     def acts(self, start: float, end: float) -> bool:
@@ -199,7 +204,7 @@ class Track:
         return start < self.end and end > self.start
 
     def changes(self, start: float, end: float) -> bool:
-        """Return whether the value may change from `start` to `end` [s].
+        """Return whether the track's value may change from `start` to `end` [s].
 
         A change exactly at `end` is excluded, since it acts only after `end`. A live run does not
         know before `end` about a push that begins at `end`. A repetition of this run, which knows
@@ -209,13 +214,17 @@ class Track:
         return begins_or_ends or (len(self.keys) > 1 and self.acts(start, end))
 
     def largest(self, start: float, end: float) -> float:
-        """Return a bound of the value's norm from `start` to `end` [s]; 0 if inactive."""
+        """Return an upper bound of the norm of the track's value from `start` to `end` [s]; 0 if
+        inactive.
+        """
         if not self.acts(start, end):
             return 0.0
         return max(math.hypot(*value) for _, value in self.keys)
 
     def fastest(self, start: float, end: float) -> float:
-        """Return the largest norm of the value's rate of change from `start` to `end` [s]."""
+        """Return the largest norm of the rate of change of the track's value from `start` to `end`
+        [s].
+        """
         fastest, start, end = 0.0, start - self.origin, end - self.origin
         for (t, a), (u, b) in itertools.pairwise(self.keys):
             repeats = self.period > 0 and end > 0
@@ -224,7 +233,9 @@ class Track:
         return fastest
 
     def largest_jump(self, end: float) -> float:
-        """Return the norm of the largest jump of the value's rate of change before `end` [s]."""
+        """Return the norm of the largest jump in the rate of change of the track's value before
+        `end` [s].
+        """
         times = np.array([time for time, _ in self.keys])
         rates = np.zeros((len(times) + 1, 3))
         rates[1:-1] = np.diff([value for _, value in self.keys], axis=0) / np.diff(times)[:, None]
@@ -234,7 +245,7 @@ class Track:
         return float(jumps[times + self.origin < end].max(initial=0.0))
 
     def values(self, times: NDArray) -> NDArray[np.float64]:
-        """Return the sampled values at some times [T,3], ignoring whether the track is active."""
+        """Return the track's values at some times [T,3], ignoring whether the track is active."""
         since = np.asarray(times, float) - self.origin
         if self.period > 0:
             since = np.where(since > 0, since % self.period, since)
@@ -243,7 +254,7 @@ class Track:
 
 
 STILL = Track.constant((0.0, 0.0, 0.0))
-"""Track of a wall that never moves."""
+"""Track with the displacement of a wall that never moves."""
 
 
 class Tracks:
@@ -255,7 +266,7 @@ class Tracks:
         self.real, self.device = real, device
 
     def add(self, track: Track, *, limited: bool = False, over: Over = "") -> int:
-        """Add a track and return its slot.
+        """Add a track, and return the index of its slot.
 
         Args:
             track: The track.
@@ -289,7 +300,7 @@ class Tracks:
         return any(track.varies for track, flag in pairs if flag & JOINS)
 
     def upload(self, clock: wp.array) -> None:
-        """Copy the tables to the device."""
+        """Copy the tables of all tracks to the device."""
         t, tracks = types(self.real), self.tracks
         keys = [key for track in tracks for key in track.keys]
         counts = [len(track.keys) for track in tracks]
@@ -310,7 +321,7 @@ class Tracks:
     def record(
         self, clock: wp.array | None = None, outputs: Sequence[wp.array] | None = None
     ) -> wp.Launch:
-        """Return the kernel launch that samples every track at the time of a clock [3], s.
+        """Return the kernel launch that samples all tracks at the time of a clock [3], s.
 
         By default, this clock is the clock of the run, and the outputs are the arrays `values` and
         `rates`.

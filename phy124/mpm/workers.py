@@ -34,43 +34,49 @@ from phy124.runtime.cores import free_cores
 MIN_PARTICLES = 10_000
 """Smallest number of particles per worker; with fewer, barriers cost more than they save."""
 GATHER = -1
-"""The last phase of a substep; workers wait for each other between phases."""
+"""Index of the last phase of a substep; workers wait for each other between phases."""
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
-"""Names of stages on the host. `schedule`: choosing substeps, and all other work between launches.
-`window`: recording launches for a moved window. `repair`: resetting broken deformations. `follow`:
-the functions that are called after each substep (progress, budget and observers).
+"""Names under which reports list the times of the host. `schedule`: choosing substeps, and all
+other work between kernel launches. `window`: recording the kernel launches again for a moved window
+of the grid. `repair`: resetting broken deformations. `follow`: the functions that are called after
+each substep (progress, time limit and observers).
 """
 NODES = 16
-"""Particles are divided again only if slabs have more nodes per particle than this."""
+"""Particles are divided again only if the workers' slabs have more nodes per particle than this."""
 GROWN = 1.25
-"""Particles are divided again if the ratio of the number of nodes in slabs to the number of nodes
-in windows grows by this factor.
+"""Particles are divided again if the ratio of nodes in the workers' slabs to nodes in the windows
+has grown by this factor.
 """
 GAP = 1
-"""Gap between two slabs [nodes], because SIMD code reads one additional node."""
+"""Gap between the nodes (slabs) of two workers [nodes], because SIMD code reads one additional
+node.
+"""
 LINE = 4
-"""Nodes per cache line; no two workers write to one cache line."""
+"""Number of nodes in a cache line; no two workers write to the same cache line."""
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
-"""Seconds and number of launches, keyed by the name of the stage."""
+"""Seconds and number of launches, keyed by the name of a stage."""
 
 
 @dataclass
 class Part:
-    """A worker's particles of one group."""
+    """The particles of one group that a worker processes."""
 
     group: Group
     particles: slice
-    """The span of particles that contains the part."""
+    """The range of indices of particles that contains the part."""
     chosen: wp.array
-    """Indices of the part's particles within this span; empty if the part contains all of the span.
+    """Indices of the part's particles within this range; empty if the part contains all particles
+    of the range.
     """
     count: int
     """Number of particles."""
     nodes: Grid
-    """The nodes to which the part scatters: the common grid of the body, or private nodes."""
+    """The nodes to which the part scatters: the grid of the body, or nodes that only this worker
+    uses.
+    """
     maxima: wp.array
-    """Maxima measured over the part (phy124/kernels/measure.py)."""
+    """Maxima measured over the particles of the part (phy124/kernels/measure.py)."""
 
     def indices(self) -> slice | NDArray[np.int64]:
         """Return the indices of the part's particles among all particles."""
@@ -79,7 +85,7 @@ class Part:
         return self.particles.start + np.asarray(self.chosen.numpy(), np.int64)
 
     def among(self, indices: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the `indices` that belong to particles of the part."""
+        """Return those of `indices` that belong to particles of the part."""
         run = self.particles
         if len(self.chosen) == 0:
             return indices[(indices >= run.start) & (indices < run.stop)]
@@ -91,18 +97,20 @@ class Worker:
     """The particles that one worker processes, and the launches for these particles."""
 
     maxima: wp.array
-    """Measured maxima: `COUNT` numbers for each body, or for each part of the worker."""
+    """Measured maxima of particles: `COUNT` numbers for each body, or for each of the worker's
+    parts.
+    """
     speeds: wp.array
-    """Measured maxima of speed and velocity gradient [SPEEDS]."""
+    """Measured maxima of speed and velocity gradient of the worker's particles [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
-    """Launches of each phase. The phases are pushes (if there are any), scatter, one or several
-    phases of grid update and walls, and gather.
+    """Launches of each phase. The phases of a substep are pushes (if there are any), scatter, one
+    or several phases of grid update and walls, and gather.
     """
     measures: list[wp.Launch] = field(default_factory=list)
-    """Launches that measure the limits of the substep."""
+    """Kernel launches that measure the limits of the substep."""
     glances: list[wp.Launch] = field(default_factory=list)
-    """Launches that measure only speeds and velocity gradients."""
+    """Kernel launches that measure only speeds and velocity gradients."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, phase: int) -> None:
@@ -126,7 +134,7 @@ class Slabs:
     """Division of the particles among several workers."""
 
     def __init__(self, model: Model, state: State, grids: Sequence[Grid], count: int) -> None:
-        """Divide the particles for the first time.
+        """Divide the particles among the workers for the first time.
 
         Args:
             model: The particles.
@@ -140,38 +148,48 @@ class Slabs:
             Worker(numbers(length, model), numbers(SPEEDS, model)) for _ in range(count)
         ]
         self.pool = wp.zeros(0, dtype=types(model.real).vec4, device=model.device)
-        """The nodes of all slabs."""
+        """The nodes of all slabs; a slab contains the nodes to which a single worker scatters."""
         self.boxes: list[wp.array] = []
-        """For each slab of each body, its lowest node and its extent."""
+        """For each slab (set of nodes) of each body, its lowest node and its extent."""
         self.starts: list[wp.array] = []
-        """For each slab of each body, the index of its first node in the pool."""
+        """For each slab (set of nodes) of each body, the index of its first node in the array
+        `pool`.
+        """
         self.runs: list[wp.array] = []
-        """Each worker's nodes in the pool."""
+        """The nodes of each worker in the array `pool`."""
         self._owner = np.zeros(len(model), np.int16)
         self._share = 0.0
-        """Ratio of the slabs' nodes to the window's nodes after the last division."""
+        """Ratio of the nodes in the workers' slabs to the nodes in the windows, after the last
+        division of the particles.
+        """
         self.divide()
 
     @property
     def parts(self) -> list[Part]:
-        """The parts of all workers."""
+        """The parts of the particles of all workers."""
         return [part for worker in self.workers for part in worker.parts]
 
     @property
     def share(self) -> float:
-        """Number of nodes of all slabs, divided by the number of nodes of the windows."""
+        """Number of nodes in the slabs of all workers, divided by the number of nodes in the
+        windows.
+        """
         shared = sum(grid.count for grid in self._grids)
         return sum(part.nodes.count for part in self.parts) / max(shared, 1)
 
     @property
     def outgrown(self) -> bool:
-        """Whether slabs are so large that dividing the particles again would save time."""
+        """Whether the workers' sets of nodes (slabs) have grown, and dividing the particles again
+        would save time.
+        """
         if self._share == 0:
             self._share = self.share
         return len(self.pool) > NODES * len(self._model) and self.share > GROWN * self._share
 
     def divide(self, order: NDArray[np.integer] | None = None) -> None:
-        """Give workers equal numbers of each group's particles, in the order `order` [P] or of the
+        """Give workers equal numbers of each group's particles.
+
+        The particles are divided in the order `order` [P] or, by default, in the order of the
         memory.
         """
         count = len(self.workers)
@@ -194,7 +212,7 @@ class Slabs:
         self.divide(np.concatenate(orders))
 
     def fit(self, rows: NDArray[np.float64], *, force: bool) -> bool:
-        """Fit the slabs' nodes to their particles; return whether the nodes changed.
+        """Fit each worker's nodes (slabs) to its particles; return whether the nodes changed.
 
         `rows` [parts,COUNT] are measurements. `force` states whether the common window has changed.
         """
@@ -213,12 +231,16 @@ class Slabs:
         return True
 
     def _reach(self, part: Part, row: NDArray[np.float64]) -> tuple[NDArray, NDArray] | None:
-        """Return the nodes that a part's particles can use; None if all particles are outliers."""
+        """Return the nodes that the particles of a part can use; None if all particles are
+        outliers.
+        """
         grid = self._grids[part.group.body]
         return grid.reach(*Maxima.of(row).corners) if np.isfinite(row).all() else None
 
     def place(self, boxes: Sequence[tuple[NDArray, NDArray]]) -> None:
-        """Allocate cleared nodes for every slab: `size` [3] nodes from `low` [3] on."""
+        """Allocate cleared nodes for each slab; a slab has `size` [3] nodes from the node `low` [3]
+        on.
+        """
         rooms = [-(-(int(np.prod(size)) + GAP) // LINE) * LINE for _, size in boxes]
         starts = [0, *itertools.accumulate(rooms)]
         device = self._model.device
@@ -235,7 +257,7 @@ class Slabs:
         self.runs = [self._nodes(starts[a], starts[b]) for a, b in itertools.pairwise(ends)]
 
     def _nodes(self, first: int, last: int) -> wp.array:
-        """Return the nodes i of the pool with first <= i < last."""
+        """Return the nodes i of the array `pool` with first <= i < last."""
         return cast("wp.array", self.pool[first:last])
 
     def snapshot(self) -> dict[str, Any]:
@@ -245,7 +267,7 @@ class Slabs:
         return {"workers": count, "owner": self._owner.copy(), "share": self._share, "boxes": boxes}
 
     def restore(self, snapshot: dict[str, Any]) -> bool:
-        """Restore a snapshot; return False if the number of workers differs."""
+        """Restore the division from a snapshot; return False if the number of workers differs."""
         if snapshot.get("workers") != len(self.workers):
             self.divide()
             return False
@@ -258,13 +280,15 @@ class Slabs:
         return True
 
     def _share_out(self) -> None:
-        """Assign the parts to the workers."""
+        """Assign to each worker its parts of the groups of particles."""
         for index, worker in enumerate(self.workers):
             parts = (self._part(index, group) for group in self._model.dry_groups)
             worker.parts = [part for part in parts if part is not None]
 
     def _part(self, index: int, group: Group) -> Part | None:
-        """Return a worker's part of a group; None if the worker has no particle of the group."""
+        """Return a worker's part of a group's particles; None if the worker has no particle of the
+        group.
+        """
         model = self._model
         members = np.flatnonzero(self._owner[group.particles] == index)
         if len(members) == 0:
@@ -281,7 +305,7 @@ class Slabs:
 
 
 def lone_worker(model: Model, grids: Sequence[Grid]) -> Worker:
-    """Return a single worker, which scatters all particles to the common grids of the bodies."""
+    """Return a single worker, which scatters all particles directly to the grids of the bodies."""
     maxima = numbers(COUNT * len(grids), model)
     every = wp.zeros(0, dtype=int, device=model.device)
     parts = []
@@ -317,7 +341,10 @@ def run_timed(timings: Timings, name: str, work: Callable[[], Result]) -> Result
 
 
 def run_launches(timings: Timings, named: Sequence[Named]) -> None:
-    """Run launches; the time between two launches counts as time of the later launch."""
+    """Run kernel launches in order, and add up their times.
+
+    The time between two launches counts as time of the later launch.
+    """
     before = time.perf_counter()
     for name, launch in named:
         launch()
@@ -329,13 +356,19 @@ def run_launches(timings: Timings, named: Sequence[Named]) -> None:
 
 
 def layers(x: NDArray, axis: int, dx: float) -> NDArray[np.int16]:
-    """Return the layer of each point [P]: cells of size dx [m] form layers along an axis."""
+    """Return the index of the layer that contains each point [P].
+
+    Cells with side dx [m] form layers along an axis.
+    """
     layer = np.floor((x[:, axis] - x[:, axis].min()) / dx)
     return np.minimum(layer, np.iinfo(np.int16).max).astype(np.int16)
 
 
 def _has_space(part: Part, reach: tuple[NDArray, NDArray] | None) -> bool:
-    """Return whether the margin of a part's private nodes suffices until the next measurement."""
+    """Return whether the margin around a part's particles suffices until the next measurement.
+
+    The margin consists of nodes that only this worker uses.
+    """
     if reach is None:
         return True
     nodes, (low, high) = part.nodes, reach
