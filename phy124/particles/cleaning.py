@@ -34,9 +34,9 @@ GAP = 0.05
 LARGEST = 1e18
 """Largest coordinate and scale [m]; the squares of larger values overflow in float32."""
 WIDE = 16.0
-"""Upper bound of the visible area of a Gaussian, relative to the median area."""
+"""Upper bound of the visible area of a Gaussian, relative to the median of all areas."""
 VISIBLE = 0.1
-"""Smallest opacity of a Gaussian that belongs to the surface."""
+"""Smallest opacity of a Gaussian that counts as part of the visible surface."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Cleaning:
     repaired_quats: int = 0
     repaired_opacities: int = 0
     survivors: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
-    """Mask of the Gaussians that were kept; its length is `total`."""
+    """Mask of the Gaussians that were kept; its length is `total`, the number before cleaning."""
 
     @property
     def dropped(self) -> int:
@@ -274,7 +274,7 @@ def weighted_quantile(values: NDArray, weights: NDArray, fraction: float) -> NDA
 
 
 def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction: float) -> float:
-    """Return the smallest value at which the cumulative weight exceeds `below`."""
+    """Return the smallest value at which the cumulative weight of sorted values exceeds `below`."""
     values = np.ascontiguousarray(values, np.float64)
     # First sort only the lowest values, whose weight is usually sufficient.
     count = min(len(values), 8 + int(4 * fraction * len(values)))
@@ -287,7 +287,7 @@ def _weighted_quantile(values: NDArray, weights: NDArray, below: float, fraction
 
 
 def _lowest_height(gaussians: Gaussians) -> float:
-    """Return the lowest height that any visible Gaussian reaches at one standard deviation."""
+    """Return the smallest height that a visible Gaussian reaches at one standard deviation."""
     visible = gaussians.opacities >= VISIBLE
     some = gaussians.select(visible) if visible.any() else gaussians
     z = some.means[:, 2].astype(np.float64)

@@ -11,22 +11,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 FLAT = 3e-3
-"""Smallest component of a normal; the sum loses precision if one is almost zero."""
+"""Smallest component of a plane's normal; the sum of volumes loses precision if a component is
+almost zero.
+"""
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 """Corners of a cube of side 1, relative to its middle [8,3]."""
 SIGNS = np.prod(-2 * CORNERS, axis=1)
-"""Signs of the tetrahedra at these corners [8]."""
+"""Signs of the volumes of the tetrahedra at the eight corners of a cube [8]."""
 HALVINGS = 16
-"""Number of bisection steps for the distance of two planes."""
+"""Number of bisection steps that find the distance between two planes from the filled fraction."""
 LEAST = 1e-9
-"""Filled fractions are limited to the range from this value to 1 minus this value. Divisions by a
-volume use at least this value as the divisor.
+"""If a volume by which a sum is divided is smaller than this value, the sum is divided by this
+value instead. A filled fraction is limited to the range from this value to 1 minus this value.
 """
 
 
 def below(normal: NDArray, height: NDArray, side: float = 1, order: int = 0) -> NDArray[np.float64]:
-    """Return the volume of a cube below a plane [K], or its first or second derivative with respect
-    to the height: the area of the cut, or the rate at which this area grows.
+    """Return the volume of a cube below a plane [K], or a derivative with respect to the plane's
+    height.
+
+    The first derivative is the area of the cut, and the second is the rate at which this area
+    grows.
 
     Args:
         normal: Unit normals of the planes [K,3].
@@ -60,8 +65,9 @@ def between(
 def fill_between(
     fraction: NDArray, normal: NDArray, height: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centres [K,3] and second moments per volume [K,3,3] of the parts of voxels between
-    two parallel planes.
+    """Return centres [K,3] and second moments [K,3,3] of parts of voxels between parallel planes.
+
+    The second moments are divided by the volume of each part.
 
     The distance of the planes follows from the filled fraction of the voxel.
 
@@ -89,8 +95,9 @@ def fill_between(
 def moments_below(
     normal: NDArray, height: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the volume [K], first moments [K,3] and second moments [K,3,3] of the part of a voxel
-    below a plane, about the middle of the voxel.
+    """Return moments of the part of each voxel below a plane, about the middle of the voxel.
+
+    The moments are the volume [K], the first moments [K,3] and the second moments [K,3,3].
     """
     size, flip = np.maximum(np.abs(normal), FLAT).T, np.where(normal < 0, -1.0, 1.0).T
     depth = np.maximum(height - CORNERS @ size, 0)

@@ -19,7 +19,9 @@ from phy124.materials import AnyMaterial
 from phy124.particles.seeding import Particles
 
 SIZE = 0.55
-"""Standard deviation of a grain, in particle spacings. Regular grains of this size look opaque."""
+"""Standard deviation of a grain, in particle spacings. Regular arrangements of grains of this size
+look opaque.
+"""
 CLEARANCE = 2.5
 """Smallest depth of a grain below the surface at rest, in standard deviations of the grain."""
 NEAREST = 0.5
@@ -28,16 +30,19 @@ OPACITY = 0.95
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the luminance (Rec. 709)."""
 PATCH = 0.06
-"""Standard deviation of the filter that averages the brightness, relative to the object's size."""
+"""Standard deviation of the filter that averages the brightness around each Gaussian, relative to
+the object's size.
+"""
 CELLS = 48
-"""Number of cells of the filter's grid along each axis."""
+"""Number of cells of the grid for this filter along each axis."""
 BRIGHTEST = 99.0
-"""After tinting, this percentile of the brightness is at most white."""
+"""Percentile of the brightness that is at most white after Gaussians are tinted."""
 COARSEST = 0.005
 """Largest size of the grains that make a surface rough, relative to the object's longest side."""
 FINE = 0.006
-"""Standard deviation of the largest Gaussian that shows a single grain, relative to the object's
-longest side."""
+"""Largest standard deviation of a Gaussian that still shows a single grain, relative to the
+object's longest side.
+"""
 IDENTITY = (1, 0, 0, 0)
 
 
@@ -74,7 +79,7 @@ def add_grains(
 
 
 def leave_room(gaussians: Gaussians, x: NDArray, spacing: float) -> NDArray[np.bool_]:
-    """Return a mask [P] of the points with enough distance from all Gaussians for a grain.
+    """Return a mask [P] of the points that are far enough from all Gaussians for a grain.
 
     Args:
         gaussians: The object at rest.
@@ -170,7 +175,7 @@ def tint(
 
 
 def _average(x: NDArray, values: NDArray) -> NDArray[np.float64]:
-    """Return the average of values [N] around each point [N,3]."""
+    """Return the average of values [N] around each point [N,3], with a Gaussian filter."""
     low, size = x.min(axis=0), max(float(np.ptp(x, axis=0).max()), 1e-9)
     place = np.rint((x - low) / size * CELLS).astype(int).T
     shape = tuple(place.max(axis=1) + 1)
@@ -184,7 +189,8 @@ def _average(x: NDArray, values: NDArray) -> NDArray[np.float64]:
 def _round_gaussians(
     gaussians: Gaussians, x: NDArray, above: NDArray, depth: NDArray, spacing: float
 ) -> Gaussians:
-    """Return round Gaussians at x [G,3] with the colours of the Gaussians `above` [G].
+    """Return round Gaussians at the positions x [G,3] with the colours of the Gaussians `above`
+    [G].
 
     The colours of the round Gaussians do not depend on the view direction.
     """

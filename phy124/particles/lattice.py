@@ -25,26 +25,34 @@ from phy124.particles.solid import MEMORY, Solid
 PER_CELL = 8
 """Number of integration points in a cell."""
 SMALLEST = 1e-3
-"""Smallest filled fraction of a cell with integration points."""
+"""Smallest filled fraction of a cell of a lattice that has integration points."""
 FULLEST = 0.1
-"""In thin needles, the limit is this multiple of the fullest cell's fraction, if that is lower."""
+"""In thin needles, the smallest fraction may be lower: this multiple of the filled fraction of the
+fullest cell.
+"""
 HAZE = 0.005
 """Filled fraction below which a cell contains only stray Gaussians and has no surface points."""
 TRACE = 0.1
-"""Below this filled fraction, a voxel has no surface points if a neighbour is twice as full."""
+"""A voxel has no surface points if its filled fraction is below this value and a neighbouring voxel
+is twice as full.
+"""
 SLIVER, THIN_SLIVER = 0.15, 0.05
-"""A cell is a sliver if its filled fraction is below `THIN_SLIVER` f^2 or below `SLIVER` g^2. Here
-f is the filled fraction of the fullest cell around it, and g is the smallest fraction in a block of
-2 x 2 x 2 cells that touches it. Slivers are merged with a neighbour. In parts that are thinner than
-two cells, many cells have a small filled fraction. With `SLIVER` for both, plates turned by 45
-degrees would bend up to 1.11 times too far; with a fixed limit, rods up to 3.1 times.
+"""A cell is a sliver if its filled fraction is small compared with its surroundings: below
+`THIN_SLIVER` f^2 or below `SLIVER` g^2. In this rule, f is the filled fraction of the fullest cell
+around the cell, and g is the smallest filled fraction in a block of 2 x 2 x 2 cells that touches
+the cell. A sliver is merged with a neighbouring cell. In parts of a body that are thinner than two
+cells, many cells have a small filled fraction. If `SLIVER` were used for both limits, plates turned
+by 45 degrees would bend up to 1.11 times too far. With a fixed limit, rods would bend up to 3.1
+times too far.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
-"""Steps from a cell to its 26 neighbours."""
+"""Steps from a cell of a lattice to its 26 neighbours."""
 APART = 0.5
-"""Distance between neighbouring surface points [cells]."""
+"""Distance between neighbouring surface points of a body [cells]."""
 ALIGNED = 1e-7
-"""Second moments count as equal within this difference [cells^2]; points are then aligned."""
+"""Second moments of a cell that differ by less than this count as equal [cells^2]; the points of
+the cell are then aligned with the axes.
+"""
 CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -68,7 +76,7 @@ def lattice_of(solid: Solid, *, density: float, dx: float) -> Particles:
 
 @lru_cache(MEMORY)
 def _lattice_of(solid: Solid, dx: float) -> Particles:
-    """Return the points of a solid with density 1.
+    """Return the integration points and surface points of a solid with density 1.
 
     The last results are kept, because an object is often simulated several times.
     """
@@ -92,7 +100,7 @@ def _lattice_of(solid: Solid, dx: float) -> Particles:
 
 
 def cells_of(points: Particles) -> Particles:
-    """Return one particle per cell of eight points, to choose a material for each cell."""
+    """Return a particle for each cell of eight points, to which a material can be assigned."""
     centre = points.x.reshape(-1, PER_CELL, 3).mean(axis=1)
     return Particles(
         x=centre,
@@ -104,9 +112,7 @@ def cells_of(points: Particles) -> Particles:
 
 
 def points_of(cells: Particles, points: Particles) -> Particles:
-    """Return the points of some cells of `points`, in the order and with the materials of the
-    cells.
-    """
+    """Return the points of some cells, in the order and with the materials of the cells."""
     every = cells_of(points).x
     rows = np.concatenate([every, cells.x])
     # Among equal rows, the row of `every` comes first.
@@ -135,28 +141,31 @@ def repeat_for_points(values: NDArray | None) -> NDArray | None:
 
 
 def integration_points(solid: Solid, dx: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points of all cells [8C,3], m, and their volumes [8C], m^3; x varies slowest."""
+    """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3.
+
+    The x coordinate varies slowest.
+    """
     x, volume, _ = _points_of_pieces(solid, dx, _find_cells(solid, dx))
     return x, volume
 
 
 class _Cells(NamedTuple):
-    """The cells of the V voxels of a solid."""
+    """The cells of a lattice in which the V voxels of a solid lie."""
 
     place: NDArray[np.int64]
     """Indices of the cells in which the voxels lie [V,3]."""
     part: NDArray[np.float64]
-    """Filled volume of each voxel, relative to a cell [V]."""
+    """Filled volume of each voxel, divided by the volume of a cell [V]."""
     number: NDArray[np.int64]
-    """For each voxel, the index of its cell after slivers are merged [V]; the x coordinate varies
-    slowest.
+    """For each voxel, the index of its cell after slivers have been merged with neighbouring cells
+    [V]. Cells are numbered so that the x coordinate varies slowest.
     """
     clear: NDArray[np.bool_]
-    """Voxels with more than a trace of material [X,Y,Z]."""
+    """Mask of the voxels with more than a trace of material [X,Y,Z]."""
 
 
 def _find_cells(solid: Solid, dx: float) -> _Cells:
-    """Return the cells of a solid's voxels."""
+    """Return the cells of a lattice in which a solid's voxels lie."""
     index, fraction = solid.voxels[:2]
     place = np.floor((index + solid.first) * (solid.voxel / dx) + 1e-9).astype(np.int64)
     part = fraction * (solid.voxel / dx) ** 3
@@ -166,7 +175,9 @@ def _find_cells(solid: Solid, dx: float) -> _Cells:
 def _points_of_pieces(
     solid: Solid, dx: float, cells: _Cells
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int8] | None]:
-    """Return the points of all cells [8C,3], m, their volumes [8C], m^3, and copies of nodes.
+    """Return the integration points of all cells [8C,3], m, and their volumes [8C], m^3.
+
+    The third result contains the copies of nodes.
 
     A cell with several separate pieces occurs once for each piece. The copies [C,27] are as in
     `Particles.copies`.
@@ -204,7 +215,7 @@ def _points_of_pieces(
 
 
 def _clear(solid: Solid) -> NDArray[np.bool_]:
-    """Return the voxels with more than a trace of material [X,Y,Z].
+    """Return a mask of the voxels with more than a trace of material [X,Y,Z].
 
     Resampling leaves voxels with almost no material around the body.
     """
@@ -225,7 +236,7 @@ def surface_points(solid: Solid, dx: float) -> NDArray[np.float64]:
 
 
 def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float64]:
-    """Return the rows of `surface_points`."""
+    """Return the surface points with their normals, as rows in the layout of `surface_points`."""
     index, fraction, normal, _, _ = solid.voxels
     filled, cell = cells.clear, cells.number
     outside = (filled & ~scipy.ndimage.binary_erosion(filled))[tuple(index.T)]
@@ -244,7 +255,7 @@ def _surface_points(solid: Solid, dx: float, cells: _Cells) -> NDArray[np.float6
 
 
 def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]:
-    """Return the number of each voxel's cell [V]; slivers are merged with a neighbouring cell.
+    """Return the index of each voxel's cell [V]; slivers are merged with a neighbouring cell.
 
     The nodes of a sliver are light, so squeezing a sliver would shorten the substep. After merging,
     a sliver keeps its volume and moments, but has the weights of the neighbouring cell, continued
@@ -279,7 +290,7 @@ def _merge_slivers(place: NDArray[np.int64], part: NDArray) -> NDArray[np.int64]
 
 
 def _subdivide(solid: Solid, dx: float) -> Solid:
-    """Return the solid with voxels that are not larger than a cell."""
+    """Return the solid, divided into voxels that are not larger than a cell of the lattice."""
     parts = round(solid.voxel / dx)
     if parts <= 1:
         return solid
@@ -290,7 +301,7 @@ def _subdivide(solid: Solid, dx: float) -> Solid:
 
 
 def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
-    """Sum the rows of `values` [V,K] in each of `count` groups [count,K]."""
+    """Return the sums of the rows of `values` [V,K] in each of `count` groups [count,K]."""
     total = np.zeros((count, values.shape[1]))
     for number, column in enumerate(values.T):
         total[:, number] = np.bincount(which, column, count)
@@ -298,7 +309,9 @@ def _sums(which: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
 
 
 def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
-    """Return four copies of each surface point, shifted by a distance [m] along the surface."""
+    """Return four copies of each surface point of a body, shifted by a distance [m] along the
+    surface.
+    """
     normal = rows[:, 3:]
     helper = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     first = np.cross(normal, helper)
@@ -312,7 +325,7 @@ def _spread_along(rows: NDArray, distance: float) -> NDArray[np.float64]:
 
 
 def _outermost(rows: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the outermost of the points in each cube."""
+    """Return the outermost of the surface points in each cube."""
     cube = np.floor(rows[:, :3] / side - 1e-6).astype(np.int64)
     low, size = cube.min(axis=0), np.ptp(cube, axis=0) + 1
     _, which = np.unique(np.ravel_multi_index((cube - low).T, size), return_inverse=True)

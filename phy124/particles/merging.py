@@ -17,13 +17,15 @@ from phy124.gaussians import Gaussians, quaternions
 from phy124.io.clip import Clip
 
 COLOUR = 0.1
-"""Distance, relative to the object's size, that is equivalent to a colour difference of 1."""
+"""Distance that counts as much as a colour difference of 1 when Gaussians are grouped, relative to
+the object's size.
+"""
 NEIGHBOURS = 6
-"""Number of nearest neighbours among which a Gaussian's partner is searched."""
+"""Number of nearest neighbours among which a partner is searched for each Gaussian."""
 OPAQUE = 0.99
 """Largest opacity of a merged Gaussian."""
 SAMPLES = 5
-"""Number of frames in which a clip's Gaussians are compared for grouping."""
+"""Number of frames in which the Gaussians of a clip are compared before they are grouped."""
 
 
 def group_neighbours(places: NDArray, count: int) -> NDArray[np.int64]:

@@ -17,30 +17,35 @@ import scipy
 from numpy.typing import NDArray
 
 AHEAD = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
-"""Index offsets to half of the 26 neighbours. The offsets to the other half have the opposite
-signs."""
+"""Index offsets from a cell or voxel to half of its 26 neighbours. The offsets to the other half of
+the neighbours have the opposite signs.
+"""
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Index offsets from a cell or node to itself and to its 26 neighbours."""
 LEAST = 0.08
-"""Filled fraction below which a separate sliver stays a separate piece. If the sliver were merged
-with a neighbouring cell, it would spread the points of this cell. With a value of 0.03, a thin disc
-turned inside out when it was pushed.
+"""If the filled fraction of a sliver is below this value, a sliver that forms a separate piece of
+the body is not merged with another piece. If this sliver were merged with a neighbouring cell, it
+would spread the points of this cell. With a limit of 0.03, a thin disc turned inside out when it
+was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
-"""Whether two of the 27 offsets in `AROUND` lead to neighbours or to the same place [27,27]."""
+"""For each pair of the 27 offsets in `AROUND`, whether the offsets lead to neighbours or to the
+same place [27,27].
+"""
 
 
 class Pieces(NamedTuple):
-    """Pieces of the cells of a body, sorted by cell."""
+    """Connected pieces of a body in the cells of its lattice, sorted by cell."""
 
     of_voxel: NDArray[np.int64]
-    """Piece index of each voxel [V]."""
+    """Index of the piece to which each voxel belongs [V]."""
     clump: NDArray[np.int64]
-    """Index of each voxel's clump [V]. A clump consists of connected voxels in one cell, or of one
-    voxel with only a trace of material.
+    """Index of the clump to which each voxel belongs [V]. A clump consists of connected voxels in a
+    cell of the lattice, or of one voxel with only a trace of material.
     """
     links: NDArray[np.int64]
-    """Distinct pairs of clumps that touch [M,2]; voxels with only a trace of material are left out.
+    """Distinct pairs of clumps of voxels that touch [M,2]; voxels with only a trace of material are
+    left out.
     """
 
 
@@ -52,7 +57,7 @@ def find_pieces(
     clear: NDArray[np.bool_],
     sliver: float,
 ) -> Pieces:
-    """Return the connected pieces of each cell.
+    """Return the connected pieces of a body in each cell of its lattice.
 
     Args:
         index: Indices of the voxels that are not empty [V,3].
@@ -111,8 +116,7 @@ def find_pieces(
 def find_copies(
     pieces: Pieces, cell: NDArray, place: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return for each piece the copies of the 27 nodes that it uses [E,27]; None if no node has
-    copies.
+    """Return which copies of its 27 nodes each piece uses [E,27]; None if no node has copies.
 
     Args:
         pieces: The E pieces.
@@ -160,7 +164,8 @@ def find_copies(
 def _copies_of_parts(
     cell: NDArray, piece: NDArray, pairs: NDArray, volume: NDArray
 ) -> NDArray[np.int8] | None:
-    """Return the copies of the 27 nodes that each part would use [A,27]; None: no copies.
+    """Return the copies of the 27 nodes that each part of a piece would use [A,27]; None: no
+    copies.
 
     A part lies in a single cell. Parts of one piece are connected, because they use common nodes.
 
@@ -204,7 +209,10 @@ def _copies_of_parts(
 
 
 def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return the numbers [L,27] that a cell's 27 nodes have in the cells at `step` [L,3], or -1."""
+    """Return the numbers [L,27] that the nodes of a cell have in another cell.
+
+    The other cells are at `step` [L,3]; the number of a node outside the other cell is -1.
+    """
     ways = np.array(list(np.ndindex(5, 5, 5)))[:, None] - 2 + AROUND
     table = np.where((np.abs(ways) <= 1).all(axis=2), (ways + 1) @ [9, 3, 1], -1).astype(np.int8)
     near = np.asarray((np.abs(step) <= 2).all(axis=1))
@@ -215,7 +223,7 @@ def _same_nodes(step: NDArray[np.int64]) -> NDArray[np.int8]:
 def _doubtful_nodes(
     keys: NDArray, linked: NDArray, strides: NDArray, count: int
 ) -> NDArray[np.bool_]:
-    """Return the nodes in whose support two pieces may be separate [K].
+    """Return a mask [K] of the nodes in whose support pieces of the body may be separate.
 
     Args:
         keys: Flat indices of the pieces' cells [E].
@@ -259,7 +267,9 @@ def _doubtful_nodes(
 def _rank(
     group: NDArray, node: NDArray, island: NDArray, volume: NDArray, count: int
 ) -> NDArray[np.int64]:
-    """Return the copy number for each use of a node by a piece [K].
+    """Return which copy of a node each piece uses.
+
+    The result has a number [K] for each use of a node by a piece of the body in a cell.
 
     Args:
         group: Connected group of each use [K]; all uses in a group refer to one node.
@@ -285,8 +295,10 @@ def _rank(
 def _find_clumps(
     index: NDArray, place: NDArray, clear: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return each voxel's clump [V], distinct pairs of clumps that touch [M,2], and the number of
-    contacts between their voxels [M].
+    """Return the clumps of connected voxels in a body.
+
+    The results are each voxel's clump [V], distinct pairs of clumps that touch [M,2], and the
+    number of contacts between their voxels [M].
 
     Args:
         index: Indices of the voxels [V,3].
@@ -315,8 +327,9 @@ def _find_clumps(
 def _distinct(
     pairs: NDArray, count: int, size: NDArray | int = 1
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all distinct pairs [L,2] of different items, each with the smaller item first, and for
-    each pair the total size of its occurrences [L].
+    """Return all distinct pairs [L,2] of different items, and the total size of each pair [L].
+
+    The smaller item comes first; the total size is the sum over all occurrences of the pair.
     """
     low, high = np.minimum(*pairs.T), np.maximum(*pairs.T)
     apart = low < high
@@ -328,7 +341,7 @@ def _distinct(
 
 
 def _components(pairs: NDArray, count: int) -> tuple[int, NDArray[np.int64]]:
-    """Return the number of connected groups of `count` items, and the group of each item."""
+    """Return the number of groups of connected items, and the group of each of `count` items."""
     ones = np.ones(len(pairs), np.int8)
     graph = scipy.sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     number, group = scipy.sparse.csgraph.connected_components(graph, directed=False)

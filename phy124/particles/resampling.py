@@ -18,27 +18,29 @@ from phy124.particles.cuts import moments_below
 from phy124.particles.surface import PARTS, Cubes, Surface
 
 SMALLEST = 1e-6
-"""Parts of cubes are ignored if a side is shorter than this value [new voxels]."""
+"""A part of a cube is ignored if one of its sides is shorter than this [new voxels]."""
 
 
 class Material(NamedTuple):
-    """The material of V voxels; the unit of length is a voxel."""
+    """The material in V voxels; the unit of length is a voxel."""
 
     voxel: NDArray[Any]
     """Indices of the voxels in the flattened grid, in ascending order [V]."""
     fraction: NDArray[Any]
     """Filled fractions [V]."""
     shift: NDArray[Any]
-    """Centres of the filled parts, relative to the middles of the voxels [V,3]."""
+    """Centres of the voxels' filled parts, relative to the middles of the voxels [V,3]."""
     spread: NDArray[Any]
-    """Second moments of the filled parts about their centres, per volume [V,3,3]."""
+    """Second moments of the voxels' filled parts about their centres, divided by the parts' volumes
+    [V,3,3].
+    """
 
 
 class _Moments(NamedTuple):
-    """Moments of parts of cubes about the middles of the new voxels."""
+    """Moments of parts of cubes about the middles of the new voxels in which they lie."""
 
     voxel: NDArray[Any]
-    """Indices of the new voxels in the flattened grid [K]."""
+    """Indices of the new voxels in which the parts lie, in the flattened grid [K]."""
     volume: NDArray[Any]
     """Volumes [K]."""
     first: NDArray[Any]
@@ -53,7 +55,7 @@ class _Moments(NamedTuple):
 def average(
     values: NDArray, first: NDArray[Any], voxel: float, step: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the mean values in the voxels of another grid.
+    """Return the mean values in the voxels of another grid, which may have another voxel size.
 
     Args:
         values: Values of voxels [X,Y,Z]; zero elsewhere.
@@ -86,7 +88,7 @@ def move_material(
     side: float,
     inner: NDArray[np.bool_],
 ) -> Material:
-    """Return the material of the voxels of a new grid.
+    """Return the material in the voxels of a new grid.
 
     Args:
         full: Full voxels of the old grid, as indices along each axis [F,3]. Voxels that lie within
@@ -114,7 +116,7 @@ def move_material(
 
 
 def _full_voxels(inner: NDArray[np.bool_]) -> _Moments:
-    """Return the moments of full voxels."""
+    """Return the moments of voxels that are full."""
     voxel = np.flatnonzero(inner)
     count = len(voxel)
     second = np.tile(np.eye(3) / 12, (count, 1, 1))
@@ -124,7 +126,10 @@ def _full_voxels(inner: NDArray[np.bool_]) -> _Moments:
 def _move_cubes(
     cubes: Cubes, low: NDArray, side: float, size: float, shape: tuple[int, ...]
 ) -> list[_Moments]:
-    """Return the moments of the parts of cubes with sides of `size` new voxels."""
+    """Divide cubes at the borders of the new voxels, and return the moments of their parts.
+
+    A cube has a side of `size` new voxels.
+    """
     reach = size * np.abs(cubes.normal).sum(axis=1) / 2
     upper, lower = side * cubes.upper, side * cubes.lower
     some = (cubes.weight > 0) & (upper > -reach) & (lower < reach) & (upper > lower)
@@ -138,7 +143,10 @@ def _move_cubes(
 
 
 def _divide_even(corner: NDArray, size: float, weight: NDArray, shape: tuple[int, ...]) -> _Moments:
-    """Divide cubes that are filled evenly, with lower corners [B,3] and filled fractions [B]."""
+    """Divide cubes that are filled evenly, and return the moments of their parts.
+
+    The cubes have the lower corners `corner` [B,3] and the filled fractions `weight` [B].
+    """
     which, voxel, middle, sides = _divide(corner, size)
     volume = sides.prod(axis=1) * weight[which]
     second = middle[:, :, None] * middle[:, None, :] + np.eye(3) * (sides**2 / 12)[:, None]
@@ -149,7 +157,10 @@ def _divide_even(corner: NDArray, size: float, weight: NDArray, shape: tuple[int
 def _divide_cut(
     cubes: Cubes, level: NDArray, low: NDArray, side: float, size: float, shape: tuple[int, ...]
 ) -> _Moments:
-    """Divide cubes that are cut by planes; `level` is the height of the middle of each cube [B]."""
+    """Divide cubes that are cut by planes, and return the moments of their parts.
+
+    `level` is the height of the middle of each cube [B].
+    """
     which, voxel, middle, sides = _divide(low + side * cubes.corner, size)
     normal = cubes.normal[which]
     # A box between planes becomes a cube by stretching.
@@ -177,7 +188,7 @@ def _divide_cut(
 def _divide(
     corner: NDArray, size: float
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Divide cubes at the borders of voxels.
+    """Divide cubes at the borders of the new voxels.
 
     Args:
         corner: Lower corners of the cubes [B,3].

@@ -15,7 +15,9 @@ from phy124.materials import AnyMaterial
 from phy124.particles.solid import Solid
 
 LARGEST = 0.5
-"""Largest shift of a particle along each axis, in spacings: half a lattice cell's side."""
+"""Largest shift of a particle along each axis, in particle spacings: half of the side of a lattice
+cell.
+"""
 
 
 def scatter(
@@ -26,7 +28,7 @@ def scatter(
     spacing: float,
     seed: int,
 ) -> Particles:
-    """Shift particles by random distances if their material spreads in thin layers.
+    """Shift the particles of materials that spread in thin layers by random distances.
 
     A particle that would leave the object is not moved.
 

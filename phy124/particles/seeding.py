@@ -23,11 +23,11 @@ from phy124.particles.solid import Solid, find_interior, find_solid
 BINDINGS = ("lattice", "particles")
 MAX_PARTICLES = 8_000_000
 THIN = 4
-"""A part of the object counts as thin up to this width, in particle spacings."""
+"""Largest width of a part of an object that counts as thin, in particle spacings."""
 MOST_CELLS = 50_000_000
-"""Largest number of cells of a grid in memory."""
+"""Largest number of cells of a grid that is kept in memory."""
 SMALLEST = 0.01
-"""Smallest volume of a particle, relative to the mean volume."""
+"""Smallest volume of a particle, relative to the mean volume of all particles."""
 
 
 def make_particles(
@@ -132,7 +132,9 @@ def _keep_apart(points: NDArray, others: NDArray, distance: float) -> NDArray:
 def _lattice_with_gaussians(
     gaussians: Gaussians, lattice: NDArray, shape: Solid, spacing: float
 ) -> NDArray[np.float64]:
-    """Return lattice points, and Gaussians in parts that are thin or have no lattice points.
+    """Return positions of particles: lattice points, and Gaussians in parts that are thin.
+
+    Gaussians in parts without lattice points are also returned.
 
     Thin parts are stretched most and would tear if their particles were one grid cell apart.
     """
@@ -149,7 +151,7 @@ def _lattice_with_gaussians(
 
 
 def _outside_cells(points: NDArray, lattice: NDArray, side: float) -> NDArray[np.float64]:
-    """Return the points in those cells (of side `side`) that contain no lattice point."""
+    """Return the points in those grid cells (of side `side`) that contain no lattice point."""
     place = np.floor(lattice / side).astype(np.int64)
     low = place.min(axis=0)
     shape = place.max(axis=0) - low + 1
@@ -210,10 +212,10 @@ def _share_volume(x: NDArray[np.float32], shape: Solid, room: _Room) -> NDArray[
 
 
 class _Room(NamedTuple):
-    """Volume of the solid in each cell of a lattice."""
+    """Volume of the solid in each cell of the lattice of particles."""
 
     side: float
-    """Side of a cell [m]."""
+    """Side of a cell of the lattice [m]."""
     cells: NDArray[np.int64]
     """Indices [L,3] of the cells that contain part of the solid."""
     volume: NDArray[np.float64]

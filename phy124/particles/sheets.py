@@ -20,19 +20,21 @@ from numpy.typing import NDArray
 from phy124.particles.cuts import below, between, fill_between
 
 SHORTEST = 0.1
-"""A voxel at a sheet's rim is filled over at least this fraction of its length."""
+"""A voxel at the rim of a sheet counts as filled over at least this fraction of its length."""
 ROUNDS, FASTER = 3, 1.5
-"""`ROUNDS`: number of improvements of the planes. `FASTER`: factor on their slow corrections."""
+"""`ROUNDS`: number of times that the middle planes of sheets are improved. `FASTER`: factor on the
+corrections of the planes, which would otherwise approach their final position slowly.
+"""
 STEEP = 16
-"""Exponent of the mean of the thicknesses around a voxel. Voxels at a rim seem thinner than the
-sheet, so the mean must be close to the largest thickness.
+"""Exponent with which the thicknesses around a voxel are averaged. Voxels at the rim of a sheet
+seem thinner than the sheet, so the mean must be close to the largest thickness.
 """
 AT_ONCE = 4096
-"""Number of voxels whose neighbours are in memory at one time."""
+"""Number of voxels whose neighbours are in memory at the same time."""
 AROUND = np.array(list(np.ndindex(5, 5, 5))) - 2
 """Steps from a voxel to the 125 voxels within two steps [125,3]."""
 NEXT = (np.abs(AROUND) <= 1).all(axis=1)
-"""Mask of the steps in `AROUND` that lead to the voxel itself or to its 26 neighbours [125]."""
+"""Mask of the steps in `AROUND` that lead to a voxel itself or to its 26 neighbours [125]."""
 
 
 class Planes(NamedTuple):
@@ -41,15 +43,17 @@ class Planes(NamedTuple):
     normal: NDArray[np.float64]
     """Unit normals [K,3]."""
     height: NDArray[np.float64]
-    """Distances of the planes from the middles of the voxels, along the normals [K]."""
+    """Distances of the planes from the middles of their voxels, along the normals [K]."""
     thick: NDArray[np.float64]
-    """Thickness of the material of the 27 voxels around, if the sheet crossed all of them [K]."""
+    """Thickness of the material in the 27 voxels around each voxel, if the sheet crossed all of
+    them [K].
+    """
     inward: NDArray[np.float64]
-    """Unit vectors along the sheets, towards the material of the surrounding 27 voxels [K,3]."""
+    """Unit vectors along the sheets, towards the material in the surrounding 27 voxels [K,3]."""
 
     @classmethod
     def through(cls, normal: NDArray, middle: NDArray) -> Planes:
-        """Return planes with these normals [K,3] through these points [K,3]."""
+        """Return planes with the normals `normal` [K,3] through the points `middle` [K,3]."""
         return cls(normal, (middle * normal).sum(axis=1), np.zeros(len(normal)), normal)
 
 
@@ -102,7 +106,7 @@ def fill_sheets(
 
 
 def _improve(planes: Planes, near: NDArray, fraction: NDArray, shift: NDArray) -> Planes:
-    """Return better planes from the centres of the filled parts of the surrounding voxels.
+    """Return improved planes, computed from the centres of the filled parts of surrounding voxels.
 
     Args:
         planes: The planes of K voxels.
@@ -142,7 +146,7 @@ def _improve(planes: Planes, near: NDArray, fraction: NDArray, shift: NDArray) -
 
 
 def _steep_mean(values: NDArray) -> NDArray[np.float64]:
-    """Return means [K] of values [K,125] that are close to the largest values."""
+    """Return power means [K] of values [K,125]; they are close to the largest value of each row."""
     power = (values / np.maximum(values.max(axis=1, keepdims=True), 1e-30)) ** STEEP
     result: NDArray[np.float64] = (power * values).sum(axis=1) / np.maximum(power.sum(axis=1), 1)
     return result

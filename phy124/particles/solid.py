@@ -52,19 +52,21 @@ Mask = NDArray[np.bool_]
 MAX_VOXELS = 4_000_000
 MAX_SAMPLES = 6_000_000
 ACROSS = 64
-"""Number of voxels along the longest side; fewer if the Gaussians are too sparse."""
+"""Number of voxels along the object's longest side; fewer if the Gaussians are too sparse."""
 COARSER = 1.2
-"""Factor by which the voxel size grows from one attempt to the next."""
+"""Factor by which the side of a voxel grows if samples on a finer grid are not connected."""
 SEAL = 0.065
-"""Half the width of the widest gap that is sealed, relative to the longest side."""
+"""Half of the width of the widest gap in a surface that is sealed, relative to the object's longest
+side.
+"""
 CONNECTED = 6
-"""In a connected surface or cloud, a voxel has on average at least this number of occupied
-neighbours (of 26).
+"""In a surface or cloud that counts as connected, an occupied voxel has on average at least this
+number of occupied neighbours (of 26).
 """
 WHOLE = 1 - 1e-9
-"""Filled fraction from which a voxel counts as full."""
+"""A voxel counts as full if its filled fraction is at least this value."""
 MEMORY = 2
-"""Number of solids that are kept for later runs with the same objects."""
+"""Number of solids that are kept in memory for later runs with the same objects."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,7 @@ class Solid:
     """The interior of an object, as filled fractions of voxels."""
 
     first: NDArray[np.int64]
-    """Index [3] of the first voxel; the voxel's lower corner is at first * voxel."""
+    """Index of the grid's first voxel [3]; its lower corner is at first * voxel [m]."""
     voxel: float
     """Side of a voxel [m]."""
     fraction: NDArray[np.float32]
@@ -96,7 +98,10 @@ class Solid:
 
     @cached_property
     def _resampled(self) -> dict[float, Solid]:
-        """Versions of this solid by voxel side [m]; a grid twice as fine can use the same one."""
+        """Resampled versions of this solid, by the side of a voxel [m].
+
+        A grid of cells that is twice as fine can use the same version.
+        """
         return {}
 
     @property
@@ -110,7 +115,9 @@ class Solid:
         return scipy.ndimage.map_coordinates(self.fraction, at.T, order=1) > 0.5
 
     def thin(self, points: NDArray, width: float) -> Mask:
-        """Return which points [M,3] (in m) are outside or in parts thinner than `width`."""
+        """Return which points [M,3], m, are outside the solid or in parts thinner than
+        `width` [m].
+        """
         radius = max(1, round(0.5 * (width / self.voxel - 1)))
         if 2 * radius >= min(self.fraction.shape):
             return np.ones(len(points), bool)
@@ -122,7 +129,8 @@ class Solid:
         return ~thick[tuple(np.clip(at, 0, np.array(thick.shape) - 1).T)]
 
     def resample(self, spacing: float, *, per_cell: int = 1) -> Solid:
-        """Resample to voxels of about the same size that are aligned with a lattice of particles.
+        """Resample the solid to voxels of about the same size that are aligned with a lattice of
+        particles.
 
         Several lattices may use the same voxels, which are computed only once.
 
@@ -145,7 +153,9 @@ class Solid:
         return Solid(first, step, fraction.astype(np.float32), source=source)
 
     def _move_to(self, step: float) -> Material:
-        """Return the material of this solid in voxels of another side length [m]."""
+        """Return the material of this solid in the voxels of a grid with another side
+        length [m].
+        """
         assert self.surface is not None
         full = self.fraction > 0
         for cubes in self.surface:
@@ -206,7 +216,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
 
 @dataclass(frozen=True, eq=False)
 class _Voxels:
-    """Samples of the Gaussians on a voxel grid."""
+    """Voxels of a grid that contain samples of the Gaussians."""
 
     first: NDArray[np.int64]
     voxel: float
@@ -216,7 +226,9 @@ class _Voxels:
 
 
 def _voxelise(gaussians: Gaussians) -> _Voxels:
-    """Return the finest voxel grid with connected samples; if there is none, the finest grid."""
+    """Return the finest voxel grid on which samples are connected; if there is none, the finest
+    grid.
+    """
     extent = _extent(gaussians)
     finest, voxel = None, float(extent.max()) / ACROSS
     while finest is None or voxel <= 4 * finest.voxel:
@@ -246,7 +258,10 @@ def _admissible(gaussians: Gaussians, voxel: float, extent: NDArray) -> bool:
 
 
 def _samples_per_axis(gaussians: Gaussians, voxel: float) -> NDArray[np.float64]:
-    """Return the number of samples along each axis of each Gaussian [N,3]: odd, one per voxel."""
+    """Return the number of samples along each axis of each Gaussian [N,3].
+
+    The number is odd, with about one sample per voxel.
+    """
     sigma = gaussians.scales.astype(np.float64) / voxel
     return np.where(sigma > 0.25, 2 * np.ceil(sigma) + 1, 1)
 
@@ -266,7 +281,9 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
 
 
 def _sample(gaussians: Gaussians, voxel: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return sample points [S,3], in voxels, and the Gaussian of each sample point [S]."""
+    """Return sample points of the Gaussians [S,3], in voxels, and the Gaussian of each
+    point [S].
+    """
     counts = _samples_per_axis(gaussians, voxel).astype(np.int64)
     key = counts @ np.array([1, 10**5, 10**10])
     points, owners = [], []
@@ -297,7 +314,7 @@ def _mean_neighbours(occupied: Mask) -> float:
 
 
 def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
-    """Return the mask of the inner voxels, and the mask of all other voxels."""
+    """Return the mask of the voxels inside the object, and the mask of all other voxels."""
     widest = max(1, int(SEAL * across))
     region, enclosed = occupied.copy(), False
     for r in sorted({1, 2, 3, widest // 2, widest}):
@@ -317,7 +334,7 @@ def _find_inside(occupied: Mask, across: float) -> tuple[Mask, Mask]:
 
 
 def _flood_outside(free: Mask) -> Mask:
-    """Return the free voxels that are connected by faces to the grid's first corner."""
+    """Return the free voxels that are connected by faces to the first corner of the grid."""
     labels, _ = scipy.ndimage.label(free)  # pyright: ignore
     return labels == labels[0, 0, 0]
 
@@ -333,7 +350,7 @@ def _find_enclosed(occupied: Mask) -> Mask:
 
 
 def _deep_parts(mask: Mask) -> Mask:
-    """Return the connected parts of a mask that contain a cube of 3 voxels.
+    """Return the connected parts of a mask that contain a cube of 3 x 3 x 3 voxels.
 
     Discs at the rim of a plate stick out, so that they enclose a layer above the plate.
     """

@@ -27,109 +27,118 @@ FLAT = 0.3
 """A Gaussian is flat if its shortest standard deviation is less than this fraction of the second
 shortest."""
 WINDOW = 5
-"""Side of the cube in which the centre of the material around a sample is computed."""
+"""Side of the cube in which the centre of the material around a sample is computed [voxels]."""
 NOISE = 0.15
 """Distances of flat Gaussians from a face up to this value count as noise (standard deviation)."""
 PARALLEL = 0.95
-"""Smallest cosine of the angle between two parallel faces."""
+"""Smallest cosine of the angle between the normals of two faces that count as parallel."""
 OPPOSITE = 0.7
-"""Smallest cosine of the angle between a normal and the reversed normal of an opposite face."""
+"""Two faces are opposite if the cosine of the angle between a normal and the other, reversed normal
+is at least this value.
+"""
 THICKEST = 3.0
-"""Largest thickness of a part for which an opposite face is searched."""
+"""Largest thickness of a part of an object for which an opposite face is searched [voxels]."""
 ASIDE = 1.2
-"""Largest distance between the middles of opposite faces, perpendicular to the normal."""
+"""Largest distance between the middles of two opposite faces, perpendicular to the normal
+[voxels].
+"""
 TOGETHER = 0.5
-"""Opposite faces whose distances differ by less than this value are averaged."""
+"""Opposite faces whose distances differ by less than this value are averaged [voxels]."""
 NEIGHBOURS = 32
-"""Number of nearest faces among which opposite faces are searched."""
+"""Number of nearest faces among which the opposite faces of a face are searched."""
 THINNEST = 0.1
-"""Smallest thickness of a sheet."""
+"""Smallest thickness of a sheet without an opposite face [voxels]."""
 BEYOND = 0.2
-"""Distance by which discs at a convex edge may stick out beyond the edge."""
+"""Distance by which flat Gaussians at a convex edge may stick out beyond the edge [voxels]."""
 PREFERRED = 0.6
-"""A part in a neighbouring voxel is preferred if it is thinner than this multiple of the thickness
-in the voxel."""
+"""The part below a face in a neighbouring voxel is preferred if it is thinner than this multiple of
+the thickness in the voxel.
+"""
 PARTS = 2
-"""Number of parts along each axis of a voxel at an edge."""
+"""Number of parts along each axis into which a voxel at an edge is divided."""
 UP = (0.0, 0.0, 1.0)
-"""Normal of a single sample, which has no neighbours."""
+"""Normal of a sample at the centre of the material around it, for example of a single sample."""
 AROUND = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
-"""Steps from a corner of the 27 voxels around a voxel to its 26 neighbours."""
+"""Steps to the 26 neighbours of a voxel, counted from the lower corner of the block of 27 voxels
+around it.
+"""
 
 
 class Samples(NamedTuple):
-    """Points in the Gaussians."""
+    """Sample points in the Gaussians."""
 
     points: Array
-    """Positions, from the lower corner of the grid [S,3]."""
+    """Positions of the samples, measured from the lower corner of the grid [S,3]."""
     normals: Array
-    """Shortest axes of flat Gaussians [S,3]; zero for other Gaussians."""
+    """Shortest axes of the samples' Gaussians [S,3]; zero for Gaussians that are not flat."""
     thickness: Array
-    """Twice the shortest standard deviations of the Gaussians [S]."""
+    """Twice the shortest standard deviations of the samples' Gaussians [S]."""
 
 
 class Cubes(NamedTuple):
     """Cubes of equal side; the material of each cube lies between two parallel planes."""
 
     voxel: Array
-    """Array in the flattened grid of the voxel that contains the cube [B]."""
+    """Index, in the flattened grid, of the voxel that contains each cube [B]."""
     corner: Array
     """Lower corners [B,3]."""
     weight: Array
-    """Filled fraction of the space between the planes [B]."""
+    """Filled fraction of the space between the two planes in each cube [B]."""
     normal: Array
     """Unit normals of the planes [B,3]."""
     upper: Array
-    """Distance of the upper plane from the middle of the cube, along the normal [B]."""
+    """Distance of the upper plane from the middle of each cube, along the normal [B]."""
     lower: Array
-    """Distance of the lower plane from the middle of the cube [B]."""
+    """Distance of the lower plane from the middle of each cube, along the normal [B]."""
 
     def select(self, mask: Mask) -> Cubes:
-        """Return some of the cubes."""
+        """Return the cubes for which a mask is true."""
         return Cubes(*(values[mask] for values in self))
 
 
 class Surface(NamedTuple):
-    """The material of the voxels at the surface; other voxels are full or empty."""
+    """The material in the voxels at the surface of an object; other voxels are full or empty."""
 
     slabs: Cubes
-    """Voxels near which all faces are parallel."""
+    """Voxels near which all faces are parallel; each voxel is one cube."""
     edges: Cubes
-    """Parts of the other voxels; each voxel has `PARTS` parts along each axis."""
+    """Parts of all other voxels at the surface; each voxel has `PARTS` parts along each axis."""
 
 
 class _Faces(NamedTuple):
-    """The faces in the order of the voxels; a voxel has at most one face for each side."""
+    """The faces of the surface, in the order of their voxels; a voxel has at most one face for each
+    side.
+    """
 
     voxel: Array
-    """Array of the voxel in the flattened grid [K]."""
+    """Index of each face's voxel in the flattened grid [K]."""
     side: Array
-    """Side of a cube to which the normal is nearest, 0..5 [K]."""
+    """Side of a cube, 0 to 5, whose direction is closest to each face's normal [K]."""
     samples: Array
     """Number of samples [K]."""
     middle: Array
-    """Mean positions of the samples [K,3]."""
+    """Mean positions of the samples of each face [K,3]."""
     normal: Array
     """Outward normals [K,3]."""
     top: Array
-    """Heights of the faces: scalar product of position and normal [K]."""
+    """Height of each face: the scalar product of its position and its normal [K]."""
     thick: Array
-    """Thickness of the material below the face [K]; infinite if there is no opposite face."""
+    """Thickness of the material below each face [K]; infinite if the face has no opposite face."""
 
 
 class _Near(NamedTuple):
-    """The faces in and around V voxels."""
+    """For V voxels, the faces in and around each voxel."""
 
     voxel: Array
     """Indices of the voxels in the flattened grid [V]."""
     corner: Array
     """Indices of the voxels along each axis [V,3]."""
     faces: Array
-    """Number of the nearest face for each side [V,6]; -1 if there is no face."""
+    """Index of the nearest face for each of the six sides [V,6]; -1 if there is no face."""
     is_own: Mask
-    """Whether the face lies in the voxel [V,6]."""
+    """For each side, whether the nearest face lies in the voxel itself [V,6]."""
     main: Array
-    """Number of the face below which the material lies [V]."""
+    """Index of the main face, below which the voxel's material lies [V]."""
 
     def select(self, mask: Mask) -> _Near:
         return _Near(*(values[mask] for values in self))
@@ -145,7 +154,7 @@ def shortest_axes(gaussians: Gaussians) -> Array:
 
 
 def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
-    """Find the material of the voxels at the border of a region.
+    """Find the material in the voxels at the border of a region, from samples of the Gaussians.
 
     Args:
         region: Voxels that are inside the object or contain samples [X,Y,Z].
@@ -163,7 +172,9 @@ def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
 
 
 def fill_voxels(region: Mask, surface: Surface) -> NDArray[np.float32]:
-    """Return the filled fractions of the voxels of a region and its surface [X,Y,Z]."""
+    """Return the filled fractions of all voxels [X,Y,Z], from a region and the surface of the
+    object.
+    """
     fraction = region.ravel().astype(np.float64)
     for cubes, side in ((surface.slabs, 1), (surface.edges, 1 / PARTS)):
         fraction[cubes.voxel] = 0
@@ -174,7 +185,7 @@ def fill_voxels(region: Mask, surface: Surface) -> NDArray[np.float32]:
 
 
 def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
-    """Divide the samples at the border into faces."""
+    """Divide the samples at the border of a region into faces."""
     points, normal, thickness = samples
     voxel = np.asarray(np.ravel_multi_index(tuple(points.astype(np.int64).T), region.shape))
     out = points - _centres_around(region, points, voxel)[voxel]
@@ -239,13 +250,15 @@ def _centres_around(region: Mask, points: Array, voxel: Array) -> Array:
 
 
 def _blur(values: Array, shape: tuple[int, ...]) -> Array:
-    """Return the mean values in the cubes around all voxels [X*Y*Z]."""
+    """Return the mean value in the cube around each voxel [X*Y*Z]."""
     mean = scipy.ndimage.uniform_filter(values.reshape(shape), WINDOW, mode="constant")
     return mean.ravel()
 
 
 def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
-    """Return the faces with the thickness of the material below them, which is infinite by default.
+    """Return the faces with the thickness of the material below each face.
+
+    The thickness is infinite if no opposite face is near.
 
     A sheet without opposite faces has the smallest possible thickness `least` [K]. Thicker sheets
     extend equally to both sides.
@@ -280,14 +293,14 @@ def _find_opposite_faces(region: Mask, faces: _Faces, least: Array) -> _Faces:
 
 
 def _look_up(region: Mask, points: Array) -> Mask:
-    """Return whether points lie in a region."""
+    """Return for each point whether it lies in a region of voxels."""
     at = np.clip(points.astype(np.int64), 0, np.array(region.shape) - 1)
     inside: Mask = region[tuple(at.T)]
     return inside
 
 
 def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
-    """Return the faces near the voxels of a border; voxels without a face are left out.
+    """Return the faces near each voxel at a border; voxels without a face nearby are left out.
 
     The main face is the face of the thinnest part. In thick parts, it is the face in the voxel with
     most samples, or the nearest face.
@@ -313,7 +326,7 @@ def _find_faces_around(faces: _Faces, border: Mask) -> _Near:
 
 
 def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
-    """Return the heights [V], [V] of the planes above and below the material at the main faces.
+    """Return the heights [V], [V] of two planes: above and below the material at each main face.
 
     They are the mean heights of the parallel faces in the voxel, if there are any.
     """
@@ -331,14 +344,14 @@ def _find_planes(faces: _Faces, near: _Near) -> tuple[Array, Array]:
 
 
 def _make_slabs(faces: _Faces, near: _Near) -> Cubes:
-    """Return voxels whose material lies between the planes of parallel faces."""
+    """Return the voxels whose material lies between the planes of parallel faces, as cubes."""
     normal = faces.normal[near.main]
     planes = [height[:, None] for height in _find_planes(faces, near)]
     return _cubes(near.voxel, near.corner[:, None], np.ones((len(normal), 1)), normal, *planes)
 
 
 def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
-    """Return the parts of voxels near which faces are not parallel.
+    """Return the parts of voxels that have an edge, near which faces are not parallel.
 
     At convex edges, the material lies between the planes of the main face; the other faces
     determine the filled fraction of this space. At concave edges, the parts are filled evenly.
@@ -369,7 +382,7 @@ def _cut_edges(faces: _Faces, near: _Near) -> Cubes:
 
 
 def _share_below(points: Array, normal: Array, top: Array) -> Array:
-    """Return the filled fractions [V,P] of the parts around points [V,P,3] below planes.
+    """Return the fractions [V,P] of the parts around points [V,P,3] that lie below planes.
 
     Args:
         points: Middles of the parts.

@@ -23,16 +23,18 @@ from numpy.typing import NDArray
 from phy124.particles.solid import ACROSS, Solid
 
 FRACTION = 0.1
-"""This fraction of the volume may be thinner than the reported thickness."""
+"""Fraction of an object's volume that may be thinner than the reported thickness."""
 FOOT = 0.12
-"""Fraction of the height that is clamped when the compliance is computed."""
+"""Fraction of an object's height, at its foot, that is clamped when the compliance is computed."""
 
 
 class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness, relative to the longest side. Nine tenths of the volume are thicker."""
+    """Local thickness, relative to the longest side. Nine tenths of the object's volume are thicker
+    than this.
+    """
     compliance: float
     """Mean deflection if the object's weight acts sideways, in units of L rho g L / E, where L is
     the object's size.
@@ -92,7 +94,8 @@ def _inside(shape: Solid) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=4)
 def local_thickness(shape: Solid) -> float:
-    """Return the largest thickness [m] such that at most `FRACTION` of the volume is thinner.
+    """Return the largest thickness [m] such that at most `FRACTION` of the object's volume is
+    thinner.
 
     Parts that are thinner than a voxel count as one voxel thick.
     """

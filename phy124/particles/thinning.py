@@ -18,7 +18,7 @@ GIANT = 1e4
 area, exceeds this value.
 """
 BITS = 16
-"""Bits per coordinate along the space-filling curve."""
+"""Number of bits per coordinate on the space-filling curve."""
 
 
 def check_count(count: int | None) -> None:
@@ -33,7 +33,7 @@ def check_count(count: int | None) -> None:
 
 
 def with_count(make: Any, count: int | None) -> Any:
-    """Bind `count` to a generator, if it has an option for the number of Gaussians."""
+    """Bind `count` to a generator's function, if it has an option for the number of Gaussians."""
     check_count(count)
     if count is None or "count" not in inspect.signature(make).parameters:
         return make
@@ -75,5 +75,8 @@ def _morton_order(points: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _compute_areas(gaussians: Gaussians) -> NDArray[np.float64]:
-    """Return the product of the two larger standard deviations of each Gaussian [N], m^2."""
+    """Return the area of each Gaussian, up to a factor [N], m^2.
+
+    It is the product of the two larger standard deviations.
+    """
     return np.sort(gaussians.scales, axis=1)[:, 1:].prod(axis=1, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Computes for each voxel of a body its normal, and centre and second moments of the filled part.
+"""Computes for each voxel of a body its outward normal, and moments of the filled part.
 
 A partly filled voxel is cut by a plane with the voxel's normal. At an edge between sides that are
 parallel to faces of the voxels, the filled part is a box. In a thin sheet, the voxel is cut by two
@@ -22,38 +22,50 @@ from phy124.particles.sheets import Planes, fill_sheets
 from phy124.runtime.compiling import compile_missing
 
 SHEET = 0.25
-"""Gradient of the filled fraction [1/voxel] below which a voxel belongs to a sheet."""
+"""If the length of the gradient of the filled fraction [1/voxel] is below this value, the voxel
+belongs to a sheet.
+"""
 THIN = 1.2
-"""Thickness [voxels] below which a part counts as a sheet, which has two surfaces in a voxel."""
+"""Thickness below which a part of a body counts as a sheet, which has two surfaces in the same
+voxel [voxels].
+"""
 FULL = 0.999
 """A voxel with at least this filled fraction cannot belong to a sheet or a rod."""
 NOISE = 1e-4
-"""Voxels of sheets are not refined up to this filled fraction; resampling leaves many of them."""
+"""The middle plane of a sheet is not improved in a voxel with at most this filled fraction;
+resampling leaves many such voxels.
+"""
 VEIL = 0.15
-"""Up to this thickness, sheets are not refined [voxels]."""
+"""The middle planes of a sheet are not improved if its thickness is at most this [voxels]."""
 ROUND = 3.5
-"""Largest cross-section of a rod [voxels^2]."""
+"""Largest cross-section of a part of a body that counts as a rod [voxels^2]."""
 WIDE = 0.45
-"""Largest second moment across a rod in the surrounding 125 voxels [voxels^2]."""
+"""Largest second moment, across a rod, of the material in the surrounding 125 voxels [voxels^2]."""
 LONG = 2.5
-"""Smallest ratio of the second moment along the rod to that across it."""
+"""Smallest ratio of the second moment along a rod to the second moment across it."""
 SINGLE = math.pi / 4
-"""Cross-section of the thickest rod that lies in two neighbouring columns of voxels [voxels^2]."""
+"""Largest cross-section of a rod that can lie in only two neighbouring columns of voxels
+[voxels^2].
+"""
 EMPTY, EXACT = 0.02, 0.05
-"""`EMPTY`: beyond the sides of a box, voxels have at most this fraction of the material of a voxel
-at the edge. `EXACT`: largest difference between the volume of the box and the filled fraction,
-relative to the filled fraction.
+"""`EMPTY`: voxels beyond the sides of a box have at most this fraction of the material in a voxel
+at the edge. `EXACT`: largest difference between a box's volume and the filled fraction of its
+voxel, relative to the filled fraction.
 """
 SAMPLES, FINER = 6, 10
-"""Number of sample points along each axis of a partly filled voxel: in general, and in rods."""
+"""Number of sample points along each axis of a partly filled voxel: in general, and in voxels of
+rods.
+"""
 NEAR, FAR = (np.array(list(np.ndindex(*3 * (2 * n + 1,)))) - n for n in (1, 2))
-"""Steps from a voxel to itself and its neighbours, 27 in all, and to the 125 voxels within two
-steps."""
+"""Steps from a voxel to the 27 voxels within one step, and to the 125 voxels within two steps."""
 AXES = np.array([9, 3, 1])
-"""For each axis, the number in `NEAR` of a voxel's next neighbour minus the voxel's own number."""
+"""For each axis, the index in `NEAR` of a voxel's next neighbour, minus the index of the voxel
+itself.
+"""
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
-"""Weights of the 27 voxels in the gradient. Neighbours have weights in proportion to 1 /
-distance^2; at a plane parallel to a face of the voxels, the gradient has the length 1.
+"""Weights with which the filled fractions of the 27 voxels around a voxel are summed to their
+gradient. The weight of a neighbour is proportional to 1 / distance^2. At a plane parallel to a face
+of the voxels, the gradient has the length 1.
 """
 
 
@@ -65,11 +77,13 @@ class Voxels(NamedTuple):
     fraction: NDArray[np.float64]
     """Filled fractions [V]."""
     normal: NDArray[np.float64]
-    """Outward normals [V,3]; zero in sheets, which have no single outward side."""
+    """Outward normals of the voxels [V,3]; zero in sheets, which have no single outward side."""
     shift: NDArray[np.float64]
-    """Centres of the filled parts, relative to the middles of the voxels [V,3]."""
+    """Centres of the voxels' filled parts, relative to the middles of the voxels [V,3]."""
     spread: NDArray[np.float64]
-    """Second moments of the filled parts about their centres, per volume [V,3,3]."""
+    """Second moments of the voxels' filled parts about their centres, divided by the parts' volumes
+    [V,3,3].
+    """
 
 
 def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
@@ -118,8 +132,9 @@ def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
 
 
 def _within(padded: NDArray, index: NDArray, steps: int) -> NDArray[np.float64]:
-    """Return the values of a grid at the neighbours `NEAR` (one step) or `FAR` (two steps) of each
-    voxel [V,S].
+    """Return the values of a grid at the neighbours of each voxel [V,S].
+
+    The neighbours are `NEAR` (one step) or `FAR` (two steps).
 
     The grid is padded by two voxels.
     """
@@ -184,11 +199,13 @@ class _Parts:
         wide = weight.sum(axis=1, keepdims=True)
         weight /= np.maximum(wide, 1e-9)
         self.middle = weight @ FAR
-        """Centres of the filled parts of the surrounding 125 voxels [K,3]."""
+        """Centres of the material in the 125 voxels around each voxel [K,3]."""
         second = (weight @ (FAR[:, :, None] * FAR[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
         second -= self.middle[:, :, None] * self.middle[:, None, :]
         self.moment, self.axes = np.linalg.eigh(second)
-        """Second moments of these parts, in ascending order [K,3], and their axes [K,3,3]."""
+        """Second moments of the material in these 125 voxels, in ascending order [K,3], and their
+        axes [K,3,3].
+        """
         most = np.abs(self.axes[:, :, 0]).max(axis=1)
         self.thick, self.thickest = self.layers * most, wide[:, 0] / 25 * most
         """Thicknesses of sheets, computed from the material of 27 and of 125 voxels [K]."""
@@ -230,17 +247,17 @@ class _Surfaces(NamedTuple):
     """Surfaces in V voxels, with positions relative to the middles of the voxels."""
 
     middles: NDArray[np.float64]
-    """For each voxel: a point on its plane, or on the axis of its rod [V,3]."""
+    """For each voxel, a point on the plane of its surface, or on the axis of its rod [V,3]."""
     axes: NDArray[np.float64]
-    """Normals of the planes, or directions of the rods [V,3]."""
+    """For each voxel, the normal of the plane of its surface, or the direction of its rod [V,3]."""
     rods: bool = False
-    """Whether the surfaces are cylinders around the axes instead of planes."""
+    """Whether the surfaces in the voxels are cylinders around the axes instead of planes."""
 
 
 def _part_moments(
     fraction: NDArray[np.float64], surfaces: _Surfaces, samples: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return centres [V,3] and second moments [V,3,3] of the parts below the surfaces.
+    """Return centres [V,3] and second moments [V,3,3] of the voxels' parts below the surfaces.
 
     Args:
         fraction: Filled fractions of the voxels [V].
