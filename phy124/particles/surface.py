@@ -29,7 +29,9 @@ shortest."""
 WINDOW = 5
 """Side of the cube in which the centre of the material around a sample is computed [voxels]."""
 NOISE = 0.15
-"""Distances of flat Gaussians from a face up to this value count as noise (standard deviation)."""
+"""If the standard deviation of flat Gaussians' distances from a face is at most this, the distances
+count as noise [voxels].
+"""
 PARALLEL = 0.95
 """Smallest cosine of the angle between the normals of two faces that count as parallel."""
 OPPOSITE = 0.7
