@@ -56,11 +56,14 @@ def is_angular(rgba: Field) -> bool:
     horizontal = lengths[straight & (down < slope * across)].sum() / whole
     if min(vertical, horizontal) < EITHER or vertical + horizontal < BOTH:
         return False
-    return solidity(object_mask) > SOLID and not _is_shaded(rgba, object_mask)
+    return solidity(object_mask) > SOLID and not is_shaded_across(rgba)
 
 
-def _is_shaded(rgba: Field, object_mask: Mask) -> bool:
-    """Return whether the brightness changes along the rows as on an upright cylinder."""
+def is_shaded_across(rgba: Field) -> bool:
+    """Return whether the brightness of an image [H,W,4] changes along the rows as on an upright
+    cylinder.
+    """
+    object_mask = rgba[..., 3] > 0.5
     rows, columns = np.nonzero(object_mask)
     every = np.arange(len(object_mask))
     low, high = (

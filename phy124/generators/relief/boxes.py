@@ -153,7 +153,7 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
     drawings of boxes often have a weak perspective.
     """
     sharp = _hexagon(object_mask)
-    corners = _rounded_hexagon(object_mask) if sharp is None else sharp
+    corners = rounded_polygon(object_mask, 6) if sharp is None else sharp
     if corners is None:
         return None
     corners = corners - view.middle[:2]
@@ -194,17 +194,17 @@ def _covers(object_mask: NDArray[np.bool_], corners: NDArray) -> float:
     return np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
 
 
-def _rounded_hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
-    """Return the corners [6,2] of a hexagon whose corners were rounded, pixels.
+def rounded_polygon(object_mask: NDArray[np.bool_], count: int) -> Field | None:
+    """Return the corners [C,2] of a convex polygon whose `count` corners were rounded, pixels.
 
-    The corners are the intersections of the six long edges; None if the silhouette has more or
-    fewer long edges, or if it does not fill the hexagon.
+    The corners are the intersections of the long edges; None if the silhouette has more or fewer
+    long edges, or if it does not fill the polygon.
     """
     hull = cv2.convexHull(outline_of(object_mask))
     start = cv2.approxPolyDP(hull, ROUGH, closed=True)[:, 0].astype(np.float64)
     edges = np.roll(start, -1, axis=0) - start
     long = np.hypot(*edges.T) > LONG * cv2.arcLength(hull, closed=True)
-    if np.count_nonzero(long) != 6:
+    if np.count_nonzero(long) != count:
         return None
     start, edges = start[long], edges[long]
     after, gap = np.roll(edges, -1, axis=0), np.roll(start, -1, axis=0) - start

@@ -15,6 +15,7 @@ from phy124.generators.relief.boards import board_shell
 from phy124.generators.relief.borders import has_border
 from phy124.generators.relief.boxes import Cuboid, find_box
 from phy124.generators.relief.caps import Cap, colour_cap, make_cap
+from phy124.generators.relief.cards import is_card
 from phy124.generators.relief.colours import (
     REACH,
     Shown,
@@ -51,7 +52,7 @@ from phy124.generators.relief.vessel import vessel_shell
 CARD = 0.12
 """Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
 SHEET = 0.05
-"""Largest half thickness of an object with a border, relative to the image's size."""
+"""Largest half thickness of a card or an object with a border, relative to the image's size."""
 BLOCK = 0.8
 """Behind the rim of a block, the colours change from the mirrored image to the back over at most
 this depth.
@@ -151,10 +152,10 @@ def _inflated_shell(
     joined = _parts_thickness(work, shoulder, legs)
     half = half_thickness(silhouette, work, WORK, shape, joined)
     mapped, thin, limited = work.rgba.shape[2] > 4, None, None
-    most = SHEET if shape == "auto" and not mapped and has_border(work.rgba) else 1.0
+    half, most = _sheet(half, work) if shape == "auto" and not mapped else (half, 1.0)
     if half is None:
         work = work.shorten()
-        surface = make_slab(work, view, thickness, most * WORK)
+        surface = make_slab(work, view, thickness, most * WORK if most < 1 else None)
     else:
         thin = find_thin(work.object_mask) if shape == "auto" and not mapped else None
         half = half if thin is None else thin.flatten(half)
@@ -208,6 +209,16 @@ def _inflated_shell(
     step(3)
     shell = Shell(drawn, turned, spacing, rgb)
     return shell if legs is None else legs.join(shell, surface, view, front, rng)
+
+
+def _sheet(half: Field | None, work: Continued) -> tuple[Field | None, float]:
+    """Return squared half thicknesses, which are None for a card, and the largest half thickness.
+
+    The latter is relative to the image's size, and less than 1 for cards and objects with a border.
+    """
+    if is_card(work.rgba, plain=half is None):
+        return None, SHEET
+    return half, SHEET if has_border(work.rgba) else 1.0
 
 
 def _parts_thickness(work: Continued, shoulder: Shoulder | None, legs: Legs | None) -> Field | None:

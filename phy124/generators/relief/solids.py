@@ -302,7 +302,7 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 
 
 def make_slab(
-    picture: Continued, view: View, thickness: float = 1.0, most: float = np.inf
+    picture: Continued, view: View, thickness: float = 1.0, most: float | None = None
 ) -> Surface:
     """Return a slab with flat front and back.
 
@@ -312,7 +312,8 @@ def make_slab(
         picture: Mask of the object.
         view: The front camera.
         thickness: Factor by which the guessed depth is multiplied.
-        most: Largest half thickness before this multiplication, pixels.
+        most: Largest half thickness of a thin slab before this multiplication, pixels; the smallest
+            is half of it.
     """
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
@@ -320,7 +321,8 @@ def make_slab(
     aspect, full = min(sides) / max(sides), np.count_nonzero(object_mask) / (sides[0] * sides[1])
     inside = picture.alpha > 0.5
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
-    h = min(float(distance.max() * aspect**3 * full), most) * thickness
+    h = float(distance.max() * aspect**3 * full)
+    h = thickness * (h if most is None else min(max(h, most / 2), most))
     # the front appears larger, because it is nearer to the camera than the centre
     h /= 1 + h / view.distance
     # The camera sees the front edges of the walls at the rim, and the front hides the walls behind
