@@ -49,7 +49,7 @@ class DepthMap(Section):
         return None if self.depth in ("auto", "off", *NETWORKS) else Path(self.depth)
 
     def bind(self, generator: Any, name: str) -> Any:
-        """Bind the depth map, or the network that estimates the depth, to a generator.
+        """Return a generator that uses the depth map, or the network that estimates the depth.
 
         Raises:
             InputError: If the generator cannot use a depth map, or the file of the map is unusable.
@@ -160,7 +160,7 @@ class OtherViews(Section):
         return {name: path for name, path in files.items() if path is not None}
 
     def bind(self, generator: Any, name: str, cut: Callable[[str, Path], Cutout]) -> Any:
-        """Bind the images and options to a generator.
+        """Return a generator that uses these images and options.
 
         Args:
             generator: The generator that gets the inputs.

@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Up and front directions that each file format prescribes."""
 STL_HEAD = 84
-"""Size of a binary STL file's header [bytes]. The header ends with the number of triangles."""
+"""Size of a binary STL file's header [bytes]. A binary STL file's header ends with the number of
+triangles.
+"""
 STL_ROW = 50
 """Size of each triangle in a binary STL file [bytes]."""
 LARGEST = 200_000_000
@@ -44,15 +46,17 @@ MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 """Time limit for reading a mesh file."""
 COUNT = 24_000
-"""Number of Gaussians for a mesh that is not the first object of a scene. With fewer Gaussians,
-edges would look ragged.
+"""Number of Gaussians for a mesh that is not the first object of a scene. With fewer Gaussians, the
+edges of a mesh would look ragged.
 """
 OBJECT_COUNT = 50_000
 """Number of Gaussians for a mesh that is the first object of a scene."""
 GREY = (0.7, 0.7, 0.7)
 """Colour of a mesh whose file contains no colours."""
 FAR = 100.0
-"""If a mesh is farther from the origin than this multiple of its size, float32 is too coarse."""
+"""float32 is too coarse for a mesh whose distance from the origin exceeds this multiple of its
+size.
+"""
 LARGEST_HEADER = 1 << 20
 """Number of bytes at the start of a file that are examined to detect a mesh."""
 SMALLEST = 1e-6
@@ -139,7 +143,7 @@ class _About(NamedTuple):
     """Axes of the mesh file that point up and to the object's front."""
     centre: NDArray[np.float64]
     size: float
-    """Longest side of the bounding box."""
+    """Longest side of the mesh's bounding box."""
     notes: tuple[str, ...]
 
 
@@ -202,7 +206,7 @@ def _kind(path: Path) -> str:
 
 
 def _check_rows(path: Path) -> None:
-    """Check that a PLY file of text contains all rows that its header states; one line is one row.
+    """Check that an ASCII PLY file contains as many rows as its header states, one per line.
 
     Raises:
         InputError: If the file ends too early.
@@ -363,7 +367,7 @@ def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
-    """Sample evenly spaced points on the surfaces of all pieces of a mesh.
+    """Sample evenly spaced points on the surfaces of several meshes.
 
     Raises:
         ValueError: If a corner is not finite, a triangle refers to a missing vertex, or the pieces
@@ -384,7 +388,7 @@ def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
 def _colours(
     pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray
 ) -> NDArray[np.float64] | None:
-    """Return the colours [N,3] of points on triangles; None if no piece of the mesh has colours.
+    """Return the colours [N,3] of points on triangles; None if none of the meshes has colours.
 
     Args:
         pieces: Pieces of the mesh, whose triangles are numbered consecutively.

@@ -21,7 +21,7 @@ from phy124.schema.section import Section
 
 Sampler = Literal["ddim", "dpmsolver++"]
 SAMPLER: Sampler = "ddim"
-"""The default sampler, which the DDIM paper and LGM also use."""
+"""The default sampler of lgm, which the DDIM paper and LGM also use."""
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
@@ -70,7 +70,7 @@ ROUNDS = 2
 
 
 class Work(NamedTuple):
-    """Numbers of floating-point operations of each kind, or their rates [1/s]."""
+    """Numbers of floating-point operations of each kind, or numbers of operations per second."""
 
     linear: float
     convolution: float

@@ -31,7 +31,7 @@ MIN_OPACITY = 0.005
 TAIL = 0.005
 """Fraction of the total opacity that lies outside the object's core at each end of each axis."""
 MARGIN = 0.5
-"""Largest distance of the object's Gaussians from the core, relative to the core's size."""
+"""Largest distance of the object's Gaussians from its core, relative to the size of this core."""
 
 
 class Reading(Section):

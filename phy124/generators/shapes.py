@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 COUNT = 8000
-"""Usual number of Gaussians of a shape, approximately."""
+"""Approximate number of Gaussians of a shape, unless another number is chosen."""
 TRIES = 6
-"""Number of random points that are drawn for each point that is needed on a set of triangles. An
-evenly spaced subset of these points is kept.
+"""Number of random points that are drawn for each point that is needed on a set of triangles. From
+these random points, an evenly spaced subset is kept.
 """
 FLATNESS = 0.15
 """Thickness of the surface's Gaussians relative to their width."""
@@ -23,9 +23,9 @@ AMBIENT = 0.72
 CHECKS = 8
 """Number of checker squares along the longest side, which make the motion visible."""
 CONTRAST = 0.05
-"""Contrast of the checker pattern."""
+"""Contrast of the checker pattern on a shape."""
 Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Points [N,3] and outward unit normals [N,3]."""
+"""Points on a surface [N,3], and outward unit normals [N,3]."""
 
 
 def make_shape(

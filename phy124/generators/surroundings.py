@@ -14,19 +14,21 @@ from phy124.gaussians import Gaussians
 from phy124.particles import clean, visible_area
 
 SAMPLE = 100_000
-"""Number of Gaussians that are examined; they are chosen at even intervals."""
+"""Number of Gaussians of a file that are examined; they are chosen at even intervals."""
 MOST = 0.8
-"""Fraction of the Gaussians' total visible area that is assumed to belong to the object. If there
-is a sky, this is the fraction of the number of Gaussians below the sky.
+"""Fraction of the Gaussians' total visible area that is assumed to belong to the object. If the
+file contains a sky, the object is assumed to have this fraction of the Gaussians below the sky.
 """
 SMALL = 0.3
-"""A background is reported if the object's longest side is below this fraction of the side of the
-bounding box.
+"""A background is reported if the object's longest side is below this fraction of the longest side
+of a box around all Gaussians.
 """
 AROUND = 1.25
 """Size of the recommended crop box relative to the object."""
 TAIL = 1e-3
-"""Fraction of the Gaussians that may lie beyond each end of a bounding box."""
+"""Fraction of the Gaussians that may lie outside the bounding box of all Gaussians, at each end of
+each axis.
+"""
 ROUNDS = 4
 """Number of iterations that refine the centre of the object."""
 FAR = 3.0
@@ -35,8 +37,8 @@ FAR = 3.0
 A sphere with the object's radius contains the fraction `MOST` of the Gaussians below the sky.
 """
 THIN = 0.2
-"""The distances of a sky's Gaussians from the centre have at most this standard deviation, relative
-to their mean.
+"""Largest standard deviation of the distances between a sky's Gaussians and the centre, relative to
+the mean of these distances.
 """
 MANY = 0.01
 """A sky must contain at least this fraction of all Gaussians.
@@ -76,7 +78,7 @@ class _Around(NamedTuple):
 
 
 def _sky(means: NDArray[np.float64]) -> _Around | None:
-    """Describe a sky if there is one.
+    """Describe the sky around the object if there is one.
 
     A sky is a shell of centres [N,3] far around the other Gaussians.
     """

@@ -19,9 +19,9 @@ PNG_START = 8
 CHUNK_FRAME = 12
 """Number of bytes that a PNG chunk has besides its content: length, kind and checksum."""
 TRANSPARENCY = b"tRNS"
-"""The only optional chunk that changes the pixels."""
+"""The only optional chunk of a PNG file that changes the pixels."""
 USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
-"""Optional chunks that phy124 uses; their checksums are corrected."""
+"""Optional chunks of a PNG file that phy124 uses; their checksums are corrected."""
 
 
 def strip_png(data: bytes) -> bytes:
@@ -49,7 +49,7 @@ class PlainTiff(TiffImageFile):
     """
 
     def load_end(self) -> None:
-        """Do nothing after decoding; Pillow would rotate the image here."""
+        """Do nothing after decoding, because Pillow would rotate the image in this method."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:

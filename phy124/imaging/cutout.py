@@ -34,11 +34,11 @@ Alpha = NDArray[np.uint8]
 MINIMUM, MAXIMUM = 0.003, 0.97
 """Smallest and largest fraction of the image that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""If the object covers less or more than these fractions of the image, a warning is shown."""
+"""Fractions of the image; if an object covers less or more, a warning is shown."""
 SIDES = 3
 """A cut-out is suspicious if it touches at least this number of image edges.
 
-For example, a table in the foreground touches three edges.
+For example, a table in the foreground of a picture touches three edges of the picture.
 """
 PIECES = 4
 """A cut-out is suspicious if it consists of at least this number of separate pieces."""
@@ -70,9 +70,11 @@ class Method(NamedTuple):
     applies: Callable[[Image.Image], bool]
     """Function that returns whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Function that computes the alpha [H,W]; `phy124.runtime.isolated` runs its native code."""
+    """Function that computes the alpha [H,W] of the object; it runs native code by
+    `phy124.runtime.isolated`.
+    """
     title: str = ""
-    """Name of the method in messages."""
+    """Name of the segmentation method in messages."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +90,11 @@ class Cutout:
     coverage: float
     """Fraction of the image that the object covers."""
     pieces: int
-    """Number of connected pieces of the object."""
+    """Number of connected pieces of which the cut-out object consists."""
     touches: tuple[str, ...]
     """Names of the image edges that the object nearly reaches: left, top, right, bottom."""
     unseen: float
-    """Fraction of the outline along which the image has no edge."""
+    """Fraction of the cut-out's outline along which the image has no edge."""
     alike: float
     """Fraction of the surrounding pixels whose colour is more common in the object than around it.
     """
@@ -105,13 +107,13 @@ class Cutout:
     touching: bool = False
     """Whether the cut-out seems to contain two objects that touch."""
     file: Path | None = None
-    """File of the image, if there is one."""
+    """File of the image; None if the image was not read from a file."""
     notes: tuple[str, ...] = ()
     """Sentences about parts of the file that were ignored or had to be interpreted."""
 
     @property
     def title(self) -> str:
-        """Name of the method in messages."""
+        """Name, for messages, of the method that segmented the object."""
         return title_of(self.method)
 
     @property
@@ -167,13 +169,13 @@ class Cutout:
         self.picture.save(path, compress_level=1, lossless=True, exact=True)
 
     def png(self) -> bytes:
-        """Return the image as the bytes of a PNG file."""
+        """Return the cut-out as the bytes of a PNG file."""
         written = io.BytesIO()
         self.picture.save(written, "PNG", compress_level=1)
         return written.getvalue()
 
     def data(self) -> dict[str, Any]:
-        """Return all fields, except for the pixels and the file, as plain data."""
+        """Return all fields of the cut-out, except for its pixels and its file, as plain data."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),
@@ -268,7 +270,7 @@ def foreground(
 
 
 def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
-    """Apply an alpha [H,W], and remove background colours from the soft edge; return RGBA."""
+    """Apply an alpha [H,W] to an image, and remove background colours from the soft edge."""
     cut = Image.fromarray(decontaminate(np.asarray(image.convert("RGB")), alpha))
     cut.putalpha(Image.fromarray(alpha))
     return cut
@@ -427,8 +429,8 @@ METHODS: dict[str, Method] = {
 }
 """Segmentation methods by name, in the order of preference."""
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
-"""Methods that are neural networks."""
+"""Names of the segmentation methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""Methods whose results are made by people, so that all pieces are kept."""
+"""Segmentation methods whose results are made by people, so that all pieces are kept."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
 """Names of the inputs that a person paints, for use in messages."""

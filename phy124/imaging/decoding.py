@@ -19,10 +19,11 @@ from phy124.imaging.profile import convert_to_srgb
 MAX_PIXELS = 50_000_000
 """Largest allowed number of pixels of an image; it is checked before the image is decoded."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
-"""Formats in which further images are frames of an animation, not thumbnails or pages."""
+"""Formats in which images after the first are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""Largest allowed number of scans in a JPEG file. Usual files have 1 to 10 scans. A file of 8 MB
-can have 190,000 scans, and the decoding of one scan takes 18 ms.
+"""Largest allowed number of scans in a JPEG file. Usual JPEG files have 1 to 10 scans. A JPEG file
+of 8
+MB can have 190,000 scans, and decoding one scan takes 18 ms.
 """
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
@@ -37,7 +38,7 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""Transposition that turns an image upright, by EXIF orientation."""
+"""For each EXIF orientation, the transposition that turns an image upright."""
 TEXT = 64 << 20
 """Largest size of a decompressed text or profile in a PNG file [bytes]."""
 COPY = "Copy or export the file again."
@@ -59,9 +60,9 @@ class Purpose(NamedTuple):
     formats: tuple[str, ...]
     """Accepted formats, by Pillow's names; HEIC is always accepted."""
     minimum: int
-    """Smallest allowed width and height [pixels]."""
+    """Smallest allowed width and height of the image [pixels]."""
     colours: bool = True
-    """Whether the values are colours, so that the colour profile is applied."""
+    """Whether the image's values are colours, so that its colour profile is applied."""
     deep: bool = False
     """Whether all grey levels are kept; the result then has mode F or L instead of RGBA."""
 

@@ -17,15 +17,15 @@ ROUNDS = 4
 RING = 0.03
 """Width of the border that is assumed to be background, relative to the image's shorter side."""
 COLOURS = 6
-"""Number of colour clusters that describe the border."""
+"""Number of colour clusters by which the colours at the image's border are described."""
 KEEP = 0.12
-"""Smallest area of a piece that is kept, relative to the largest piece."""
+"""Smallest area of a separate piece of the mask that is kept, relative to the largest piece."""
 PINHOLE = 0.004
 """Holes of at most this area, relative to the object's area, are closed; larger holes, such as that
 of a handle, remain open.
 """
 SOFTNESS = 4
-"""Radius of the guided filter that softens the edge [pixels]."""
+"""Radius of the guided filter that softens the object's edge [pixels]."""
 HINT_REACH = 0.06
 """Largest distance from a user's mark at which the mark changes the outline, relative to the
 image's longest side.

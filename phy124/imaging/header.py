@@ -24,8 +24,8 @@ MOST_SEGMENTS = 100_000
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data.
 
-A segment may begin with several FF bytes. The pattern matches only the last of these bytes, because
-a search for FF+ could take quadratic time.
+A JPEG segment may begin with several FF bytes. The pattern matches only the last FF byte of a JPEG
+segment, because a search for FF+ could take quadratic time.
 """
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 """Markers of the JPEG segments that contain the size."""

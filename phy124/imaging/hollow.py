@@ -29,7 +29,7 @@ WIDE = 0.2
 ASPECTS = (0.08, 0.6)
 """Allowed range of the ratio of a rim's height to its width.
 
-The ratio is 0 if the rim is seen from the side, and 1 if it is seen from above.
+A rim's ratio of height to width is 0 if it is seen from the side, and 1 if it is seen from above.
 """
 FIT = 0.025
 """Largest mean distance of the outline from the rim's back half, relative to half the rim's width.

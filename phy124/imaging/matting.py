@@ -24,7 +24,7 @@ OPAQUE = 243
 INSET = 1.0
 """The colour of an opaque pixel is reliable if all pixels within this distance are opaque.
 
-The distance is measured in pixels of the image that is reduced to `SIDE`.
+This distance is measured in pixels of the image after it is reduced to `SIDE`.
 """
 
 

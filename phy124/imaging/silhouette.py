@@ -33,7 +33,9 @@ assumed to be wider in proportion.
 HALF = 25
 """The alpha of a half-transparent pixel differs from 0 and from 255 by at least this value."""
 AROUND = 0.125
-"""Width of the surroundings of an object, relative to the object's longest side."""
+"""Width of the strip around an object whose colours are compared with those of the object, relative
+to the object's longest side.
+"""
 BINS = (12, 24, 24)
 """Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)

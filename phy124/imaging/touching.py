@@ -21,13 +21,17 @@ Solid = NDArray[np.bool_]
 SIDE = 200
 """Longest side to which the image is reduced before necks are searched [pixels]."""
 NECK = 0.4
-"""Largest width of a neck, relative to the width of the thinner part."""
+"""Largest width of a neck between two touching objects, relative to the width of the thinner
+object.
+"""
 UNLIKE = 0.8
-"""Two parts are separate objects if at least this fraction of their colour histograms differs."""
+"""The two parts of a silhouette are separate objects if at least this fraction of their colour
+histograms differs.
+"""
 MOST = 4
 """Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25
-"""Smallest area of the smaller part, as a fraction of the area of both parts."""
+"""Smallest area of the smaller of two touching objects, as a fraction of the area of both."""
 BINS = (6, 16, 16)
 """Numbers of histogram bins for L, a and b."""
 
@@ -36,7 +40,7 @@ class Neck(NamedTuple):
     """The narrowest place of a silhouette between two parts."""
 
     width: float
-    """Width of the neck relative to the width of the thinner part."""
+    """Width of the neck relative to the width of the thinner of the two parts."""
     first: Solid
     """Mask [h,w] of the inner area of the first of the two touching parts."""
     second: Solid
@@ -106,7 +110,7 @@ def _distance_to(core: Solid) -> NDArray[np.float32]:
 
 
 def _colour_difference(rgb: NDArray[np.uint8], first: Solid, second: Solid) -> float:
-    """Return the fraction of the colour histograms that two parts do not share."""
+    """Return the fraction of the colour histograms that the two parts of a silhouette do not share."""
     kinds = number_bins(to_lab(rgb), BINS)
     counts = [np.bincount(kinds[part], minlength=math.prod(BINS)) for part in (first, second)]
     shares = [count / max(1, count.sum()) for count in counts]

@@ -8,8 +8,7 @@ REAL = 0.005
 fraction is transparent.
 """
 FAINTEST = 8
-"""If even the most opaque pixel of an image has an alpha (0 to 255) below this value, the image
-counts as empty.
+"""An image counts as empty if the alpha (0 to 255) of its most opaque pixel is below this value.
 """
 
 
@@ -34,6 +33,6 @@ def make_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """Return the largest alpha, 0..255; areas smaller than the fraction `REAL` are ignored."""
+    """Return the largest alpha, 0..255; areas below the fraction `REAL` of the image are ignored."""
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

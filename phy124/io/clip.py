@@ -34,7 +34,8 @@ MOTION = "2"
 computed.
 """
 SPARE = " " * 8192
-"""Spaces that are added to the header, so that a longer report can later replace the first report.
+"""Spaces that are added to the header of a clip's file, so that a longer report can later replace
+the first report.
 """
 SMALL = 64e6
 """Files up to this size [bytes] are read into memory; larger files are memory-mapped."""
@@ -69,8 +70,8 @@ class Clip:
     rotations: Array | None = None
     """Rotations of the material relative to its rest state [T,N,4], wxyz.
 
-    None if the colours do not depend on the view direction (`sh` of degree 0). The rotations come
-    from the polar decomposition of F.
+    The clip has no rotations (None) if its colours do not depend on the view direction. The
+    rotations come from the polar decomposition of F.
     """
     velocities: Array | None = None
     """Velocities of the centres [T,N,3], m/s; None if the scene did not request velocities."""
@@ -81,12 +82,12 @@ class Clip:
     contacts: Array | None = None
     """Mean force [newton] of the walls on each Gaussian since the previous frame [T,N,3].
 
-    None if the scene does not ask for contact forces.
+    The clip has no such forces (None) if the scene does not ask for contact forces.
     """
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
-    force [N], and the torque about the object's centre of mass [N m]. None if the scene does not
-    ask for wrenches.
+    force [N], and the torque about the object's centre of mass [N m]. The clip has no wrenches
+    (None) if the scene does not ask for them.
     """
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
@@ -97,8 +98,8 @@ class Clip:
     motion: Motion | None = None
     """The motion that the clip's file stores, and from which the Gaussians are computed.
 
-    None if the file stores the Gaussians of every frame, or if an array that is computed from the
-    motion was replaced.
+    The clip has no motion (None) if its file stores the Gaussians of every frame, or if an array
+    that is computed from the motion was replaced.
     """
 
     def __post_init__(self) -> None:
@@ -206,7 +207,7 @@ class Clip:
         return replace(self, **each, report={**self.report, "grains": 0})
 
     def frame(self, index: int, *, velocities: bool = False) -> Frame:
-        """Return one frame, in which the colours are rotated with the material.
+        """Return one frame of the clip, in which the colours are rotated with the material.
 
         If `velocities` is set and the clip has no velocities, `velocity` computes them.
         """
@@ -227,7 +228,9 @@ class Clip:
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def rows_of(self, chosen: NDArray) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield the means, quats and scales of the Gaussians with these indices, in each frame."""
+        """Yield the means, quats and scales of some Gaussians in each frame; `which` are their
+        indices.
+        """
         arrays: Any = self.means, self.quats, self.scales
         if all(isinstance(a, Computed) and a.columns is None for a in arrays):
             for row in arrays[0].recorded.rows_of(chosen):
@@ -290,7 +293,9 @@ class Clip:
         return {name: np.ascontiguousarray(getattr(self, name)) for name in kept}
 
     def metadata(self) -> dict[str, str]:
-        """Return the metadata of the file as texts: scene, report, names of walls and objects."""
+        """Return the metadata of the clip's file as texts: scene, report, names of walls and
+        objects.
+        """
         texts = {
             "format": FORMAT,
             "version": VERSION,

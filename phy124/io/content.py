@@ -323,8 +323,8 @@ For objects farther away, an origin near the object is stored in double precisio
 are stored relative to it.
 """
 FINE = 20_000
-"""If an object spans fewer float32 increments than this number, its centres are also stored
-relative to an origin near the object.
+"""A file's centres are stored relative to an origin near the object if float32 divides the object's
+size into fewer increments than this number.
 """
 COARSE = 4000
 """Smallest number of float32 increments across an object for which the user is not warned that the

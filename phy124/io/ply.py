@@ -63,7 +63,8 @@ SPLATS = (*SCALES, *QUATS, "opacity")
 KNOWN = {*CENTRE, *DC, *RGB, *SPLATS, OBJECT, FILTER, "nx", "ny", "nz"}
 """Columns that are not reported to the user as ignored.
 
-These columns are read, are not needed (normals), or repeat other columns (red, green, blue).
+phy124 reads these columns, does not need them (normals), or ignores them because they repeat other
+columns (red, green, blue).
 """
 ANCHORS = ("f_anchor_feat_0", "f_offset_0")
 FLAT = 0.01
@@ -263,7 +264,7 @@ class Ply(NamedTuple):
 
     gaussians: Gaussians
     """The Gaussians in the axes of phy124, in the file's unit of length (assumed to be the metre).
-    If float32 could not resolve their positions, the Gaussians are moved to the origin.
+    The Gaussians are moved to the origin if float32 could not resolve their positions in the file.
     """
     dropped: int
     """Number of rows that were removed because a value was NaN or infinite."""

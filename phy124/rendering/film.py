@@ -49,15 +49,16 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 MOST_PIXELS = 1 << 23
-"""Largest number of pixels that are encoded at the same time. The limit is about the number of
-pixels of four full HD pictures."""
+"""Largest number of pixels that are encoded at the same time. This number of pixels is about that
+of four full HD pictures.
+"""
 WAITING = 4
 """Largest number of pictures that wait in the queue of an encoder."""
 NEAR = 0.05
 """A video's end fades into its start if the RMS distance between the positions in its first and
 last frame is at most this value.
 
-The distance is measured in units of the object's size.
+This RMS distance is measured in units of the object's size.
 """
 
 

@@ -35,8 +35,8 @@ differ by a factor of 10.
 """
 FLAT = 1e-3
 """When the motion of a fragment is fitted, the motion of its lump has this weight, relative to the
-variance of the fragment's positions. This weight is needed because the few Gaussians of a small
-fragment may be coplanar.
+variance of the fragment's positions. The weight is needed because a small fragment has few
+Gaussians, which may lie in a plane.
 """
 
 

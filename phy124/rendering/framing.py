@@ -22,8 +22,9 @@ from phy124.scene.cameras import Poses
 STEP = 0.1
 """Recommended camera distances are multiples of this value, in units of the object's size."""
 LARGEST = 5.0
-"""Largest extent of a motion that a fixed camera shows, in units of the object's size. If the
-motion is larger, the camera follows the object."""
+"""Largest extent of a motion that a fixed camera shows, in units of the object's size. If a motion
+has a larger extent, the camera follows the object.
+"""
 WINDOW = 0.3
 """A moving camera shows, in each frame, all positions of the object up to this time before and
 after the frame [s].
@@ -54,9 +55,8 @@ def cameras(clip: Clip, view: View, side: str) -> list[Camera]:
 
 
 _placed: WeakKeyDictionary[Clip, dict[tuple[View, str], list[Camera]]] = WeakKeyDictionary()
-"""Cameras of each clip that is in use; the keys are a clip's views and sides. They are kept because
-a run's videos and its report need the same cameras. The videos and the report of a run need the
-same cameras.
+"""Cameras of each clip that is in use; the keys are a clip's views and sides. The cameras are kept
+in memory because a run's videos and its report need the same cameras.
 """
 
 

@@ -24,11 +24,13 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Standard deviation of the smoothing of a point on the grid [cells]. It combines the filter and
-the distribution of each point among the eight cells around it.
+"""Standard deviation of the smoothing of a point on the grid [cells]. The smoothing of a point
+combines the filter and the distribution of the point among the eight cells around it.
 """
 MOST = 4_000_000
-"""Largest number of cells. If a scattered liquid needs more cells, the cells are made larger."""
+"""Largest number of cells. If a scattered liquid needs more cells than this, the cells are made
+larger.
+"""
 SAMPLE = 8192
 """Number of a liquid's points from which the extent of the grid is determined."""
 LITTLE = 0.02
@@ -66,11 +68,13 @@ class Surface(NamedTuple):
     scales: NDArray
     """Standard deviations [N,3], m."""
     opacities: NDArray
-    """Opacities [N]. The opacity is 0 for Gaussians inside the liquid."""
+    """Opacities [N]. A Gaussian inside the liquid has the opacity 0."""
     rgb: NDArray
     """Colours without reflection [N,3]."""
     normals: NDArray
-    """Unit normals of discs, pointing outwards [N,3]. The normal is 0 for balls."""
+    """Unit normals of discs, pointing outwards [N,3]. Gaussians that are drawn as balls have the
+    normal 0.
+    """
 
 
 WIDTHS = (3, 4, 3, 1, 3, 3)

@@ -28,7 +28,9 @@ SPARE = 6
 TAILS = 2.5
 """Distance at which both smoothing filters are cut off [standard deviations]."""
 MOST = 2_000_000
-"""Largest number of cells. If scattered grains need more cells, the cells are made larger."""
+"""Largest number of cells. If scattered grains need more grid cells than this, the cells are made
+larger.
+"""
 SKY = np.array([0.56, 0.59, 0.65], np.float32)
 LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """Light from the sky, and light from the lamp on surfaces that face the lamp: red, green and blue.
@@ -41,7 +43,7 @@ certain, and the light is closer to `EVEN`.
 EVEN = 0.8
 """Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""
 HOLLOW, DEEP = 0.48, 0.72
-"""Values of the widely smoothed phi, the filled fraction: on a flat surface, and in a hollow that
+"""Values of the filled fraction phi after the wide filter: on a flat surface, and in a hollow that
 is fully shaded.
 """
 DARKEST = 0.6

@@ -74,13 +74,15 @@ class Sample:
     """Visible Gaussians that represent a clip's object (the sample)."""
 
     means: NDArray[np.floating]
-    """Centres [T,S,3], m. Values that are not finite are replaced by those of the first frame."""
+    """Centres [T,S,3], m. If a Gaussian's position in a frame is not finite, its position in the
+    first frame is used.
+    """
     covariances: Array
     """Covariance matrices [T,S,3,3], m^2."""
     corners: tuple[NDArray, NDArray] | None = None
     """Lowest and highest corner of the object's bounding box in the first frame [3], [3], m.
 
-    None if no Gaussian has a finite centre.
+    The box is None if no Gaussian has a finite centre.
     """
 
     @classmethod

@@ -35,7 +35,7 @@ Values = NDArray[np.float64]
 FARTHEST_FLOW = 4
 """Largest optical flow that is written, in units of the picture's size.
 
-Only Gaussians that move through the camera would have a larger optical flow.
+Only a Gaussian that moves through the camera would have a larger optical flow.
 """
 
 SHARP = 0.3

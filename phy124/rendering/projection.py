@@ -23,9 +23,8 @@ reduces opacities (Yu et al. 2024, section 4.2).
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""
 FRUSTUM_MARGIN = 1.3
-"""The projection is linearised at the Gaussian's centre. If this centre is farther from the image
-centre than this fraction of half the image, the projection is linearised at this distance instead
-(Kerbl et al. 2023).
+"""The projection is linearised at the Gaussian's centre. For Gaussians outside this multiple of
+half the image, the projection is linearised at the multiple instead (Kerbl et al. 2023).
 """
 MAX_PIXELS = 1 << 26
 """Number of pixels of the largest image (8192 x 8192)."""

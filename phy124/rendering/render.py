@@ -31,8 +31,8 @@ Colour = tuple[float, float, float]
 WHITE: Colour = (1.0, 1.0, 1.0)
 BLACK: Colour = (0.0, 0.0, 0.0)
 MAX_PAIRS = 1 << 24
-"""Largest total length of the lists of splats that all tiles have. If the lists are longer, groups
-of tiles are blended one after the other.
+"""Largest total length of the lists of splats that all tiles have. Groups of tiles are blended one
+after the other if all lists together would be longer.
 """
 TILES_PER_SPLAT = 4
 """Expected number of tiles per splat, for which memory is allocated before the first picture."""

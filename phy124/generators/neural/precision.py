@@ -15,7 +15,7 @@ FLAGS = ("avx512_bf16", "amx_bf16")
 
 
 def torch_device(name: str | None) -> str:
-    """Return torch's name of a usable device.
+    """Return torch's name of the device that can be used.
 
     None selects a GPU if torch can use one.
     """
@@ -31,7 +31,7 @@ def torch_device(name: str | None) -> str:
 
 
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
-    """Return the requested precision.
+    """Return the floating-point precision that the user requested or that suits the device.
 
     If there is no request, return the fastest accurate precision that fits into memory.
 

@@ -18,7 +18,7 @@ from phy124.generators.neural.orbit import focal, orbit, to_opencv
 from phy124.runtime.installation import install_command
 
 TILE = 16
-"""Side of a tile [pixels]."""
+"""Side of a tile of the image [pixels]."""
 BLUR = 0.3
 """Variance added to each Gaussian along both screen axes [pixels^2], so that no Gaussian is
 narrower than about a pixel."""
@@ -29,8 +29,8 @@ STOP = 1e-4
 GUARD = 1.3
 """Largest distance from the image centre at which the Jacobian of the projection is evaluated.
 
-The distance is a multiple of half the field of view. Farther out, the Jacobian would become very
-large.
+The distance from the image centre is a multiple of half the field of view. At larger distances from
+the image centre, the Jacobian would become very large.
 """
 
 
@@ -200,7 +200,7 @@ def _tiles(
     order: Tensor,
     view: View,
 ) -> tuple[Tensor, Tensor]:
-    """Return colours [H,W,3] over black, and alpha [H,W].
+    """Composite the Gaussians; return colours [H,W,3] over black, and alpha [H,W].
 
     `order` lists the Gaussians from near to far.
     """

@@ -29,7 +29,9 @@ CLOSER = 1.4
 by this factor.
 """
 AROUND = 0.15
-"""Width of the surroundings, relative to the object's longest side."""
+"""Width of the surroundings with which a small object is segmented again, relative to its longest
+side.
+"""
 AGREED = 0.85
 """A repeated segmentation is used if its overlap (IoU) with the first mask is at least this value.
 """
@@ -38,14 +40,14 @@ Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 def weights_file() -> Path | None:
-    """Return the file of the full network, preferring .onnx to .pth; None if there is no file."""
+    """Return the file of the full U2-Net, preferring .onnx to .pth; None if there is no file."""
     (onnx,) = KNOWN["u2net"]
     pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
     return find(onnx) or find(pth)
 
 
 def is_available(image: Image.Image | None = None) -> bool:
-    """Whether the full network and the package that runs it are installed."""
+    """Whether the full U2-Net and the package that runs it are installed."""
     path = weights_file()
     return path is not None and (path.suffix == ".onnx" or find_spec("torch") is not None)
 
@@ -53,7 +55,7 @@ def is_available(image: Image.Image | None = None) -> bool:
 def find_alpha(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Segment the salient object of an image with the full network; return its alpha [H,W].
+    """Segment the salient object of an image with the full U2-Net; return its alpha [H,W].
 
     Raises:
         InputError: The weight file is missing, or it is a .pth file and torch is not installed.
@@ -66,7 +68,7 @@ def find_alpha(
 def find_alpha_small(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Segment the salient object of an image with the small network; return its alpha [H,W]."""
+    """Segment the salient object of an image with the small U2-NetP; return its alpha [H,W]."""
     return _run_isolated(image, require("u2netp")["u2netp.onnx"], deadline)
 
 

@@ -67,7 +67,7 @@ OBJECT = "_OBJECT_ID"
 LEAVES_THE_FRONT = ("splat-transform", "SuperSplat")
 """Programs that rotate a PLY by 180 degrees about z when they write it as GLB, so that y points up.
 
-In such files, the object faces -z, as in the PLY.
+In the GLB files of these programs, the object faces -z, as in the PLY.
 """
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}

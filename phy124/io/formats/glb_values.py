@@ -131,7 +131,7 @@ PLAYCANVAS = re.compile(r"splat-transform (\d+)\.(\d+)")
 LENGTHS_SINCE = (2, 7)
 """First version of splat-transform that wrote scales as lengths."""
 FEW = 0.01
-"""If more than this fraction of the scales in a file is negative, the scales are logarithms.
+"""If more than this fraction of a file's scales is negative, the file stores scales as logarithms.
 
 In mirrored objects, some lengths are negative.
 """
@@ -141,10 +141,11 @@ SOME = 2000
 BARE = 0.55
 """Below this ratio of a Gaussian's width to the spacing, the object is full of holes."""
 SHORT = 1.0
-"""If all scales are positive, they can be logarithms only if their median is above this value."""
+"""A file with only positive scales can store logarithms only if the median of the scales is above
+this value.
+"""
 COVERING = (0.6, 6.0)
-"""If Gaussians cover an object, the ratio of their width to their spacing is between these two
-values.
+"""Smallest and largest ratio of the Gaussians' width to their spacing if they cover an object.
 
 In example files, the ratios are 1.2 to 3.5.
 """

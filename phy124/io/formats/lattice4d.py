@@ -58,7 +58,7 @@ STIFF = 1e-4
 """Weight of the term that makes neighbouring nodes move alike, when the lattice is fitted to the
 Gaussians' positions.
 
-Without this term, nodes with only few Gaussians nearby would be undetermined.
+Without this term in the fit, a lattice node with only few Gaussians nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
 """Quantisation step of the displacements, relative to the object's size."""
@@ -66,7 +66,7 @@ LARGEST = 2**15 - 1
 TALLEST = 4.0
 """Largest magnitude of the logarithms of the ratios between a Gaussian's scales now and at rest.
 
-The ratios are thus limited to the range from 1/55 to 55, because exp(4) = 55.
+Each ratio of scales is thus limited to the range from 1/55 to 55, because exp(4) = 55.
 """
 STRETCHES = 1 << 22
 """Largest number of samples from which the range of the material's stretch is determined."""

@@ -22,7 +22,9 @@ from phy124.rendering.render import BLACK, Renderer
 CUTOUT = "cutout.png"
 """Name of the file in a run's folder whose alpha shows the object's position in the photograph."""
 LARGEST = 1024
-"""Largest side of a photograph [pixels]. Larger photographs are reduced to this size."""
+"""Largest side of a photograph [pixels]. A photograph whose larger side exceeds this size is
+reduced.
+"""
 MARGIN = 0.015
 """Width of the border around the object that is inpainted too, relative to the photograph's longest
 side.

@@ -26,7 +26,9 @@ class Backdrop:
     bottom: Colour
     """Colour of the gradient in the picture's last row, 0..1."""
     picture: NDArray[np.uint8] | None = None
-    """A picture [H,W,3] that replaces the gradient. None if the background is a gradient."""
+    """A picture [H,W,3] that replaces the gradient. The background has no picture (None) if it is a
+    gradient.
+    """
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,18 +42,20 @@ SOFTNESS = 0.25
 LAMP, SKY = 0.22, 0.32
 """Fractions of the floor's light from the lamp and from the sky; the rest casts no shadow."""
 SAMPLE = 65536
-"""Largest number of Gaussians that cast shadows. If there are more Gaussians, a sample of them
-casts shadows, each of which is wider.
+"""Largest number of Gaussians that cast shadows. If there are more Gaussians than this, a sample of
+them casts shadows, and each shadow is wider.
 """
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
 """Fraction of removed light that is halved; smaller fractions almost vanish.
 
-This limits the extent of the shadow that blocks the sky's light.
+The sky's shadow, which is faint and wide, is thus limited in extent.
 """
 UNSEEN = 0.1 / 255
-"""Smallest visible fraction of removed light. Smaller fractions are set to zero."""
+"""Smallest visible fraction of removed light. A shadow that removes a smaller fraction of the light
+is omitted.
+"""
 FAINTEST = 1e-4
 """Smallest value of a layer's frequency response that is not neglected."""
 EDGE = 0.1

@@ -44,8 +44,8 @@ class PlacedWall:
     span: Corners
     """Box outside which an infinite wall is not rendered, m."""
     floor: float = math.inf
-    """Height down to which a slope is rendered [m]. If it is infinite, the slope is rendered down
-    to the box.
+    """Height down to which a slope is rendered [m]. A slope with an infinite value is rendered down
+    to the bottom of its box.
     """
 
     @property

@@ -150,12 +150,12 @@ ALIKE = 0.12
 effects of each value on the measurements, normalised to length 1.
 
 The singular value is 0 if two values have effects in the same direction, and 1 if their effects are
-orthogonal; 0.12 means a correlation of 0.986. If the singular value is smaller, the effects differ
-by no more than the errors of the model, such as grid errors.
+orthogonal; 0.12 means a correlation of 0.986. At a smaller singular value, the effects of two
+values differ by no more than the errors of the model, such as grid errors.
 
-For example, if no force is known, the effects of E and density on a pressed duck differ only by
-damping. The smallest singular value is then 0.04 to 0.08 on grids of 16 and 20 cells. If E and nu
-are fitted, it is 0.93.
+For example, if no force on a pressed duck is known, the effects of E and density on its motion
+differ only by damping. The smallest singular value is then 0.04 to 0.08 on grids of 16 and 20
+cells. If E and nu are fitted to the pressed duck, the smallest singular value is 0.93.
 """
 SHARE = 0.3
 """A value is undetermined if its component is at least this large in the direction that the

@@ -15,7 +15,7 @@ NEIGHBOURS = 4
 FAR = 0.2
 """Maximum distance between a point and the object, as a fraction of the object's size."""
 FEW = 8
-"""If there are fewer points than this, errors at different times are treated as independent."""
+"""If fewer points than this are tracked, errors at different times are treated as independent."""
 
 
 class Points:

@@ -144,7 +144,9 @@ class Made(NamedTuple):
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians as plain data. None if it is the scene in the `Order`."""
+    """The scene for these Gaussians as plain data. The scene is None if it equals the scene in the
+    `Order`.
+    """
     seconds: float
     refusal: str | None = None
 

@@ -51,20 +51,20 @@ class Settings:
     points: int = 5000
     ball_radius: float = 0.5
     radius: float = 2.0
-    """Distance of the cameras from the origin. If the distance is 2, the Gaussians extend to about
-    0.9 on each side of the origin.
+    """Distance of the cameras from the origin. From cameras at the distance 2, Gaussians are
+    visible up to about 0.9 from the origin.
     """
     known_size: int = 256
     """Side of the rendering that is compared with the input image [pixels].
 
-    If it is 0, no rendering is compared with the image.
+    If the side is 0, no rendering is compared with the input image.
     """
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
     elevations: tuple[int, int] = (-30, 30)
-    """Range of elevations of the views that the diffusion model judges [degrees]. Positive
-    elevations are below the object.
+    """Range of elevations of the views that the diffusion model judges [degrees]. A view has a
+    positive elevation if its camera is below the object.
     """
     sizes: tuple[int, ...] = (128, 256, 512)
     """Sides of the views that the diffusion model judges [pixels]: in the first 30 % of the steps,
@@ -73,7 +73,9 @@ class Settings:
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
-    """Size of the scene. Gaussians that are too large for it are removed after the last step."""
+    """Size of the scene. Gaussians that are too large for a scene of this size are removed after
+    the last step.
+    """
 
     def guided_size(self, ratio: float) -> int:
         """Return the side [pixels] of the views that the diffusion model judges.
@@ -98,7 +100,7 @@ diffusion model; phy124 uses it.
 
 
 class DreamGaussian:
-    """Turns an image into Gaussians by optimisation.
+    """Turns an image into Gaussians by fitting the Gaussians to the image.
 
     `guidance` is a function that creates the guidance for an image [3,S,S] over white. By default,
     the guidance is Zero123 with the weights of `phy124.weights.store`.
@@ -171,7 +173,7 @@ def fit(
     known: tuple[Tensor, Tensor] | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Optimise `splats` in place.
+    """Optimise the Gaussians `splats` in place, by their renderings and a diffusion model.
 
     Args:
         splats: The Gaussians.
@@ -226,7 +228,7 @@ def _known_loss(
 def _guided_loss(
     splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
 ) -> tuple[Tensor, list]:
-    """Return the guidance's loss for new views, and their renderings."""
+    """Render the Gaussians from random directions; return the guidance's loss and renderings."""
     low, high = settings.elevations
     elevation = int(torch.randint(low, high + 1, (), generator=draw))
     azimuth = int(torch.randint(-180, 180, (), generator=draw))

@@ -18,10 +18,10 @@ BETAS = (0.00085, 0.012)
 
 
 class Pose(NamedTuple):
-    """Camera pose relative to the known view."""
+    """Pose of a camera relative to the camera of the input image."""
 
     elevation: float
-    """Elevation [degrees]; positive is below the object."""
+    """Elevation [degrees], which is positive if the camera is below the object."""
     azimuth: float
     """Azimuth [degrees]."""
     radius: float

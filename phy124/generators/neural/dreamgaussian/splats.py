@@ -89,7 +89,7 @@ class Splats:
         return self.parameters["opacity"][:, 0].sigmoid()
 
     def render(self, view: View, background: Tensor) -> Rendering:
-        """Render an image with gradients; negative colours are clipped as in 3DGS."""
+        """Set the learning rate of the Gaussians' centres for a step of the optimisation."""
         p = self.parameters
         colors = (0.5 + SH_C0 * p["f_dc"][:, 0]).clamp(min=0)
         return rasterize(
@@ -108,11 +108,11 @@ class Splats:
         self.optimizer.zero_grad()
 
     def keep(self, mask: Tensor) -> None:
-        """Keep only the Gaussians where `mask [N]` is true, and their Adam moments."""
+        """Add Gaussians to the optimisation, with Adam moments of zero."""
         self._replace({k: (v[mask], lambda m: m[mask]) for k, v in self.parameters.items()})
 
     def append(self, more: Parameters) -> None:
-        """Add Gaussians with zero Adam moments."""
+        """Replace one parameter of all Gaussians, and set its Adam moments to zero."""
         self._replace(
             {
                 name: (
@@ -124,7 +124,7 @@ class Splats:
         )
 
     def overwrite(self, name: str, value: Tensor) -> None:
-        """Replace one parameter, and set its Adam moments to zero."""
+        """Replace parameters of all Gaussians, also in the Adam optimiser."""
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:

@@ -70,7 +70,7 @@ def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: fl
 
 
 class Zero123:
-    """Score distillation for a single known image."""
+    """Score distillation by Zero123 for a single input image."""
 
     views = 1
 
@@ -83,7 +83,7 @@ class Zero123:
         stable: bool = False,
         elevation: float = 0.0,
     ) -> None:
-        """Encode the known image.
+        """Encode the input image, from which Zero123 predicts other views.
 
         Args:
             image: The image [3,H,W] over white, 0..1.

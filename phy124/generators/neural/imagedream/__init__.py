@@ -11,7 +11,7 @@ image condition.
 AROUND = Work(371.2e9, 3358.3e9, 33.9e9)
 """Floating-point operations of the text encoder, the image encoder and the autoencoder.
 
-The autoencoder encodes one image and decodes five.
+ImageDream's autoencoder encodes one image and decodes five.
 """
 PARAMETERS = 941_672_900
 """Number of parameters of the U-Net."""

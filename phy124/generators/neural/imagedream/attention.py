@@ -160,7 +160,7 @@ class ResBlock(nn.Module):
 
 
 class Downsample(nn.Module):
-    """Halves the resolution."""
+    """A layer that halves the resolution of feature maps."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -172,7 +172,7 @@ class Downsample(nn.Module):
 
 
 class Upsample(nn.Module):
-    """Doubles the resolution."""
+    """A layer that doubles the resolution of feature maps."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()

@@ -107,7 +107,7 @@ VISION: dict[str, Any] = {
 EMPTY_PROMPT = (49406, 49407, *([0] * 75))
 """Tokens of the empty prompt: start, end, padding.
 
-No other prompt is used, so no tokenizer is needed.
+ImageDream always uses the empty prompt, so no tokenizer is needed.
 """
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
 """Tensors that some CLIP files contain, but that ImageDream does not need."""

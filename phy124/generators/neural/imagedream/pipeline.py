@@ -99,7 +99,7 @@ class Condition:
     """Camera-to-world transforms [5,16]."""
 
     def to(self, dtype: torch.dtype) -> Condition:
-        """Convert all tensors to a precision."""
+        """Return the conditions after converting all tensors to a precision."""
         return Condition(*(tensor.to(dtype) for tensor in vars(self).values()))
 
 

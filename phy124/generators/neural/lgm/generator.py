@@ -40,7 +40,9 @@ from phy124.weights.store import is_complete, require
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and standard deviation of ImageNet's colours; the input is normalised with them."""
 OPACITY_MIN = 0.005
-"""Gaussians with a lower opacity are removed, as the original program does when it saves a file."""
+"""Smallest opacity of Gaussians that are kept; when the original program saves a file, it also
+removes fainter Gaussians.
+"""
 VIEW_ORDER = (1, 2, 3, 0)
 """Indices of ImageDream's views in LGM's order: LGM's first view is ImageDream's second view."""
 OLD_GENERATION = (
@@ -241,7 +243,7 @@ def to_gaussians(rows: NDArray) -> Gaussians:
 
 
 COMPARED_SIDE = 128
-"""Side of the images that are compared [pixels]."""
+"""Side of the images that are compared to find the azimuth [pixels]."""
 
 
 def find_front(

@@ -47,20 +47,21 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 
 
 Rotations = Literal["each", "all"]
-"""Whether quaternions are normalised for each Gaussian or over all Gaussians of an object.
+"""Whether LGM's quaternions are normalised for each Gaussian or over all Gaussians of an object.
 
-The weights published before April 2024 were trained with "all" by mistake. During that training,
-quaternions were not normalised when Gaussians were rendered. The quaternions were so small that
-they had no effect.
+LGM's weights from before April 2024 were trained with the normalisation "all" by mistake. During
+that training, quaternions were not normalised when Gaussians were rendered. Their quaternions were
+so small that they had no effect.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16
     "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab": "each",  # ..._fixrot
     "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335": "each",  # model_fixrot
 }
-"""Quaternion normalisation of the public weight files, by sha256.
+"""Quaternion normalisation that each public file of LGM's weights needs; the keys are the files'
+sha256.
 
-The names and shapes of the tensors do not depend on the normalisation.
+In LGM's weight files, the names and shapes of the tensors do not depend on the normalisation.
 """
 CHANNELS = 14
 
@@ -74,7 +75,7 @@ class Option:
     up_channels: tuple[int, ...]
     up_attention: tuple[bool, ...]
     input_size: int = 256
-    """Side of each input view."""
+    """Side of each view that LGM's network gets [pixels]."""
     splat_size: int = 64
     """Side of each map of Gaussians that the network returns [pixels]. The network returns 4 *
     splat_size^2 Gaussians.
@@ -95,8 +96,8 @@ OPTIONS = {
     ),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
-"""The four configurations of the network in the original program. Only the weights of `big` are
-public.
+"""The four configurations of the network in the original program. Weights are public only for the
+configuration `big`.
 """
 
 
@@ -113,8 +114,8 @@ class LgmModel(nn.Module):
         self.rotations: Rotations | None = rotations
         """Normalisation of quaternions.
 
-        If None, the normalisation is unknown, and `forward` normalises each quaternion separately
-        (see `judge`).
+        If this attribute is None, the normalisation is unknown, and `forward` normalises each
+        quaternion separately (see `judge`).
         """
         self.unet = UNet(
             option.down_channels, option.down_attention, option.up_channels, option.up_attention
@@ -190,11 +191,11 @@ def _option(option: str | Option) -> Option:
 
 NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
-"""Side of the images that are compared [pixels]."""
+"""Side of the images that are compared to find the quaternion normalisation [pixels]."""
 MARGIN = 0.98
 """Normalisation "all" is chosen only if its error is below this fraction of the error of "each".
 
-Hardly any weights need "all".
+Hardly any of LGM's weights need the normalisation "all".
 """
 
 

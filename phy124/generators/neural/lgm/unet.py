@@ -125,7 +125,7 @@ class UpBlock(nn.Module):
         self.upsample = nn.Conv2d(outputs, outputs, 3, padding=1) if upsample else None
 
     def forward(self, x: Tensor, skips: list[Tensor]) -> Tensor:
-        """Map x to the block's output; remove the used skip tensors from the end of `skips`."""
+        """Apply the block to x; remove the skip tensors that it uses from the end of `skips`."""
         for i, net in enumerate(self.nets):
             x = net(torch.cat([x, skips.pop()], dim=1))
             if self.attns:

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 RADIUS = 0.87
 """Half the side of the cube that the triplane describes."""
 AXES = ((0, 1), (0, 2), (1, 2))
-"""The two coordinate axes that span each plane."""
+"""The two coordinate axes that span each plane of the triplane."""
 CHUNK = 1 << 16
-"""Number of points decoded at a time."""
+"""Number of points for which density and colour are decoded at a time."""
 Array = NDArray[np.float32]
 Decode = Callable[[Array, Array], tuple[Array, Array]]
-"""`(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`.
+"""Type of a decoder: `(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`.
 
-Some decoders sample the triplane themselves; these ignore the features.
+Some decoders sample the triplane themselves and ignore the features that they get.
 """
 
 
@@ -30,13 +30,13 @@ class Field:
     """Density and colour in the cube of half side `RADIUS`."""
 
     triplane: Array
-    """Features [3,C,S,S]: planes, channels, vertical and horizontal axis."""
+    """Features of the triplane [3,C,S,S]: planes, channels, vertical and horizontal axis."""
     decode: Decode
     samples: bool = True
-    """Whether `decode` uses the features."""
+    """Whether `decode` uses the features of the triplane."""
 
     def __call__(self, points: NDArray) -> tuple[Array, Array]:
-        """Return density [N] and colour [N,3] at points [N,3]."""
+        """Return the field's density [N] and colour [N,3] at points [N,3]."""
         points = np.ascontiguousarray(points, np.float32)
         density, colour = np.empty(len(points), np.float32), np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), CHUNK):

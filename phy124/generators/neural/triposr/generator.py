@@ -24,16 +24,16 @@ from phy124.weights.onnx import OnnxNetwork, predict_seconds
 from phy124.weights.store import is_complete, require
 
 SIZE = 512
-"""Side of the network's input [pixels]."""
+"""Side of the image that TripoSR's network gets [pixels]."""
 RATIO = 0.85
-"""Longest side of the object relative to the input's side."""
+"""Longest side of the object, relative to the side of the image that TripoSR's network gets."""
 GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
 """Names of the sets of TripoSR's weights; the preferred set is the first.
 
-In the first set, only the weights are int8; in the second set, weights and activations are int8.
-The third set is float32 and runs in torch.
+In the first set of weights, only the weights are int8; in the second set, weights and activations
+are int8. The third set of weights is float32 and runs in torch.
 """
 Image_ = Image.Image | NDArray[np.uint8]
 
@@ -93,12 +93,12 @@ PRECISIONS = {
 
 
 def choose_set(folder: str | os.PathLike[str] | None = None) -> str:
-    """Return the first complete set of weights, or the first set if all are incomplete."""
+    """Return the first complete set of weights, or the first set if all sets are incomplete."""
     return next((name for name in SETS if is_complete(name, folder)), SETS[0])
 
 
 def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
-    """Load the network; return a function that maps an image [1,3,512,512] to a field.
+    """Load TripoSR's network; return a function that maps an image [1,3,512,512] to a `Field`.
 
     Raises:
         InputError: If weights are missing or are not TripoSR's.
@@ -202,7 +202,7 @@ def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def prepare(rgb: NDArray[np.uint8], size: int = SIZE) -> NDArray[np.float32]:
-    """Resize an image [S,S,3]; return colours [1,3,size,size] in 0..1.
+    """Resize an image [S,S,3] for the network; return colours [1,3,size,size] in 0..1.
 
     The filter is bilinear; it is wider if the image shrinks, as in the original program.
     """

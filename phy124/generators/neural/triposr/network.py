@@ -18,7 +18,7 @@ from phy124.weights.checkpoints import StateDict, fill
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and standard deviation of ImageNet's colours; the input is normalised with them."""
 DENSITY_BIAS = -1.0
-"""Constant that is added to the decoder's first output.
+"""Constant that is added to the decoder's first output; the density is the exponential of the sum.
 
 The density is the exponential of the sum.
 """
@@ -28,7 +28,7 @@ OFFSET = 0.1
 """Number that is added to the number of patches per side when position embeddings are resized.
 
 The network was trained with version 4.35 of the package transformers, which adds this number too.
-If nothing were added, the positions would be shifted slightly.
+Without this number, the positions of the image patches would be shifted slightly.
 """
 
 
@@ -37,14 +37,14 @@ class Sizes:
     """Sizes of TripoSR's network; the defaults are those of the public checkpoint."""
 
     patch: int = 16
-    """Side of an image patch [pixels]."""
+    """Side of the patches into which the network divides an image [pixels]."""
     positions: int = 14
     """Number of patches per side for which the checkpoint has position embeddings."""
     vision_width: int = 768
     vision_layers: int = 12
     vision_heads: int = 12
     plane: int = 32
-    """Side of a plane of triplane tokens."""
+    """Side of each plane of the triplane, in tokens."""
     width: int = 1024
     layers: int = 16
     heads: int = 16
@@ -164,7 +164,7 @@ class Decoder(nn.Module):
 
 
 class TripoSr(nn.Module):
-    """TripoSR's network."""
+    """TripoSR's network: maps an image to a triplane."""
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()

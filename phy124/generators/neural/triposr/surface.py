@@ -24,9 +24,11 @@ REFINE = 3
 NEAR = 3.0
 """The fine grid is evaluated around coarse vertices with |log(density / threshold)| up to this."""
 FRAGMENT = 0.01
-"""Pieces are removed if their volume is below this fraction of the largest piece's volume."""
+"""Separate pieces of the surface are removed if their volume is below this fraction of the largest
+piece's volume.
+"""
 BATCH = 1 << 18
-"""Number of points between two reports of progress."""
+"""Number of points that are evaluated between two reports of progress."""
 COUNT = 40_000
 """Approximate number of Gaussians."""
 Step = Callable[[int, int], None]
@@ -103,7 +105,7 @@ def extract_triangles(values: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def drop_fragments(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Remove pieces whose volume is less than `FRAGMENT` times the volume of the largest piece."""
+    """Remove separate pieces that are smaller than `FRAGMENT` times the largest piece's volume."""
     labels, count = scipy.ndimage.label(values > 0)  # pyright: ignore
     if count > 1:
         sizes = np.bincount(labels.ravel())[1:]
@@ -119,7 +121,7 @@ def _axis(size: int) -> NDArray[np.float32]:
 def _evaluate(
     field: Field, axis: NDArray, places: NDArray[np.int64], step: Step
 ) -> NDArray[np.float32]:
-    """Return log(density / threshold) [N] at indices [N,3] of a cubic grid."""
+    """Return log(density / threshold) [N] at nodes of a cubic grid with the indices [N,3]."""
     decode, total = field.on_grid(axis), len(places)
     parts = []
     for start in range(0, total, BATCH):

@@ -39,7 +39,7 @@ LEVELS = (16, 24, 32, 48)
 presets are among these levels.
 """
 MIN_PARTICLES_PER_AXIS = 1.5
-"""If there are fewer particles per cell and axis than this, finer grids are not more accurate."""
+"""Smallest number of particles per cell and axis with which finer grids are more accurate."""
 VARIED = 24
 """Number of cells across the object in the settings that vary other options, one at a time."""
 SIZE = 256

@@ -18,8 +18,9 @@ INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
 """Pairs for an inviscid liquid without a gate: the time `t sqrt(2 g / a)`, and the position of the
 front divided by the column's width `a`.
 
-The values come from a separate two-dimensional solver (APIC and pressure projection with a
-ghost-fluid surface, 128 cells across a). With 64 cells, these values are at most 0.01 smaller.
+The positions of the front come from a separate two-dimensional solver (APIC and pressure projection
+with a ghost-fluid surface, 128 cells across a). With 64 cells, these values are at most 0.01
+smaller.
 """
 HEIGHTS = (1.28, 2.0, 2.7)
 """Dimensionless times t sqrt(g / a) at which the height of the water at the wall is measured."""
@@ -52,8 +53,8 @@ READ = 0.02
 """Maximum error of a height that was read from a table, relative to the initial height, and of a
 front's position, relative to `a`.
 
-The heights in the table differ by steps of 0.05 to 0.06. The distance between two front positions
-thus has at most twice this error.
+The heights in the table differ by steps of 0.05 to 0.06. The distance between two positions of the
+front thus has at most twice this error.
 """
 SAMPLE = 0.1
 """Sampling interval of the front and the height, in dimensionless time t sqrt(2 g / a)."""

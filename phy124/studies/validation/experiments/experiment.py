@@ -63,8 +63,8 @@ class Experiment:
     values.
     """
     control: Callable[[int], Values]
-    """Function that simulates the control: a run with a deliberate mistake. At least one of its
-    values must be outside its band.
+    """Function that simulates the control: a run with a deliberate mistake. At least one value of
+    the control run must be outside its band.
     """
     mistake: str
     """Description of the mistake in the control run."""
@@ -102,11 +102,13 @@ class Estimate:
 
     quantity: Quantity
     levels: Values
-    """The value on each grid, from coarse to fine."""
+    """The simulated value of the quantity on each grid, from coarse to fine."""
     control: float
-    """The value in the control run, on the coarsest grid; NaN if it was not measured."""
+    """The quantity's value in the control run, on the coarsest grid; NaN if it was not measured."""
     value: float
-    """The value by Richardson extrapolation, or on the finest grid if the grids do not converge."""
+    """The quantity's value by Richardson extrapolation, or on the finest grid if the grids do not
+    converge.
+    """
     error: float
     """Estimated error of `value`; if the grids do not converge, the spread of their values."""
     order: float | None

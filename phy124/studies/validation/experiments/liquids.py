@@ -25,8 +25,8 @@ GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
 RADIUS, THICK, LONGER = 6.0, 0.45, 4.0
 """Radius of the heap [m], its kinematic viscosity [m^2/s], and ratio of the last time to the first.
 
-The heap is initially 1 m high, and gravity is 1 m/s^2. Under these conditions, inertia changes the
-flow by 3 %.
+The heap is initially 1 m high, and gravity is 1 m/s^2. With these values, inertia changes the flow
+of the heap by 3 %.
 """
 SIMILARITY = (1024 / (81 * np.pi**3)) ** 0.125
 """Prefactor of the radius of a spreading heap, 0.894 (Huppert 1982, eq. 2.31)."""

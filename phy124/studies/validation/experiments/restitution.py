@@ -34,8 +34,8 @@ With nu = 0, the viscous stress is damping / mu times the rate of the elastic st
 F + loss dF/dt is therefore exact for a quasi-static contact.
 """
 SHALLOW, DEEP = 0.06, 0.12
-"""Maximum depths of the contact according to Hertz's law, relative to the radius. They determine
-the ball's initial speed.
+"""Maximum depths of the contact according to Hertz's law, relative to the radius. These depths
+determine the ball's initial speed.
 
 The contact time is measured for a shallow contact, as Hertz's law requires. The energy loss is
 measured for a deep contact, whose area covers more cells.
@@ -128,7 +128,7 @@ def observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
 
 
 LOSSES = (0.0, 0.02, 0.05)
-"""Values of damping / mu, in units of Hertz's contact time."""
+"""Ratios of damping to mu in the runs, in units of Hertz's contact time."""
 
 
 def publish() -> tuple[Quantity, ...]:

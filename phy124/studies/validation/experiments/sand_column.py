@@ -27,7 +27,7 @@ SLOPE = 31.0
 STIFF = 300.0
 """Young's modulus of the sand, divided by the pressure at the column's base.
 
-With this ratio, gravity compresses the sand at the base by about 0.3 %.
+At this ratio, gravity compresses the sand at the column's base by about 0.3 %.
 """
 DURATION = 6.0
 """Duration of a run, in units of sqrt(H / g); the collapse takes about 3 units."""
