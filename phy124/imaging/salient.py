@@ -49,12 +49,12 @@ class Salient:
 
 
 def resize_smoothly(rgb: Pixels, size: int) -> Pixels:
-    """Resize an image to a square with a bilinear filter, which is wider if the image is reduced."""
+    """Resize an image to a square with a bilinear filter, which is wider for larger images."""
     return np.asarray(Image.fromarray(rgb).resize((size, size), Image.Resampling.BILINEAR))
 
 
 def resize_sharply(rgb: Pixels, size: int) -> Pixels:
-    """Resize an image to a square by bilinear interpolation of adjacent pixels; round values down."""
+    """Resize an image to a square; interpolate bilinearly between pixels, and round values down."""
     fine = cv2.resize(rgb.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)
     return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
 

@@ -110,7 +110,7 @@ def _distance_to(core: Solid) -> NDArray[np.float32]:
 
 
 def _colour_difference(rgb: NDArray[np.uint8], first: Solid, second: Solid) -> float:
-    """Return the fraction of the colour histograms that the two parts of a silhouette do not share."""
+    """Return the fraction of the colour histograms that two parts of an image do not share."""
     kinds = number_bins(to_lab(rgb), BINS)
     counts = [np.bincount(kinds[part], minlength=math.prod(BINS)) for part in (first, second)]
     shares = [count / max(1, count.sum()) for count in counts]

@@ -33,6 +33,6 @@ def make_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """Return the largest alpha, 0..255; areas below the fraction `REAL` of the image are ignored."""
+    """Return the largest alpha, 0..255, but ignore the fraction `REAL` of the image's pixels."""
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

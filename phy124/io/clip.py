@@ -228,9 +228,7 @@ class Clip:
         return (self.frame(index, velocities=velocities) for index in range(len(self)))
 
     def rows_of(self, chosen: NDArray) -> Iterator[tuple[Array, Array, Array]]:
-        """Yield the means, quats and scales of some Gaussians in each frame; `which` are their
-        indices.
-        """
+        """Yield the means, quats and scales of some Gaussians, whose indices are `chosen`."""
         arrays: Any = self.means, self.quats, self.scales
         if all(isinstance(a, Computed) and a.columns is None for a in arrays):
             for row in arrays[0].recorded.rows_of(chosen):
@@ -293,9 +291,7 @@ class Clip:
         return {name: np.ascontiguousarray(getattr(self, name)) for name in kept}
 
     def metadata(self) -> dict[str, str]:
-        """Return the metadata of the clip's file as texts: scene, report, names of walls and
-        objects.
-        """
+        """Return the metadata of a clip's file as texts: scene, report, names of walls, objects."""
         texts = {
             "format": FORMAT,
             "version": VERSION,

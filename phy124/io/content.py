@@ -29,12 +29,14 @@ MOST_KEPT = 5_000_000
 DENSEST = 100
 """Largest allowed ratio of unpacked to compressed size.
 
-Files of real objects reach a ratio of 10, zip bombs 1000.
+The ratio of unpacked to compressed size is up to 10 for files of real objects, and 1000 for zip
+bombs.
 """
 SMALL = 1 << 22
-"""Files whose unpacked size is at most this value [bytes] may exceed the ratio `DENSEST`.
+"""Files whose unpacked size is at most this value [bytes] may exceed `DENSEST`, the ratio of
+unpacked to compressed size.
 
-Small objects of one colour compress very well.
+Small objects of one colour, for example, compress very well.
 """
 OBJECT = "object_id"
 """Name of the column with the object index of each Gaussian."""
@@ -70,7 +72,7 @@ class Content(NamedTuple):
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the coordinates of `gaussians`, in the file's axes.
 
-    The origin is nonzero only if float32 could not resolve the positions in the file.
+    This origin is nonzero only if float32 could not resolve the positions in the file.
     """
     step: float = 0.0
     """Spacing of the positions that the file's number format can represent near the object; 0 if it
@@ -79,7 +81,7 @@ class Content(NamedTuple):
 
     @property
     def in_place(self) -> Content:
-        """The same content with absolute positions; `self` if float32 cannot resolve them."""
+        """This content with absolute positions, or unchanged if float32 cannot resolve them."""
         means = move_back(self.gaussians.means, np.array(self.origin)) if any(self.origin) else None
         if means is None:
             return self
@@ -319,8 +321,8 @@ FAR = 4
 """float32 is precise enough if an object's distance from the origin, divided by the object's size,
 is at most this value.
 
-For objects farther away, an origin near the object is stored in double precision, and the centres
-are stored relative to it.
+If an object is farther from the origin, an origin near the object is stored in double precision,
+and the centres are stored relative to it.
 """
 FINE = 20_000
 """A file's centres are stored relative to an origin near the object if float32 divides the object's
@@ -333,7 +335,7 @@ positions are too coarse.
 ENOUGH = 100_000
 """Approximate number of centres in the sample from which position and size are estimated."""
 LARGEST = 1e38
-"""Centres with larger coordinates are ignored; the largest value of float32 is 3.4e38."""
+"""Centres with coordinates above this value are ignored; the largest value of float32 is 3.4e38."""
 ENDS = (1, 99)
 """Percentiles of the coordinates that count as the ends of an object; outliers are ignored."""
 

@@ -37,7 +37,7 @@ class Axes(NamedTuple):
     up: str
     front: str
     said: bool
-    """True if the file or its format states the directions; False if they are guessed."""
+    """True if the file or its format states the up and front directions; False for a guess."""
     program: str | None = None
     """The program that probably wrote the file, and the reason for this guess; None for the usual
     layout.
@@ -96,7 +96,7 @@ def likely_dialect(path: Path) -> tuple[str, str] | None:
 
 
 def _some_rows(path: Path, header: Header) -> NDArray:
-    """Sample rows from the whole file as a structured array.
+    """Sample rows from the whole PLY file; return them as a structured array.
 
     If the file is short, rows may repeat.
     """

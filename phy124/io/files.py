@@ -49,7 +49,7 @@ def unlock(held: int | None) -> None:
 
 @contextmanager
 def locking(path: Path) -> Iterator[None]:
-    """Hold a lock during the block; first wait until other processes have released the lock."""
+    """Hold a lock during the `with` block; first wait until other processes have released it."""
     held = lock(path, wait=True)
     try:
         yield
@@ -133,7 +133,7 @@ def resolve_links(path: Path) -> Path:
 
 
 def _copy(source: Path, path: Path) -> None:
-    """Move a file or folder to another file system."""
+    """Move a file or folder to another file system by copying it."""
     if source.is_dir():
         shutil.move(source, resolve_links(path))
         return

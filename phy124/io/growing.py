@@ -28,7 +28,7 @@ from phy124.io.files import replacing
 from phy124.progress import Progress, silent
 
 SPARE = 1 << 14
-"""The space reserved for the header is a multiple of this size [bytes]."""
+"""The space reserved for the header of a clip's file is a multiple of this size [bytes]."""
 CODES = {"F32": "<f4", "F64": "<f8", "I32": "<i4"}
 """NumPy types by their names in safetensors files."""
 SHAPES = ("means", "quats", "scales")
@@ -56,7 +56,7 @@ class Tensor(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Size of the whole array [bytes]."""
+        """Size of the whole array in the clip's file [bytes]."""
         return int(np.prod(self.shape)) * np.dtype(CODES[self.code]).itemsize
 
 
@@ -68,7 +68,7 @@ class Growing:
     """A clip file to which frames are written one by one."""
 
     def __init__(self, path: Path, tensors: Mapping[str, Tensor]) -> None:
-        """Open or create the file, and lock it.
+        """Open or create the clip's file, and lock it.
 
         Raises:
             InputError: If another process is writing the file.

@@ -260,7 +260,7 @@ def _colours(clip: Clip) -> NDArray[np.uint8]:
 
 
 def _centres(means: NDArray, low: NDArray, high: NDArray) -> NDArray[np.uint16]:
-    """Quantise positions in the bounding box to 16 bits."""
+    """Quantise positions to 16-bit integers, relative to the bounding box."""
     return np.rint((means - low) / np.maximum(high - low, 1e-12) * 65535).astype("<u2")
 
 

@@ -38,7 +38,7 @@ STAND_INS = {
 }
 """First bytes, in lower case, of texts that are often saved by mistake instead of a file."""
 HEAD = max(map(len, STAND_INS))
-"""Number of bytes at the start of a file that are examined."""
+"""Number of bytes at the start of a file that are examined to find out why it cannot be opened."""
 
 
 def obstacle(path: PathLike) -> tuple[str, str] | None:

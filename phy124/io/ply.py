@@ -267,7 +267,7 @@ class Ply(NamedTuple):
     The Gaussians are moved to the origin if float32 could not resolve their positions in the file.
     """
     dropped: int
-    """Number of rows that were removed because a value was NaN or infinite."""
+    """Number of the file's rows that were removed because a value was NaN or infinite."""
 
 
 def read_ply(

@@ -39,9 +39,9 @@ class Element:
     name: str
     count: int
     row: np.dtype[Any]
-    """Data type of one row, without padding, in the file's byte order."""
+    """Data type of one row of the element, without padding, in the file's byte order."""
     start: int
-    """Offset of the first row in the file [bytes]."""
+    """Offset of the element's first row in the file [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Header:
 
     ascii: bool
     count: int
-    """Number of rows of `vertex`."""
+    """Number of rows of the element `vertex`."""
     row: np.dtype[Any]
     """Data type of one row of `vertex`, without padding, in the file's byte order."""
     start: int

@@ -45,7 +45,9 @@ def sixteen_bits(
 
 
 def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
-    """Write [H,W,C] as a 16-bit PNG: grey if C = 1, RGB if C = 3, and RGB with blue = 0 if C = 2.
+    """Write an array [H,W,C] as a 16-bit PNG.
+
+    It is grey if C = 1, RGB if C = 3, and RGB with blue = 0 if C = 2.
 
     Raises:
         InputError: If the file cannot be written.
@@ -60,7 +62,7 @@ def write_png16(path: str | os.PathLike[str], raw: NDArray[np.uint16]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], raster: Raster, channels: tuple[str, ...]) -> None:
-    """Write [H,W,C] as an EXR file of 32-bit floats.
+    """Write an array [H,W,C] as an EXR file of 32-bit floats.
 
     `channels` contains the names of the C channels.
 

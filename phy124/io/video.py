@@ -330,7 +330,7 @@ def _encoder_error(path: object, sent: int, message: str) -> Exception:
 
 @contextmanager
 def _closing(frames: Iterable[Picture]) -> Iterator[None]:
-    """Close a generator of frames after the block, so that the generator's threads also end."""
+    """Close a generator of frames after the `with` block, so that its threads also end."""
     try:
         yield
     finally:

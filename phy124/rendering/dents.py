@@ -21,15 +21,16 @@ from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 PATCH, LARGEST = 0.7, 1 / 48
 """Size of the surface patches on which light is computed: in cells of the simulation, and at most
 as a fraction of the solid's longest side.
-The second limit is needed on coarse grids, where patches would be thicker than horns and ears.
+The limit by the solid's size is needed on coarse grids, where patches would otherwise be thicker
+than horns and ears.
 """
 SIDE = 0.7
 """When patches near a Gaussian are chosen, a difference of this size between two unit normals
 counts as much as a distance of one patch.
 """
 NEAR = 12
-"""Number of nearest patches: to a patch's nearest patches, a plane is fitted; between a Gaussian's
-nearest patches, light is interpolated.
+"""Number of nearest patches to which the plane of a patch is fitted, and between which the light on
+a Gaussian is interpolated.
 """
 FLOOR = 0.5
 """Light of the sky on a surface that faces down, relative to a surface that faces up."""
@@ -72,11 +73,11 @@ class Dents:
         return np.minimum(rgb * (1 + self._shared @ change)[:, None], 1)
 
     def centres(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the centres of the patches [m,3], m."""
+        """Return the centres of the surface patches [m,3], m."""
         return self._mean @ x
 
     def normals(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the outward unit normals of the patches [m,3].
+        """Return the outward unit normals of the surface patches [m,3].
 
         If a patch and its neighbours lie on a line, its normal is 0.
         """
@@ -84,7 +85,7 @@ class Dents:
         return _unit(np.cross(self._along @ centres, self._across @ centres)).astype(np.float32)
 
     def _lit(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the light on each patch [m]."""
+        """Return the light on each surface patch [m]."""
         normals = self.normals(x)
         sky = (1 + FLOOR + (1 - FLOOR) * normals[:, 2]) / 2
         facing = (1 + normals @ self._lamp) / 2
@@ -106,7 +107,7 @@ def _outward(x: NDArray, cell: float) -> NDArray[np.float64]:
 
 
 def _slopes(near: NDArray, features: NDArray, x: NDArray, outward: NDArray) -> tuple[Any, Any]:
-    """Return two matrices that map values of the m patches to slopes of these values.
+    """Return two matrices that compute slopes along the surface from a value on each of m patches.
 
     The slopes are measured along two directions on the surface.
 

@@ -22,7 +22,7 @@ SIZES = 0.11, 0.06, 0.04
 lump have the same mean
 size."""
 WHOLE, BROKEN = 1.06, 1.3
-"""Up to the first stretch, a fragment deforms with its material; above the second stretch, it keeps
+"""Two stretches: up to the first, a fragment deforms with its material; above the second, it keeps
 its shape.
 """
 SMALLEST = 0.7
@@ -56,7 +56,9 @@ class Fragments:
         self._lumps, self._fragments = Affine(x, lump), Affine(x, self._fragment)
 
     def shape(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the positions [n,3] m at which the Gaussians at x [n,3] m are drawn."""
+        """Return the positions [n,3] m at which fragments are drawn whose Gaussians are at x [n,3]
+        m.
+        """
         drawn = np.array(x, np.float32)
         centred = drawn - drawn.mean(axis=0)
         whole = self._all.fit(centred, np.eye(3, dtype=np.float32))
@@ -83,7 +85,7 @@ class Affine:
         middle /= np.bincount(group)[:, None]
         arms = x - middle[group]
         self.arms = arms.astype(np.float32)
-        """Positions relative to the middle of the group [n,3], m."""
+        """Positions of the points relative to the middle of their group [n,3], m."""
         moments = np.zeros((m, 3, 3))
         np.add.at(moments, group, arms[:, :, None] * arms[:, None])
         spare = FLAT * np.trace(moments, axis1=1, axis2=2) + np.finfo(np.float32).tiny
@@ -163,5 +165,5 @@ def _nearest(x: NDArray, size: float, rng: np.random.Generator) -> NDArray[np.in
 
 
 def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number the different values without gaps; return the number of each value."""
+    """Number the different values of an array without gaps; return the number of each value."""
     return np.unique(values, return_inverse=True)[1].reshape(-1)

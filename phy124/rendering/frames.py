@@ -22,10 +22,10 @@ from phy124.runtime.cores import cores
 SHADOWS = 4
 """Number of threads that compute shadows if a GPU draws the frames."""
 MOST_SPLATS = 1 << 24
-"""Largest number of splats that all threads together store. With only two threads, there is no
-limit.
+"""Largest number of splats that all threads together store. If there are only two threads, the
+number of splats is not limited.
 
-A splat takes about 100 bytes of memory.
+A splat takes about 100 bytes.
 """
 LOOK_AHEAD = 4
 """Largest number of frames that each thread of `render_frames` renders in advance."""

@@ -61,7 +61,7 @@ in memory because a run's videos and its report need the same cameras.
 
 
 def _place(clip: Clip, view: View, side: str) -> list[Camera]:
-    """Compute the camera of each frame."""
+    """Compute the camera of each frame of a clip."""
     camera, poses = view.camera(side), _poses(clip, view, side)
     if view.fits and not (camera is not None and camera.chosen):
         return _nearest(clip, view, poses)

@@ -120,7 +120,7 @@ class Field:
         return shares[0], np.maximum(shares[1], LITTLE)
 
     def blur(self, values: NDArray) -> NDArray[np.float32]:
-        """Smooth the values of the grid's cells with the filter, and return them."""
+        """Smooth the values of the grid's cells with a Gaussian filter, and return them."""
         smooth: Any = scipy.ndimage.gaussian_filter(
             values.reshape(self.size), BLUR, mode="constant", truncate=3
         )
@@ -148,7 +148,7 @@ class Field:
         return filled
 
     def sample(self, field: NDArray) -> NDArray[np.float32]:
-        """Interpolate a field linearly at the points; return the values [N]."""
+        """Interpolate a field of the grid linearly at the liquid's points; return the values [N]."""
         values = np.empty(len(self.x), np.float32)
         self.launch(fields.sample, len(self.x), [self.x, field], [values])
         return values
@@ -161,13 +161,13 @@ class Field:
         return np.asarray(self.smooth(phi * self.open) / np.maximum(phi, 1e-6), np.float32)
 
     def slopes(self, phi: NDArray) -> NDArray[np.float32]:
-        """Return the gradient of phi in each cell [cells,3]; the unit of length is a cell."""
+        """Return the gradient of phi, the filled fraction, in each cell [cells,3], per cell."""
         slopes = np.empty((phi.size, 3), np.float32)
         self.launch(fields.differentiate, phi.size, [phi], [slopes])
         return slopes
 
     def lengths(self, filled: NDArray) -> NDArray[np.float32]:
-        """Return the length of the liquid that each cell is part of, along each axis [cells,3].
+        """Return the length of the liquid along each axis, measured through each cell [cells,3].
 
         The unit of length is a cell.
         """

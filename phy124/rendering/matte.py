@@ -20,9 +20,13 @@ from numpy.typing import NDArray
 from phy124.gaussians import SH_C0
 
 SMOOTH = 1.4
-"""Standard deviation of the filter that smooths phi before normals are computed [cells]."""
+"""Standard deviation of the filter that smooths phi, the filled fraction, before normals are
+computed [cells].
+"""
 WIDE = 3.0
-"""Standard deviation of the wider filter that smooths phi before occlusion is computed [cells]."""
+"""Standard deviation of the wider filter that smooths phi, the filled fraction, before occlusion is
+computed [cells].
+"""
 SPARE = 6
 """Width of the empty margin of the grid around the grains [cells]."""
 TAILS = 2.5
@@ -37,8 +41,7 @@ LAMP_LIGHT = np.array([0.50, 0.46, 0.37], np.float32)
 """
 CERTAIN = 0.03
 """Gradient of phi, the filled fraction, per cell above which the surface's normal is certain. In
-sparse spray the normal is less
-certain, and the light is closer to `EVEN`.
+sparse spray of grains, normals are less certain, and the light is closer to `EVEN`.
 """
 EVEN = 0.8
 """Light of the lamp on grains with an uncertain normal, relative to grains that face the lamp."""

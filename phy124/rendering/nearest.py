@@ -42,9 +42,9 @@ VISIBLE = 0.1
 OUTSIDE = 0.01
 """Fraction of the object that may be outside the picture without a warning."""
 LEFT_OUT = 1.5e-4
-"""Fraction of the sample that may lie outside each edge of the picture.
+"""Fraction of the sampled Gaussians that may lie outside each edge of the picture.
 
-Single drops therefore have no effect.
+Single drops of a liquid therefore do not influence the camera.
 """
 DEPTHS = 1.5
 """Smallest distance of the camera from a motion, in units of the motion's depth along the view."""

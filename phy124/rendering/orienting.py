@@ -20,7 +20,7 @@ UNTURNED = Reading(up="z", front="x")
 
 
 def candidates(up: str | None) -> list[Reading]:
-    """Return the orientations to draw.
+    """Return the orientations in which the object of a file is drawn.
 
     There is one orientation for each up axis or, if the up axis is known, for each front axis.
     """

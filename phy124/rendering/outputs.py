@@ -39,11 +39,11 @@ Only a Gaussian that moves through the camera would have a larger optical flow.
 """
 
 SHARP = 0.3
-"""A blur with at most this standard deviation is negligible and therefore omitted [px]."""
+"""A blur of forces with at most this standard deviation is negligible and therefore omitted [px]."""
 
 
 class Quantity(NamedTuple):
-    """Unit, channels and meaning of an output."""
+    """Unit, channels and meaning of an output per pixel, such as depth."""
 
     unit: str
     channels: tuple[str, ...]
@@ -334,7 +334,7 @@ def _write(
 
 
 def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) -> dict[str, Any]:
-    """Describe a frame: time, camera, files, and the forces of the walls."""
+    """Describe the outputs of a frame: time, camera, files, and the forces of the walls."""
     total: dict[str, Any] = {}
     if "force" in files and clip.contacts is not None:
         total["force"] = clip.contacts[index].astype(np.float64).sum(axis=0).tolist()
@@ -356,7 +356,7 @@ def _row(clip: Clip, index: int, camera: Camera, files: Mapping[Output, str]) ->
 def _description(
     view: View, side: str, steps: Mapping[Output, float], rows: list[dict[str, Any]]
 ) -> dict[str, Any]:
-    """Describe all files: units, channels, scales and cameras."""
+    """Describe all files of the outputs: units, channels, scales and cameras."""
     outputs: dict[str, Any] = {}
     for name in view.outputs:
         unit, channels, signed, meaning = QUANTITIES[name]

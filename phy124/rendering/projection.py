@@ -16,9 +16,9 @@ FILTERS = {"dilate": (0.3, False), "mip": (0.1, True)}
 """Anti-aliasing filters.
 
 The first value of each filter is added to the screen covariance of every Gaussian [px^2]. The
-second value states whether the filter reduces opacities to compensate for the larger covariance. 3D
-Gaussian Splatting does not reduce them, so thin objects look too thick from far away. Mip-Splatting
-reduces opacities (Yu et al. 2024, section 4.2).
+second value of each filter states whether it reduces opacities to compensate for the larger
+covariance. 3D Gaussian Splatting does not reduce opacities, so thin objects look too thick from far
+away. Mip-Splatting reduces opacities (Yu et al. 2024, section 4.2).
 """
 NEAR = 0.01
 """Smallest distance between the camera and the centre of a Gaussian that is drawn, m."""

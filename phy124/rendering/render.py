@@ -37,9 +37,11 @@ after the other if all lists together would be longer.
 TILES_PER_SPLAT = 4
 """Expected number of tiles per splat, for which memory is allocated before the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
-"""Kernels that blend splats to pixels, by the name of the variant. `simd`: one tile per thread in
-vectorised C++ (CPU only).
-`plain`: one tile per thread in Warp. `pixel`: one pixel per thread (used on CUDA)."""
+"""Kernels that blend splats to pixels, by the name of the variant. In the variant `simd`, a thread
+draws one tile in vectorised C++ (CPU only).
+In the variant `plain`, a thread draws one tile in Warp. In the variant `pixel`, a thread draws one
+pixel (used on CUDA).
+"""
 BLEND_STAGED = stage.blend_staged_simd
 """The kernel of the variant `simd` for pictures with a lighting stage around the object."""
 
@@ -367,7 +369,9 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """Return the lists of splats of tiles `first` to `last`, and each list's bounds [tiles]."""
+        """Return the lists of splats of tiles `first` to `last`, with the start and end of each
+        list.
+        """
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])

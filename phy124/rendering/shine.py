@@ -274,7 +274,7 @@ def runs_of(which: NDArray) -> list[list[int]]:
 
 
 def reflect(rgb: NDArray, normals: NDArray, towards: NDArray, gloss: Gloss) -> NDArray:
-    """Compute the colours of a reflecting surface [N,3].
+    """Compute the colours [N,3] of a surface that reflects a lamp, a sky and a floor.
 
     Args:
         rgb: Colours without reflection [N,3].

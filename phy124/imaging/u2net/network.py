@@ -100,7 +100,7 @@ WIDTHS = {
     "u2netp": Widths(((3, 16, 64), *[(64, 16, 64)] * 5), ((128, 16, 64),) * 5),
 }
 LEVELS = (7, 6, 5, 4, 4, 4)
-"""Number of levels in each of the U-Net's encoder stages 1 to 6; the last two stages are dilated."""
+"""Number of levels in each encoder stage, 1 to 6, of the U-Net; the last two stages are dilated."""
 
 
 class U2Net(nn.Module):

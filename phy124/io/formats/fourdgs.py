@@ -30,7 +30,10 @@ from phy124.runtime.installation import install_command
 PROFILE = "fine"
 """Name of the library's profile with the smallest error bounds."""
 KEYFRAME = 8
-"""Number of frames per keyframe. A player reads at most this number of frames to show any frame."""
+"""Number of frames from one keyframe of a .4dgs file to the next. To show any frame of a .4dgs
+file, a player reads at most this
+number of frames.
+"""
 STILL = 1 / 24
 """Duration of a clip that has only one frame [s]."""
 CUTOFF = 0.05

@@ -72,9 +72,10 @@ In the GLB files of these programs, the object faces -z, as in the PLY.
 READ = {"POSITION", "COLOR_0", OBJECT}
 READ |= {f"{EXTENSION}:{name}" for name in ("ROTATION", "SCALE", "OPACITY")}
 READ |= {f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(7)}
-"""Attributes that phy124 does not report to the user as ignored.
+"""Attributes of a GLB file that phy124 does not report to the user as ignored.
 
-COLOR_0 is not read, because it is meant for programs that do not support the extension.
+The attribute COLOR_0 is not read, because it is meant for programs that do not support the
+extension KHR_gaussian_splatting.
 """
 
 
@@ -82,7 +83,7 @@ class Primitive(NamedTuple):
     """A glTF primitive whose points are Gaussians."""
 
     attributes: dict[str, int]
-    """For each attribute, by name, the index of its accessor."""
+    """Index of the accessor of each of the primitive's attributes; the keys are their names."""
     extension: dict[str, Any]
     """Properties of the extension KHR_gaussian_splatting in this primitive."""
     matrix: NDArray[np.float64]
@@ -161,7 +162,10 @@ def pack_head(text: bytes, length: int) -> bytes:
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, NDArray]:
-    """Return the array of each attribute; the size of each array is a multiple of 4 bytes."""
+    """Return the arrays that are stored in a GLB file, by attribute.
+
+    The size of each array is a multiple of 4 bytes.
+    """
     rgba = np.concatenate([gaussians.rgb, gaussians.opacities[:, None]], axis=1)
     arrays = {
         "POSITION": gaussians.means,
@@ -321,7 +325,7 @@ def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, An
 
 
 def _values(scene: Scene, primitive: Primitive, name: str, width: int) -> NDArray[np.float32]:
-    """Return the values of an attribute [N,width]."""
+    """Return the values [N,width] of an attribute of a primitive."""
     if name not in primitive.attributes:
         raise refusal(KIND, scene.path, f"its Gaussians have no {name}.", "Export it again.")
     index = primitive.attributes[name]

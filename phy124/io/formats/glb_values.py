@@ -133,13 +133,15 @@ LENGTHS_SINCE = (2, 7)
 FEW = 0.01
 """If more than this fraction of a file's scales is negative, the file stores scales as logarithms.
 
-In mirrored objects, some lengths are negative.
+Files of mirrored objects contain some negative scales, although the scales are lengths.
 """
 NEIGHBOURS = 4
 SOME = 2000
 """Approximate number of Gaussians that are examined to decide whether scales are logarithms."""
 BARE = 0.55
-"""Below this ratio of a Gaussian's width to the spacing, the object is full of holes."""
+"""If the ratio of the Gaussians' width to their spacing is below this value, the object is full of
+holes.
+"""
 SHORT = 1.0
 """A file with only positive scales can store logarithms only if the median of the scales is above
 this value.
@@ -147,7 +149,7 @@ this value.
 COVERING = (0.6, 6.0)
 """Smallest and largest ratio of the Gaussians' width to their spacing if they cover an object.
 
-In example files, the ratios are 1.2 to 3.5.
+In example files, the ratio of the Gaussians' width to their spacing is 1.2 to 3.5.
 """
 NOTE = "Its scales are read as logarithms: {}."
 

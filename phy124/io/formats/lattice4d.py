@@ -53,7 +53,9 @@ MAGIC = b"PHY4D\0\1\0"
 TOLERANCE = 1e-3
 """Largest error of a Gaussian's centre, relative to the object's size."""
 NODES = (12, 17, 24, 34)
-"""Numbers of nodes along the longest side that are tried; the smallest file is kept."""
+"""Numbers of lattice nodes along the object's longest side that are tried; the smallest resulting
+file is kept.
+"""
 STIFF = 1e-4
 """Weight of the term that makes neighbouring nodes move alike, when the lattice is fitted to the
 Gaussians' positions.
@@ -61,7 +63,7 @@ Gaussians' positions.
 Without this term in the fit, a lattice node with only few Gaussians nearby would be undetermined.
 """
 STEP = TOLERANCE / 8
-"""Quantisation step of the displacements, relative to the object's size."""
+"""Quantisation step of the displacements of lattice nodes, relative to the object's size."""
 LARGEST = 2**15 - 1
 TALLEST = 4.0
 """Largest magnitude of the logarithms of the ratios between a Gaussian's scales now and at rest.
@@ -86,7 +88,7 @@ class Lattice:
     indices: NDArray[np.int64]
     """Indices of the nodes in the complete lattice [M], in increasing order."""
     weights: Any
-    """Trilinear weights, a sparse matrix [N,M]."""
+    """Trilinear weights of the M lattice nodes for each of N Gaussians, a sparse matrix [N,M]."""
 
     @classmethod
     def around(cls, points: NDArray[np.float64], nodes: int) -> Lattice:
@@ -260,7 +262,7 @@ def measure(clip: Clip) -> dict[str, Any]:
 
 
 def measure_speeds(clip: Clip) -> Iterator[NDArray]:
-    """Yield the speeds of each frame [N], m/s.
+    """Yield the speeds of the N Gaussians in each frame [N], m/s.
 
     If the clip has no velocities, the speeds are computed from the positions in adjacent frames.
     """
@@ -327,7 +329,7 @@ class _Motion:
     errors: NDArray[np.float64]
     """Largest error of each Gaussian's position over all frames [N], m."""
     moved: dict[int, NDArray[np.float64]]
-    """Displacements of the nodes [M,3], m, for each frame in which shapes are compared."""
+    """Displacements of the lattice nodes [M,3], m, for each frame in which shapes are compared."""
 
     @property
     def size(self) -> int:

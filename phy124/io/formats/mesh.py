@@ -21,7 +21,7 @@ from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.runtime.installation import install_command
 
 CELLS = 80
-"""Number of cells along the longest side."""
+"""Number of grid cells along the object's longest side."""
 LEVEL = 0.5
 """Density at the surface."""
 BLUR = 0.3

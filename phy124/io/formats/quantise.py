@@ -37,7 +37,7 @@ def make_codebook(values: NDArray) -> NDArray[np.float64]:
 
 
 def nearest_codes(codes: NDArray, values: NDArray) -> NDArray[np.uint8]:
-    """Return, for each value, the index of the nearest code."""
+    """Return, for each value, the index of the nearest of the ascending codes."""
     return np.searchsorted((codes[1:] + codes[:-1]) / 2, values).astype(np.uint8)
 
 
@@ -71,7 +71,7 @@ def _principal(vectors: NDArray) -> NDArray[np.float32]:
 
 
 def _sort_halves(vectors: NDArray, cell: NDArray[np.int64], cells: int) -> NDArray[np.int64]:
-    """Return the order that sorts vectors by their cell and, within each cell, by one coordinate.
+    """Return the order that sorts vectors by group and, within each group, by one coordinate.
 
     This coordinate is the cell's principal component with the largest variance.
     """

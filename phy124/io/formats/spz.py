@@ -52,8 +52,8 @@ SYSTEMS = (
     *(x + y + z for z in "BF" for y in "DU" for x in "LR"),
     *(x + y + z for y in "FB" for z in "DU" for x in "LR"),
 )
-"""Names of the coordinate systems with the numbers 1 to 16. The letters are the directions of x, y
-and z.
+"""Names of the coordinate systems with the numbers 1 to 16. The letters of a coordinate system's
+name are the directions of x, y and z.
 """
 USUAL = "RUB"
 """The coordinate system of a file that does not state one."""
@@ -123,7 +123,7 @@ KIND = "SPZ"
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
 FOURTH = struct.pack("<I", 4)
-"""Bytes that follow the signature in a file of version 4."""
+"""Bytes that follow the signature in an SPZ file of version 4."""
 HEADER = struct.Struct("<4sIIBBBB")
 MORE = struct.Struct("<I12x")
 ENTRY = struct.Struct("<QQ")
@@ -145,7 +145,7 @@ HARMONIC_BITS = (5, 4, 4)
 
 
 class Head(NamedTuple):
-    """The fields in the first 16 bytes of a file."""
+    """The fields in the first 16 bytes of an SPZ file."""
 
     magic: bytes
     version: int
@@ -195,13 +195,13 @@ def read(path: Path) -> Content:
 
 
 def encode(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a file of format version 3, which most programs read."""
+    """Return the bytes of an SPZ file in format version 3, which most programs read."""
     head, sections = _pack(gaussians, 3, antialiased=antialiased)
     return _gzip(HEADER.pack(*head) + b"".join(sections))
 
 
 def encode_v4(gaussians: Gaussians, *, antialiased: bool = False) -> bytes:
-    """Return the bytes of a file in format version 4."""
+    """Return the bytes of an SPZ file in format version 4."""
     head, sections = _pack(gaussians, 4, antialiased=antialiased)
     streams = [zstandard.ZstdCompressor(level=LEVEL).compress(section) for section in sections]
     start = HEADER.size + MORE.size
@@ -228,7 +228,7 @@ def _mirror(raw: dict[str, NDArray[np.float32]]) -> None:
 
 
 def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return the header, sections and extensions of a file of version 1, 2 or 3."""
+    """Return the header, sections and extensions of an SPZ file of version 1, 2 or 3."""
     if data[:4] == MAGIC:
         # Browsers unpack a file if the server declares it as compressed by gzip.
         data = _gzip(data, level=0)
@@ -248,7 +248,7 @@ def _whole(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
 
 
 def _streams(path: Path, data: bytes) -> tuple[Head, NDArray[np.uint8], bytes]:
-    """Return the header, sections and extensions of a file of version 4."""
+    """Return the header, sections and extensions of an SPZ file of version 4."""
     head = _head(path, data[: HEADER.size], len(data), versions=(4,))
     if len(data) < HEADER.size + MORE.size:
         raise _short(path)
@@ -308,7 +308,7 @@ def _short(path: Path) -> Exception:
 
 
 def _places(head: Head, data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode centres [N,3]."""
+    """Decode the Gaussians' centres [N,3] of an SPZ file."""
     if head.version < 2:
         return np.ascontiguousarray(data).view("<f2").astype(np.float32)
     return _read_24_bits(data) / np.float32(2**head.bits)
@@ -322,14 +322,14 @@ def _read_24_bits(data: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _from_three(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode quaternions in wxyz order (file format versions 1 and 2)."""
+    """Decode quaternions of SPZ format versions 1 and 2; return them in wxyz order."""
     vector = data.astype(np.float32) / np.float32(127.5) - 1
     scalar = np.sqrt(np.maximum(1 - np.square(vector).sum(axis=1, keepdims=True), 0))
     return np.concatenate([scalar, vector], axis=1)
 
 
 def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Decode quaternions in wxyz order (file format version 3 and later)."""
+    """Decode quaternions of SPZ format version 3 and later; return them in wxyz order."""
     packed = np.ascontiguousarray(data).view("<u4")
     fields = (packed >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     size = (fields & 511).astype(np.float32) / np.float32(511 * np.sqrt(2))
@@ -338,7 +338,7 @@ def _from_four(data: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def _pack(gaussians: Gaussians, version: int, *, antialiased: bool) -> tuple[Head, list[bytes]]:
-    """Return the header and the uncompressed sections of a file."""
+    """Return the header and the uncompressed sections of an SPZ file."""
     bits = _bits(gaussians.means)
     steps = np.rint(gaussians.means.astype(np.float64) * 2**bits).clip(-REACH, REACH)
     centres = steps.astype("<i4").view(np.uint8).reshape(-1, 3, 4)[..., :3]

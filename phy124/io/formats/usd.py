@@ -71,7 +71,7 @@ def load_usd() -> Any:
 
 
 def _stage(pxr: Any, path: Path, clip: Clip) -> tuple[Any, Any]:
-    """Create a stage with all constant properties.
+    """Create a USD stage with all properties that do not change over time.
 
     Return the stage and the prim of its Gaussians.
     """
@@ -103,7 +103,7 @@ def save_at_times(stage: Any, index: int) -> None:
 
 
 def set_times(stage: Any, clip: Clip) -> None:
-    """State the duration of a clip in the stage; one time code is one frame."""
+    """State the duration of a clip in the USD stage; one time code is one frame."""
     stage.SetTimeCodesPerSecond(clip.fps)
     stage.SetFramesPerSecond(clip.fps)
     stage.SetStartTimeCode(0)
@@ -111,7 +111,7 @@ def set_times(stage: Any, clip: Clip) -> None:
 
 
 def _sample(pxr: Any, splats: Any, gaussians: Gaussians, code: Any) -> None:
-    """Set positions, scales, orientations and the bounding box at a time code."""
+    """Set positions, scales, orientations and the bounding box of the Gaussians at a time code."""
     vectors = pxr.Vt.Vec3fArray.FromNumpy
     # USD stores quaternions as (x, y, z, w) in memory.
     quats = np.ascontiguousarray(np.roll(gaussians.quats, -1, axis=1))

@@ -19,7 +19,7 @@ from phy124.rendering.render import BLACK, MAX_PAIRS, Renderer, runs
 ROUNDS = 12
 """Number of iterations of the colour correction."""
 SIZES = (1.0, 0.8)
-"""Relative sizes of splats that are tried.
+"""Sizes of splats that are tried, relative to their original sizes.
 
 Generators let splats overlap too much, so smaller sizes may be better.
 """
@@ -40,7 +40,7 @@ class ColourMatch:
     psnr: float
     """PSNR of the rendered picture inside the object [dB]."""
     sh: Array
-    """Coefficients of the spherical harmonics [N,K,3]."""
+    """Spherical-harmonic coefficients of the Gaussians' colours [N,K,3]."""
     sizes: Array
     """Sizes of the Gaussians relative to their original sizes [N]."""
 

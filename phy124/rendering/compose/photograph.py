@@ -26,8 +26,8 @@ LARGEST = 1024
 reduced.
 """
 MARGIN = 0.015
-"""Width of the border around the object that is inpainted too, relative to the photograph's longest
-side.
+"""Width of the border around the object that is inpainted together with the object, relative to the
+photograph's longest side.
 """
 HOLE = 320
 """Longest side of the picture in which holes are inpainted [pixels]. A larger picture takes longer
@@ -46,8 +46,8 @@ CLEARER = 1.0
 camera's picture, by at least this difference of PSNR [dB].
 """
 RIM = 0.008
-"""Width of the border around the object that is compared too, relative to the photograph's longest
-side.
+"""Width of the border around the object that is compared together with the object, relative to the
+photograph's longest side.
 """
 ROUNDS = (False, False, False, True, True)
 """For each round of the camera's correction: whether only the object and a thin border around it
@@ -85,7 +85,7 @@ class Photograph:
         return cls(np.asarray(rgb), opaque)
 
     def reduce(self, longest: int) -> Photograph:
-        """Return the photograph with sides of at most `longest` pixels."""
+        """Return the photograph, reduced so that its sides have at most `longest` pixels."""
         size = reduce_size(self.alpha.shape, longest, 16)
         small = Image.fromarray(self.rgb).resize(size, Image.Resampling.BOX)
         opaque = Image.fromarray(self.alpha).resize(size, Image.Resampling.BOX)

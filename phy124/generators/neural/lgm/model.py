@@ -49,9 +49,9 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 Rotations = Literal["each", "all"]
 """Whether LGM's quaternions are normalised for each Gaussian or over all Gaussians of an object.
 
-LGM's weights from before April 2024 were trained with the normalisation "all" by mistake. During
-that training, quaternions were not normalised when Gaussians were rendered. Their quaternions were
-so small that they had no effect.
+LGM's weights from before April 2024 were trained with the normalisation "all" by mistake. These
+weights return quaternions that are so small that they had no effect in the training, because the
+program did not normalise quaternions when it rendered Gaussians.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16
