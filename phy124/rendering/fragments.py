@@ -56,9 +56,7 @@ class Fragments:
         self._lumps, self._fragments = Affine(x, lump), Affine(x, self._fragment)
 
     def shape(self, x: NDArray) -> NDArray[np.float32]:
-        """Return the positions [n,3] m at which fragments are drawn whose Gaussians are at x [n,3]
-        m.
-        """
+        """Return the positions [n,3] m at which the fragments' Gaussians at x [n,3] are drawn."""
         drawn = np.array(x, np.float32)
         centred = drawn - drawn.mean(axis=0)
         whole = self._all.fit(centred, np.eye(3, dtype=np.float32))

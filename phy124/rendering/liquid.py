@@ -148,7 +148,7 @@ class Field:
         return filled
 
     def sample(self, field: NDArray) -> NDArray[np.float32]:
-        """Interpolate a field of the grid linearly at the liquid's points; return the values [N]."""
+        """Interpolate a field of the grid linearly at the liquid's points; return values [N]."""
         values = np.empty(len(self.x), np.float32)
         self.launch(fields.sample, len(self.x), [self.x, field], [values])
         return values

@@ -39,7 +39,7 @@ Only a Gaussian that moves through the camera would have a larger optical flow.
 """
 
 SHARP = 0.3
-"""A blur of forces with at most this standard deviation is negligible and therefore omitted [px]."""
+"""A blur of forces with at most this standard deviation [px] is negligible and omitted."""
 
 
 class Quantity(NamedTuple):

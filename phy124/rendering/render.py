@@ -38,9 +38,8 @@ TILES_PER_SPLAT = 4
 """Expected number of tiles per splat, for which memory is allocated before the first picture."""
 BLENDS = {"simd": blend.blend_tiles_simd, "plain": blend.blend_tiles, "pixel": blend.blend_pixels}
 """Kernels that blend splats to pixels, by the name of the variant. In the variant `simd`, a thread
-draws one tile in vectorised C++ (CPU only).
-In the variant `plain`, a thread draws one tile in Warp. In the variant `pixel`, a thread draws one
-pixel (used on CUDA).
+draws one tile in vectorised C++ (CPU only). In the variant `plain`, a thread draws one tile in
+Warp. In the variant `pixel`, a thread draws one pixel (used on CUDA).
 """
 BLEND_STAGED = stage.blend_staged_simd
 """The kernel of the variant `simd` for pictures with a lighting stage around the object."""
@@ -369,9 +368,7 @@ class Renderer:
     def _bin(
         self, n: int, view: Any, counts: NDArray[np.int64], first: int, last: int
     ) -> tuple[Any, Any, Any]:
-        """Return the lists of splats of tiles `first` to `last`, with the start and end of each
-        list.
-        """
+        """Return the splats of tiles `first` to `last`, with the start and end of each tile's."""
         bounds = np.zeros(len(counts) + 1, np.int32)
         bounds[first + 1 : last + 1] = counts[first:last].cumsum()
         total = int(bounds[last])

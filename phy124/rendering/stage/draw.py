@@ -1,4 +1,4 @@
-"""Uploads a stage for the kernels, and renders it."""
+"""Uploads a lighting stage (floor, boundaries and backdrop) to a device, and renders it."""
 
 import math
 from typing import Any
@@ -18,10 +18,10 @@ NO_SHADE = np.zeros((2, 2), np.uint16)
 
 
 class Uploaded:
-    """The stage of a frame on a device; it does not depend on the camera."""
+    """The lighting stage of a frame in a device's memory; it does not depend on the camera."""
 
     def __init__(self, shown: StageFrame, device: Any) -> None:
-        """Upload the stage of a frame."""
+        """Upload the lighting stage of a frame to a device."""
         levels = NO_SHADE if shown.floor is None else shown.floor.levels
         self.setting = setting(shown)
         self.shade = wp.array(levels, dtype=wp.uint16, device=device, copy=False)
@@ -37,13 +37,15 @@ class Uploaded:
 
 
 class Surroundings:
-    """The stage that a renderer draws, on a device.
+    """The lighting stage around the object, as a renderer on a device draws it.
 
     A renderer uses the same instance for all its pictures.
     """
 
     among: int
-    """Number of solids among the Gaussians; the others are in front of or behind all Gaussians."""
+    """Number of the stage's solids that are drawn between Gaussians; the others are in front of or
+    behind all Gaussians.
+    """
 
     def __init__(self, device: Any, *, simd: bool) -> None:
         """Create an empty stage on a Warp device; with `simd`, a CPU draws 16 pixels at a time."""
@@ -54,7 +56,10 @@ class Surroundings:
         self._counts = wp.zeros(3, dtype=int, device="cpu")
 
     def look(self, shown: StageFrame, view: Any, means: Array) -> None:
-        """Upload a stage; sort its solids into those in front of, between and behind the Gaussians.
+        """Upload a lighting stage; sort its solids by depth.
+
+        Some are in front of all Gaussians, some are between Gaussians, and some are behind all
+        Gaussians.
 
         The Gaussians are at `means` [N,3] m; the camera is a `screen.View`.
         """
@@ -92,13 +97,13 @@ class Surroundings:
         return [shown.setting, shown.shade, self._picture[1], self._before, *self._solids]
 
     def draw(self, image: wp.array, coverage: wp.array) -> None:
-        """Draw the stage behind Gaussians that were rendered over black."""
+        """Draw the lighting stage behind Gaussians that were rendered over black."""
         view, inputs = self._view, [self._view, *self.inputs(), coverage]
         threads = view.width * view.height
         wp.launch(stage.draw_setting, threads, inputs=inputs, outputs=[image], device=self.device)
 
     def _allocate(self, count: int, device: Any) -> tuple[Any, Any]:
-        """Return arrays for the sorted solids and their outlines, reused if possible."""
+        """Return device arrays for the sorted solids and their outlines; reuse them if possible."""
         key = count, str(device)
         if key not in self._arrays:
             kinds: tuple[Any, Any] = glass.Solid, glass.Outline

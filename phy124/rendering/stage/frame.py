@@ -67,10 +67,10 @@ class Solid:
     centre: NDArray[np.float64]
     """Centre [3], m."""
     axes: NDArray[np.float64]
-    """Axes [3,3], a unit vector in each row."""
+    """Axes of the solid [3,3], a unit vector in each row."""
     half: NDArray[np.float64]
-    """Half the side lengths [3], m. For a capsule, the first number is half its length and the
-    others are 0.
+    """Half the side lengths of a box [3], m. For a capsule, the first number is half its length and
+    the others are 0.
     """
     radius: float = 0.0
     """Radius of a capsule, m. The radius of a box is 0."""

@@ -32,7 +32,9 @@ from phy124.runtime.device import lock_gpu
 CELLS = 128
 """Number of cells along a side of the shadow map."""
 LAYERS = 7
-"""Number of layers. The height of layer i is proportional to i^2."""
+"""Number of layers. The height above the floor of layer i of the shadow computation is proportional
+to i^2.
+"""
 SLOPE = (-0.30, 0.22)
 """Displacement of the lamp's rays along x and y per metre of descent. The lamp is in front of, to
 the left of and above the object.
@@ -59,7 +61,7 @@ is omitted.
 FAINTEST = 1e-4
 """Smallest value of a layer's frequency response that is not neglected."""
 EDGE = 0.1
-"""Fraction of the map, at each border, over which the shadow fades."""
+"""Fraction of the shadow map's side, at each border, over which the shadow fades."""
 Glass = tuple[tuple[int, slice, slice], Array | float]
 """A rectangle of cells in a layer (layer, rows, columns), and the optical depth that glass adds
 there.
@@ -80,7 +82,7 @@ class Caster:
     reach: float
     """Half the side of the square that the shadow map covers, m."""
     tallest: float
-    """Height of the highest layer above the floor, m."""
+    """Height above the floor of the highest layer of the shadow computation, m."""
     device: str = "cpu"
 
     @property
@@ -94,7 +96,7 @@ class Caster:
         return self.tallest * np.linspace(0, 1, LAYERS) ** 2
 
     def layer(self, height: float) -> tuple[int, float]:
-        """Return the index of the layer below a height, and the weight of the layer above."""
+        """Return the index of the layer below a height, and the weight of the next layer."""
         level = (LAYERS - 1) * min(height / self.tallest, 1.0) ** 0.5
         layer = min(int(level), LAYERS - 2)
         return layer, level - layer

@@ -15,7 +15,7 @@ from phy124.mpm.tracks import Track
 from phy124.rendering.stage.frame import Solid
 
 LEVEL = 0.999
-"""Cosine of the largest slope of a floor."""
+"""Cosine of the largest slope with which a plane counts as a floor."""
 THICK = 0.04
 """Walls and plates have no thickness; they are rendered with this thickness, in units of the
 object's size.

@@ -40,11 +40,11 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Time since the budget object was created [s]."""
+        """Time since the time budget of the fit was created [s]."""
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:
-        """Return whether more than the fraction `part` of the budget has been used."""
+        """Return whether more than the fraction `part` of the fit's time budget has been used."""
         return self.spent > part * self.seconds
 
 
@@ -60,7 +60,7 @@ class Outlook:
     workers: int
 
     def runs(self, generations: int = USUAL) -> list[int]:
-        """Return the number of simulations on each grid if the search has `generations` steps."""
+        """Return the number of simulations on each grid, for this number of search generations."""
         steps, slopes = len(HALVES) * ROUNDS + 1, 2 * self.values
         first = 2 ** log2_screened(self.values) + generations * generation_size(self.values)
         counts = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)

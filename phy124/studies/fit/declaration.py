@@ -14,7 +14,7 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
-"""A range is sampled logarithmically if the ratio of its ends is at least this value."""
+"""A range of values is sampled logarithmically if the ratio of its ends is at least this value."""
 
 
 def parse_range(data: Any) -> Any:

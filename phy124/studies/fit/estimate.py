@@ -24,14 +24,14 @@ from phy124.studies.fit.search import Refined, refine, screen, search
 STEP = 0.05
 """Step of central differences, as a fraction of a value's range.
 
-Runs with almost equal values differ at random by some tenths of a pixel. With a shorter step, these
-random differences would be larger than the effect of the step. For example, when a pressed duck was
-fitted with a step of 0.01, the derivatives of its motion with respect to nu were up to nine times
-too large.
+Runs of a fit whose values are almost equal differ at random by some tenths of a pixel. With a
+shorter step, random differences between runs would be larger than the effect of the step. For
+example, when a pressed duck was fitted with a step of 0.01, the derivatives of its motion with
+respect to nu were up to nine times too large.
 """
 END = 0.005
-"""A value causes a warning if its distance from an end of the range is below this fraction of the
-range.
+"""A fitted value causes a warning if its distance from an end of its range is below this fraction
+of the range.
 """
 
 

@@ -30,9 +30,9 @@ class Spread(NamedTuple):
     """Uncertainty of the fitted values that is due to the errors of the measurements."""
 
     errors: Values
-    """Half-width of each 95 % interval, as a fraction of the range [P]."""
+    """Half-width of each value's 95 % interval [P], as a fraction of the value's range."""
     covariance: Values
-    """Covariance of the values, as fractions of the ranges [P,P]."""
+    """Covariance of the fitted values [P,P], as fractions of their ranges."""
 
 
 def bootstrap(
@@ -142,20 +142,21 @@ def shift_values(
 DEAD = 1e-3
 """A value is undetermined if its relative effect on the measurements is below this limit.
 
-The relative effect is the change of the measurements over the value's range, divided by the norm of
-the measurements.
+A value's relative effect is the change of the measurements over the value's range, divided by the
+norm of the measurements.
 """
 ALIKE = 0.12
-"""Smallest singular value for which values can be separated. The columns of the matrix are the
-effects of each value on the measurements, normalised to length 1.
+"""Smallest singular value for which two values can be separated. The columns of its matrix are the
+effects of the values on the measurements, each normalised to length 1.
 
 The singular value is 0 if two values have effects in the same direction, and 1 if their effects are
 orthogonal; 0.12 means a correlation of 0.986. At a smaller singular value, the effects of two
 values differ by no more than the errors of the model, such as grid errors.
 
 For example, if no force on a pressed duck is known, the effects of E and density on its motion
-differ only by damping. The smallest singular value is then 0.04 to 0.08 on grids of 16 and 20
-cells. If E and nu are fitted to the pressed duck, the smallest singular value is 0.93.
+differ only by damping. In this case, the smallest singular value for E and density is 0.04 to 0.08
+on grids of 16 and 20 cells. If E and nu are fitted to the pressed duck, the smallest singular value
+is 0.93.
 """
 SHARE = 0.3
 """A value is undetermined if its component is at least this large in the direction that the
@@ -165,7 +166,7 @@ VAGUE = 1 / 3
 """A value may be undetermined only if the half-width of its 95 % interval is at least this fraction
 of the range.
 
-The whole interval then covers two thirds of the range or more.
+The interval of such a value covers two thirds of its range or more.
 """
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
 FORCE = "measure the force on a wall, or load the object with a known force in newtons"

@@ -18,7 +18,7 @@ class Table(NamedTuple):
     """A table of measurements."""
 
     times: Values
-    """Time of each row [R], s."""
+    """Time of each row of the table [R], s."""
     names: NDArray[np.str_]
     """Name of the point or wall that each row describes [R]."""
     values: Values

@@ -19,7 +19,7 @@ FEW = 8
 
 
 class Points:
-    """Tracked points.
+    """Measured positions of tracked points over time.
 
     Each point is attached to the Gaussians that are nearest to it in the first frame.
 
@@ -87,7 +87,7 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
 
 
 def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
-    """Return the Gaussians nearest to each point in space, and the weights [K,NEIGHBOURS]."""
+    """Return the Gaussians nearest to each of K points in space, and weights [K,NEIGHBOURS]."""
     distance, chosen, size = _query(rest, first, NEIGHBOURS, "of the object's size")
     weights = 1 / (distance + 1e-6 * size)
     return chosen, weights / weights.sum(1, keepdims=True)
@@ -109,7 +109,9 @@ def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64
 def _query(
     rest: Values, first: Values, count: int, of_what: str
 ) -> tuple[Values, NDArray[np.int64], float]:
-    """Return distances and indices of the nearest centres [K,count], and the object's size.
+    """Return distances and indices of the Gaussians nearest to K points [K,count].
+
+    Also return the object's size.
 
     Raises:
         InputError: A point is farther from the object than the fraction `FAR` of its size.

@@ -32,7 +32,7 @@ class Problem(Protocol):
 
     @property
     def kinds(self) -> Sequence[Kind]:
-        """Kinds of measurements."""
+        """Kinds of measurements that the fit uses."""
         ...
 
     @property

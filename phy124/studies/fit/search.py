@@ -44,12 +44,15 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
 
 
 def log2_screened(count: int) -> int:
-    """Return the base-2 logarithm of the number of screened points in a fit of `count` values."""
+    """Return the base-2 logarithm of the number of points that are evaluated before the search.
+
+    `count` is the number of fitted values.
+    """
     return 3 + (count > 1) + (count > 3)
 
 
 def generation_size(count: int) -> int:
-    """Return the number of runs in a generation for `count` values.
+    """Return the number of runs in a generation of CMA-ES for `count` fitted values.
 
     The number is even, so that two cores have the same amount of work.
     """

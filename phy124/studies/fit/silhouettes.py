@@ -107,7 +107,8 @@ ROUNDS = 20
 LEAST = 0.6
 """Smallest allowed intersection over union of two aligned silhouettes.
 
-Below this limit, the silhouettes are assumed to show different objects or views.
+If the intersection over union is below this limit, the silhouettes are assumed to show different
+objects or views.
 """
 
 

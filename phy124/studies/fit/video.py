@@ -19,8 +19,8 @@ from phy124.studies.fit.observation import Values
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 DIFFERS = 20.0
-"""The RGB colour of an object pixel differs from that of the background by at least this distance;
-the largest possible distance is 442.
+"""Smallest distance between the RGB colours of an object pixel and of the background; the largest
+possible distance is 442.
 """
 MOST = 2000
 """Maximum number of frames that are read."""

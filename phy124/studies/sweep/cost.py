@@ -106,7 +106,9 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 SAMPLED = 256
 """Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""The line is also fitted to the point (no work, no time), with this weight per finished clip."""
+"""The line that forecasts the remaining time is also fitted to the point (no work, no time), with
+this weight per finished clip.
+"""
 FEWEST = 3
 """Number of finished clips after which the remaining time is estimated."""
 
@@ -132,7 +134,7 @@ class Remaining:
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
 
     def note_finished(self, row: Row) -> None:
-        """Include a finished clip in the estimate."""
+        """Include a finished clip in the estimate of the remaining time."""
         if "seconds" not in row:
             return
         seconds = row["seconds"]["clip"]

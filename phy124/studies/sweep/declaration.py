@@ -28,10 +28,10 @@ class Counted(Section, ABC):
 
     @abstractmethod
     def value(self, index: int) -> Any:
-        """Return the value at an index; indices start at 0."""
+        """Return the axis's value at an index; indices start at 0."""
 
     def draw(self, u: float) -> Any:
-        """Return the value for a number u in 0..1.
+        """Return the axis's value for a number u in 0..1.
 
         If u is uniform, all values are equally likely.
         """
@@ -50,7 +50,7 @@ class Listed(Counted):
         return len(self.values)
 
     def value(self, index: int) -> Any:
-        """Return the value at an index; indices start at 0."""
+        """Return the axis's value at an index; indices start at 0."""
         return self.values[index]
 
 
@@ -78,7 +78,7 @@ class Range(Counted):
         return self.count_
 
     def value(self, index: int) -> float:
-        """Return the value at an index; indices start at 0."""
+        """Return the axis's value at an index; indices start at 0."""
         part = index / (self.count - 1) if self.count > 1 else 0.0
         return interpolate(self.first, self.last, part, log=self.spacing == "log")
 
@@ -95,7 +95,7 @@ class Uniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for u in 0..1.
+        """Return the axis's value for a number u in 0..1.
 
         If u is uniform, the values have the declared distribution.
         """
@@ -106,7 +106,7 @@ class LogUniform(Section):
     """A distribution whose logarithm is uniform, such as `{ log_uniform = [1e4, 1e6] }`."""
 
     log_uniform: tuple[Number, Number]
-    """Smallest and largest value, above 0."""
+    """Smallest and largest value of the axis, both above 0."""
 
     @model_validator(mode="after")
     def _check_order(self) -> LogUniform:
@@ -116,7 +116,7 @@ class LogUniform(Section):
         return self
 
     def draw(self, u: float) -> float:
-        """Return the value for u in 0..1.
+        """Return the axis's value for a number u in 0..1.
 
         If u is uniform, the values have the declared distribution.
         """
@@ -139,7 +139,7 @@ class Choice(Section):
         return self
 
     def draw(self, u: float) -> Any:
-        """Return the value for u in 0..1.
+        """Return the axis's value for a number u in 0..1.
 
         If u is uniform, the values have the declared distribution.
         """

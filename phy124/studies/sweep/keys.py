@@ -23,7 +23,7 @@ from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
-"""Number of hexadecimal digits in a key.
+"""Number of hexadecimal digits in the key of a clip.
 
 The probability that any two of 1e9 different clips have equal keys is 6e-12.
 """
@@ -109,7 +109,7 @@ def code() -> str:
 HEXADECIMAL = 16
 """Number of a key's first hexadecimal digits that the set `Seen` stores.
 
-For 1e6 keys, the probability that any two agree in all these digits is 3e-8.
+For 1e6 keys of clips, the probability that any two agree in all these digits is 3e-8.
 """
 RECENT = 4096
 """Maximum number of keys that `Seen` holds unsorted, before it sorts them into its array."""

@@ -21,9 +21,9 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import FAILED, Row
 
 MANIFEST = "manifest.parquet"
-"""Name of the file that contains the table."""
+"""Name of the file that contains the table of all clips."""
 BATCH = 2048
-"""Number of rows that are read before they are converted to columns."""
+"""Number of rows of the manifest that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
 """Folders of the files that contain one row of the manifest each. There is a folder for each first
 digit of the keys, so that no folder becomes large.
@@ -71,7 +71,7 @@ def write_manifest(storage: Storage) -> int:
 
 
 def read_manifest(storage: Storage) -> list[Row]:
-    """Read the rows of the table.
+    """Read the rows of the table of all clips.
 
     Raises:
         InputError: The folder does not contain a table.
@@ -140,7 +140,7 @@ def _key(name: str) -> str:
 
 
 def _read(storage: Storage) -> Any:
-    """Read the existing table; return None if there is no table."""
+    """Read the existing table of all clips; return None if there is no table."""
     try:
         written = storage.read(MANIFEST)
     except FileNotFoundError:
@@ -155,7 +155,7 @@ def _cell(value: object) -> object:
 
 
 def _column(values: list[object]) -> list[object]:
-    """Convert all values of a column to one type.
+    """Convert all values of a column of the table to one type.
 
     Mixed integers and floats become floats; other mixed types become text.
     """

@@ -34,7 +34,7 @@ RETRIES = 10
 AHEAD = 3
 """Maximum number of tasks per worker that are submitted at a time."""
 BEAT = 0.2
-"""Time between two checks whether the sweep is cancelled [s]."""
+"""Interval at which the cancellation of the sweep is checked [s]."""
 LEFT = 5.0
 """Longest wait for the end of killed workers, whose incomplete files are then removed [s]."""
 SHARED = 64

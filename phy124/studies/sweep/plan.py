@@ -19,7 +19,7 @@ BLOCK = 1024
 MOST = 100_000_000
 """Maximum number of clips of one sweep."""
 FEWEST_BITS = 30
-"""Number of bits of the Sobol sequence."""
+"""Number of bits of the Sobol sequence that distributes the samples."""
 
 
 @dataclass(frozen=True)

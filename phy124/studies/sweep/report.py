@@ -13,7 +13,7 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Row
 
 PAGE = "report.html"
-"""File name of the HTML page."""
+"""File name of the report's HTML page."""
 SHOWN = 600
 """Maximum number of clips whose thumbnails the page shows; they are evenly spaced."""
 BARS = 12
@@ -64,7 +64,7 @@ def format_lines(storage: Storage) -> list[str]:
 
 
 def write_page(storage: Storage) -> str:
-    """Write the HTML page, and return its address.
+    """Write the HTML page of the report, and return its address.
 
     Raises:
         InputError: The folder contains no results of a sweep.

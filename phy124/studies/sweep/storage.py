@@ -36,7 +36,7 @@ class Storage:
 
     @property
     def here(self) -> Path | None:
-        """Path of the folder if it is on this machine; otherwise None."""
+        """Path of the storage's folder if it is on this machine; otherwise None."""
         return Path(self._root) if "file" in _names(self._files) else None
 
     def place(self, name: str) -> str:

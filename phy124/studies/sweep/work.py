@@ -91,7 +91,9 @@ def _part(state: float, gpu_memory: float) -> float:
 Row = dict[str, Any]
 """A row of the manifest: the data of one clip."""
 FAILED = ".failed.json"
-"""Ending of the name of a failed clip's row file. The next run makes the clip again."""
+"""Ending of the name of the file that contains the row of a failed clip. The next run of the sweep
+makes a failed clip again.
+"""
 THUMBNAIL = 96
 """Width and height of a clip's thumbnail in the report [pixels]."""
 
@@ -227,7 +229,7 @@ def clean_up(order: Order) -> bool:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip, and return the row.
+    """Write the row of a clip to the storage, and return the row.
 
     A clip is finished when its row is written.
 

@@ -61,8 +61,7 @@ AZIMUTHS = (0, 90, 180, 270)
 
 
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
-    """Return camera-to-world transforms [5,16]: one for each of the four views, and zeros for the
-    image.
+    """Return the camera-to-world transforms of the four views, and zeros for the image [5,16].
 
     Transforms are flattened row by row. A camera with a positive elevation [degrees] is below the
     object.

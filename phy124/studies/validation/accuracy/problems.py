@@ -60,7 +60,7 @@ def angular_momentum(solver: Solver | LatticeSolver) -> Array:
 
 
 def fall(position: Array, velocity: Array, time: float) -> Array:
-    """Return the exact positions in free fall: `x + v t`, with `g t^2 / 2` subtracted along z."""
+    """Return the exact positions in free fall: `x + v t`, minus `g t^2 / 2` along z."""
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
@@ -133,7 +133,7 @@ def vibrating_bar(cells: int) -> float:
 
 
 def _column(cells: int, dx: float) -> Array:
-    """Return the positions [P,3], m, of particles on the z axis, 2 per cell."""
+    """Return the positions [P,3], m, of particles in a row on the z axis, 2 per cell."""
     return lattice((1, 1, 2 * cells), dx / 2) * [0.0, 0, 1]
 
 

@@ -75,7 +75,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Report:
-    """The result of a study."""
+    """The result of a study of accuracy."""
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
@@ -123,7 +123,7 @@ class Report:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on a grid with `cells` cells across the object, from the levels' errors.
+    """Return the error on a grid with `cells` cells across the object, from the study's errors.
 
     On a grid between two levels, the error is assumed to be that of the coarser level. On grids
     finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`). If no

@@ -35,8 +35,8 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object in each level (a grid spacing of the study), from coarse to fine. All
-presets are among these levels.
+"""Cells across the object in each level (a grid spacing of the study), from coarse to fine. The
+grid spacings of all presets are among these levels.
 """
 MIN_PARTICLES_PER_AXIS = 1.5
 """Smallest number of particles per cell and axis with which finer grids are more accurate."""
@@ -56,8 +56,8 @@ class Study:
     """Device, threads and progress.
 
     Progress is called with ("study", index of the setting, number of settings), also during a
-    setting. The callback may raise Cancelled, which ends the study, or Stopped, which skips this
-    setting.
+    setting. The progress callback may raise Cancelled, which ends the study, or Stopped, which
+    skips this setting.
     """
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
@@ -83,7 +83,7 @@ class Study:
         self._proportions: Proportions | None = None
 
     def run(self) -> Report:
-        """Run all settings.
+        """Run the scene with all settings of the study.
 
         Raises:
             InputError: The scene cannot be run, or has too few particles per cell and axis.
@@ -215,7 +215,7 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast the time to simulate and to deform the Gaussians [s].
+        """Forecast how long it takes to simulate the scene and to deform the Gaussians [s].
 
         The forecast does not include the time to split the energy loss by cause, because a user's
         run of the scene does not split it.

@@ -18,7 +18,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of one check."""
+    """The result of one check of the solver."""
 
     problem: str
     quantity: str

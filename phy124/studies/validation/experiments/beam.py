@@ -39,24 +39,28 @@ Timoshenko's theory gives 0.8 (1 + nu) * 1.2 (h / L)^2.
 PER_AXIS = 4
 """Number of particles per cell along each axis.
 
-With 2 particles, the default of scenes, a beam that moves by several cells is 10 % softer.
+With 2 particles per cell and axis, the default of scenes, a beam that moves by several cells is 10
+% softer.
 """
 TOO_SOFT = (
     "Beams are a few per cent too soft on every grid if their tip moves by several cells. If the "
     "tip moves by only two cells (PL²/EI = 0.2), the deflection is correct. The stress balances "
     "the load, but the bending in F is too small, because F follows an affine fit of the motion "
-    "instead of the motion's gradient. For example, let PL²/EI be 1, with 2 cells across the "
-    "thickness. With 8, 4 and 2 particles per cell and axis, the bending computed from positions "
-    "exceeds the bending computed from F by 7, 13 and 29 %. The deflection is then 1.9, 5.8 and "
-    "14 % too large. With accuracy.gradient = spline, the excess of the bending is 0, 1 and 9 %, "
-    "and the error of the deflection is -0.4, 0.8 and 7.3 %."
+    "instead of the motion's gradient. The following figures are for PL²/EI = 1, for 2 cells "
+    "across the thickness, and for 8, 4 and 2 particles per cell and axis. The bending computed "
+    "from positions exceeds the bending computed from F by 7, 13 and 29 %, and the deflection is "
+    "1.9, 5.8 and 14 % too large. With accuracy.gradient = spline, the bending from positions "
+    "exceeds that from F by only 0, 1 and 9 %, and the error of the deflection is -0.4, 0.8 and "
+    "7.3 %."
 )
 REST = 1.6
 """Duration of each load, in units of the period of the beam's first bending mode."""
 PIECES = 40
 """Mean number of times per period of the beam's first mode at which all velocities are reduced."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Its multiples, modulo 1, never repeat; they vary the times at which velocities are reduced."""
+"""Inverse golden ratio, whose multiples, modulo 1, never repeat. They vary the times at which
+velocities are reduced.
+"""
 
 Bending = Callable[[float, Keyframes, Region], Force]
 """Function that creates a force from the beam's width [m], the force's time profile, and the region
@@ -308,8 +312,9 @@ SPLINE_ELASTICA = replace(
     seconds=150,
     reason="Few cells make the beam slightly too stiff, and few particles make it slightly too "
     "soft. With 8 particles per cell and axis, the deflection at the smallest load is 1.0, 0.7 "
-    "and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles, the two "
-    "errors cancel. The extrapolation cannot detect that the errors cancel.",
+    "and 0.5 % too small on 2, 3 and 4 cells, so the error converges. With 4 particles per cell "
+    "and axis, the error from few cells and the error from few particles cancel. The "
+    "extrapolation cannot detect that these errors cancel.",
 )
 LATTICE_ELASTICA = replace(
     ELASTICA,

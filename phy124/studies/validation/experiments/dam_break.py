@@ -19,15 +19,16 @@ INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
 front divided by the column's width `a`.
 
 The positions of the front come from a separate two-dimensional solver (APIC and pressure projection
-with a ghost-fluid surface, 128 cells across a). With 64 cells, these values are at most 0.01
-smaller.
+with a ghost-fluid surface, 128 cells across a). With 64 cells across the column's width, the
+front's positions are at most 0.01 smaller.
 """
 HEIGHTS = (1.28, 2.0, 2.7)
 """Dimensionless times t sqrt(g / a) at which the height of the water at the wall is measured."""
 PASSAGE = (1.5, 3.5)
 """Positions of the front, in units of `a`, between which its mean speed is measured.
 
-Unlike the front's position at a given time, this speed does not depend on a delay of the start.
+Unlike the front's position at a given time, the mean speed between two positions does not depend on
+a delay of the start.
 """
 PERIOD = (1.2, 3.0)
 """Dimensionless times t sqrt(2 g / a) between which the front's mean speed is measured."""
@@ -41,8 +42,8 @@ FRONTS = (
 )
 """Times, and positions of the front in units of `a`, for columns of the height 2 a.
 
-The first two columns are 2.25 and 1.125 inch wide (digitised by PySPH); the last data set is table
-2 (as published with Ocellaris).
+The first two data sets are for columns that are 2.25 and 1.125 inch wide (digitised by PySPH); the
+last data set is table 2 (as published with Ocellaris).
 """
 HEIGHT_TABLE = (
     (0.56, 0.77, 0.93, 1.08, 1.28, 1.46, 1.66, 1.84, 2.00, 2.21, 2.45, 2.70, 3.06, 3.44),

@@ -42,10 +42,12 @@ class Law:
     nu: float
     """Poisson's ratio."""
     terms: tuple[float, ...] = ()
-    """Coefficients a, b, ...; empty for Hertz's law, which treats both bodies as half-spaces."""
+    """Coefficients a, b, ... of the force law; empty for Hertz's law, which treats both bodies as
+    half-spaces.
+    """
 
     def force(self, depth: float) -> float:
-        """Return the force, divided by `E R^2`; `depth` is relative to the radius."""
+        """Return the contact force, divided by `E R^2`; `depth` is relative to the radius."""
         powers = (term * depth ** (k / 2) for k, term in enumerate((1.0, *self.terms)))
         return 4 / 3 / (1 - self.nu**2) * depth**1.5 * sum(powers)
 
@@ -74,13 +76,13 @@ class Mesh:
     """A mesh of the cross-section of a ball of radius 1; the plate is at z = 1."""
 
     x: Array
-    """Nodes [N,2]: distance from the axis, and height."""
+    """Nodes of the mesh [N,2]: distance from the axis, and height."""
     quads: NDArray[np.int64]
     """Indices of each element's nodes [M,4]."""
     surface: NDArray[np.int64]
     """Indices of the mesh's nodes on the ball's surface, starting at the contact."""
     whole: bool
-    """True for the whole ball, False for its upper half."""
+    """Whether the mesh covers the whole ball (True) or only its upper half."""
 
 
 def make_mesh(fine: int, *, whole: bool) -> Mesh:

@@ -46,7 +46,7 @@ class Experiment:
     """A comparison of simulations with published values, with texts for tables and plots."""
 
     name: str
-    """Name on the command line."""
+    """Name of the experiment on the command line."""
     title: str
     source: str
     """Publication or theory from which the values come."""
@@ -75,13 +75,13 @@ class Experiment:
     across: str
     """Length across which cells are counted."""
     axis: str = ""
-    """Label of the horizontal axis; empty if the quantities do not form a curve."""
+    """Label of the plot's horizontal axis; empty if the quantities do not form a curve."""
     unit: str = ""
     """Unit of all quantities, or the value by which all are divided."""
     quick: bool = False
     """Whether `phy124 validate --quick` runs the experiment."""
     seconds: float = 1.0
-    """Approximate duration [s]; the longest experiments start first."""
+    """Approximate duration of the experiment [s]; the longest experiments start first."""
     reason: str = ""
     """Known reason why some values lie outside their bands; empty if there is none."""
 

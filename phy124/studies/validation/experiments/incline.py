@@ -16,7 +16,7 @@ CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
 """Edge of the block [m]; durations for which it comes to rest and for which it then slides [s]."""
 SAMPLES = 41
-"""Number of times at which the block's position is measured. A parabola is fitted to these
+"""Number of times at which the block's position is measured. A parabola is fitted to the block's
 positions, so that the block's rocking is averaged out.
 """
 

@@ -30,8 +30,8 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball.
 
-With nu = 0, the viscous stress is damping / mu times the rate of the elastic stress. The force law
-F + loss dF/dt is therefore exact for a quasi-static contact.
+With nu = 0, the viscous stress is damping / mu times the rate of the elastic stress. For a
+quasi-static contact, the force law F + loss dF/dt is therefore exact.
 """
 SHALLOW, DEEP = 0.06, 0.12
 """Maximum depths of the contact according to Hertz's law, relative to the radius. These depths
@@ -41,7 +41,7 @@ The contact time is measured for a shallow contact, as Hertz's law requires. The
 measured for a deep contact, whose area covers more cells.
 """
 SAMPLES = 300
-"""Number of samples per run."""
+"""Number of samples of the ball's velocity per run."""
 FLIGHT = 2.2
 """Duration of a run, in units of Hertz's contact time."""
 

@@ -21,7 +21,7 @@ class Run(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """The result of a run."""
+    """The result of one run of an experiment."""
 
     run: Run
     values: Values

@@ -9,7 +9,7 @@ from phy124.studies.validation.bodies import host, lattice, make_solver, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 LENGTH, RADIUS = 32.4e-3, 3.2e-3
-"""Size of the bar [m]."""
+"""Size of the copper bar [m]."""
 SPEED, DURATION = 227.0, 80e-6
 """Initial speed [m/s], and duration of a run [s]."""
 COPPER = Metal(E=117e9, nu=0.35, density=8930, yield_stress=400e6, hardening=100e6)

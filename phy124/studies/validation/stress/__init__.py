@@ -73,8 +73,9 @@ def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
 
 
 def find_cases(names: Sequence[str]) -> list[Case]:
-    """Return the cases with these numbers, or with these words in their names; if there are no
-    names, return all cases.
+    """Return the stress tests whose number, or words of whose name, are in `names`.
+
+    If there are no names, return all stress tests.
 
     Raises:
         InputError: A name fits no case.
@@ -87,7 +88,7 @@ def find_cases(names: Sequence[str]) -> list[Case]:
 
 
 def run(settings: Sequence[Setting], cases: Sequence[Case] = CASES) -> Iterator[Row]:
-    """Run cases in each setting, and yield the rows of the table."""
+    """Run cases in each setting, and yield the rows of the table of results."""
     for case in cases:
         for setting in settings:
             yield examine(case, setting)[0]

@@ -47,7 +47,7 @@ def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
 
 
 def finite(solver: Solver) -> bool:
-    """Return whether all values of the state are finite."""
+    """Return whether all values of the solver's state are finite."""
     return all(bool(np.isfinite(a.numpy()).all()) for a in solver.state.arrays().values())
 
 

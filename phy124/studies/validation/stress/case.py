@@ -16,7 +16,7 @@ class Setting(NamedTuple):
 
     @property
     def double(self) -> bool:
-        """Whether the precision is float64."""
+        """Whether the precision of this setting is float64."""
         return self.precision == "float64"
 
     @property

@@ -204,7 +204,7 @@ FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_mod
 
 
 def impossible(setting: Setting) -> list[Check]:
-    """Check unphysical deformations.
+    """Check material laws for unphysical deformations.
 
     The stress of each law must be finite for all unphysical deformations. In a body with one
     unphysically deformed particle, all values must stay finite, energy must be balanced, and the

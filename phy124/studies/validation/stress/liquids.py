@@ -146,13 +146,13 @@ class Balance(MeanWork):
     """
 
     def follow(self, solver: LiquidSolver) -> None:
-        """Start the comparison in the current state."""
+        """Start to compare energy and momentum, beginning with the current state."""
         self.bind(solver)
         self.open(solver.clock)
         self._solver, self._first = solver, diagnose(solver)
 
     def compare(self) -> None:
-        """Compare the current state with the first state."""
+        """Compare energy and momentum of the current state with those of the first state."""
         now, first = diagnose(self._solver), self._first
         exchange = self.total(self._solver.clock, now.middle - first.middle, now.momentum)
         lift = 0.5 * G * self._solver.model.total_mass
