@@ -9,7 +9,9 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace of a rotation by 45 degrees; if the trace is larger, the axes keep their order."""
+"""Trace of the matrix of a rotation by 45 degrees. If an ellipsoid's axes have turned by a rotation
+with a larger trace, they keep their order.
+"""
 
 
 @wp.func

@@ -78,8 +78,9 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.55)
-"""Exponent in `narrow`. The best exponent is 1.1 to 1.3 for a body that narrows to an edge, and 1.2
-to 1.6 for a cone.
+"""Exponent in `narrow`, which estimates how much the mass of nodes falls towards a wall where a
+body narrows. The best exponent is 1.1 to 1.3 for a body that narrows to an edge, and 1.2 to 1.6 for
+a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
 """A node behind a wall below this signed distance [cells] gets no mass from a body in front of the

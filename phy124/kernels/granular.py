@@ -20,7 +20,9 @@ from phy124.kernels.spectral import (
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening; the stiffness grows at most by a factor e^4 = 55."""
 CLOSE = wp.constant(0.1)
-"""Square of the largest strain F F^T - I that is computed in the precision of F."""
+"""If the square of the strain F F^T - I is at most this, the strain is computed in the precision of
+F.
+"""
 LOOSEST = wp.constant(1.0e6)
 """Upper limit of Jp; without it, Jp of scattered snow would overflow."""
 

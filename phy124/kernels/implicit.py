@@ -11,16 +11,17 @@ from phy124.kernels.build import kernel
 
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
-"""Distance up to which neighbours repel each other, relative to the target spacing."""
-STRENGTH = wp.constant(wp.float64(0.45))
-"""In each round, neighbours that are too close move apart by this fraction of the missing distance.
+"""Distance up to which neighbouring points of a surface repel each other, relative to the target
+spacing.
 """
+STRENGTH = wp.constant(wp.float64(0.45))
+"""In each round, points that are too close move apart by this fraction of the missing distance."""
 SAME_SIDE = wp.constant(wp.float64(0.3))
-"""Points count as neighbours if the cosine between their normals is at least this value; otherwise,
-they are on opposite sides of a thin part.
+"""Points of a surface count as neighbours if the cosine between their normals is at least this
+value; otherwise, they are on opposite sides of a thin part.
 """
 COUNTED = wp.constant(6)
-"""Number of nearest neighbours; their mean distance is the spacing of a point."""
+"""Number of nearest neighbours whose mean distance is the spacing of a point."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
 """Smallest and largest spacing of points, relative to the target spacing."""
 
@@ -128,11 +129,13 @@ class Kernels(NamedTuple):
     """The kernels of one kind of surface."""
 
     evaluate: Any
-    """(surface, points) -> F, gradient of F."""
+    """`(surface, points)`: returns F and the gradient of F at the points."""
     orient: Any
-    """(surface, points) -> outward unit normals."""
+    """`(surface, points)`: returns the outward unit normals at the points."""
     project: Any
-    """(surface, rounds, points): moves points onto the surface by Newton steps of at most 1 px."""
+    """`(surface, rounds, points)`: moves the points onto the surface by Newton steps of at most 1
+    px.
+    """
 
 
 def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:

@@ -1,4 +1,4 @@
-"""Repeats launches that Warp recorded, without copying the arguments again; replaces their arrays.
+"""Repeats kernel launches that Warp recorded, without copying their arguments again.
 
 In every launch Warp copies all arguments into a new structure, which takes 5 to 10 us. A substep of
 a small body consists of some 15 launches. Most launches take little longer than 10 us.
@@ -17,10 +17,10 @@ from phy124.runtime.late_parsing import KNOWN
 
 
 class Repeated(wp.Launch):
-    """A recorded launch on a CPU, with arguments that are copied only when they change."""
+    """A recorded kernel launch on a CPU, with arguments that are copied only when they change."""
 
     def __init__(self, recorded: wp.Launch) -> None:
-        """Copy a recorded launch, including its arguments."""
+        """Copy a recorded kernel launch, including its arguments."""
         self.__dict__.update(recorded.__dict__)
         self._names = tuple(argument.label for argument in self.kernel.adj.args)
         values = self.params[1 : 1 + len(self._names)]
@@ -28,14 +28,14 @@ class Repeated(wp.Launch):
         self._forward = self.hooks.forward
 
     def launch(self, stream: Any = None) -> None:
-        """Repeat the launch, or add it to the graph that is being captured."""
+        """Repeat the kernel launch, or add it to the graph that is being captured."""
         if self.device.runtime._apic_capture is not None:  # a graph records the launch
             super().launch(stream)
             return
         self._forward(ctypes.byref(self.bounds), ctypes.byref(self._arguments))
 
     def set_param_at_index(self, index: int, value: Any, adjoint: bool = False) -> None:
-        """Set the argument with a given index."""
+        """Set the argument with a certain index of the kernel launch."""
         super().set_param_at_index(index, value, adjoint)
         setattr(self._arguments, self._names[index], self.params[1 + index])
 
@@ -43,7 +43,7 @@ class Repeated(wp.Launch):
 def record(
     kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any], device: str
 ) -> wp.Launch | None:
-    """Record a launch; return None if the launch would have no threads.
+    """Record a kernel launch; return None if the launch would have no threads.
 
     `Repeated` uses internals of Warp. With unknown versions, Warp's launch is returned.
 

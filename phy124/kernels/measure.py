@@ -15,11 +15,13 @@ from phy124.kernels.reduction import finite, greater, raise_all, raise_to
 from phy124.kernels.transfer import Law, between, member
 
 SPEED = 0
-"""Index of the largest |v| [m/s]."""
+"""Index of the largest speed |v| among the measured maxima [m/s]."""
 GRADIENT = 1
-"""Index of the largest |C| [1/s]."""
+"""Index of the largest velocity gradient |C| among the measured maxima [1/s]."""
 STIFFNESS = 2
-"""Index of the largest A / rho0 [m^2/s^2], where A is the modulus of the law."""
+"""Index of the largest A / rho0 among the measured maxima [m^2/s^2], where A is the modulus of the
+constitutive law.
+"""
 LOW = 3
 """Index of the first of three measured numbers: the lowest corner of the particles' bounding box
 [m], with negative sign.
@@ -29,7 +31,7 @@ HIGH = 6
 [m].
 """
 COUNT = 9
-"""Number of maxima."""
+"""Number of measured maxima."""
 SPEEDS = 2
 """Number of maxima that `make_measure_speeds` computes; these maxima have the first indices."""
 

@@ -23,7 +23,7 @@ EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the number of threads for a reduction over particles, and `first`, `each` and
+    """Return the launch of a reduction over particles: number of threads, `first`, `each` and
     `stride`.
 
     A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU, a thread's
@@ -37,7 +37,8 @@ def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[i
 
 
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """Return the shape (i, j, segment) of a launch over a box of nodes, and the nodes per thread.
+    """Return the shape (i, j, segment) of a kernel launch over a box of nodes, and the nodes per
+    thread.
 
     Each thread handles a whole row on the CPU, or one node on a GPU.
     """

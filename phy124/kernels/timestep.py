@@ -67,7 +67,7 @@ class Limits:
     origin: wp.vec3d
     """Position of the grid node with index 0 [m]."""
     margin: wp.int32
-    """Margin of the window around the particles [cells]."""
+    """Margin of the grid's window around the particles [cells]."""
     every: wp.int32
     """Number of substeps between two measurements of the particles."""
 
@@ -97,7 +97,7 @@ class Progress:
     strain: wp.float64
     """Sum of |C| dt, a bound of the strain, over this series of substeps."""
     taken: wp.int32
-    """Number of substeps taken."""
+    """Number of substeps taken in this series."""
     since: wp.int32
     """Number of substeps since the last measurement of the particles."""
     reason: wp.int32

@@ -39,25 +39,26 @@ class Law(NamedTuple):
     """The device functions of a constitutive law."""
 
     name: str
-    """Unique name, which is part of the names of compiled modules."""
+    """Unique name of the law, which is part of the names of compiled modules."""
     stress: Any
     """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
     modulus: Any
     """`(F, history, theta) -> A`, upper bound of the eigenvalues of d tau / d ln sigma [Pa]."""
     width: int
-    """Number of parameters in `theta`."""
+    """Number of parameters of the law in `theta`."""
     project: Any = None
     """`(F, history, theta, dt) -> (F, history)`, the return mapping; None for an elastic law."""
     energy: Any = None
     """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
     barrier: bool = False
-    """Whether the energy rises steeply as det F approaches 0, so that the pressure stays positive
-    for det F < 0. If this is false, the stress of an inverted element follows from its energy.
+    """Whether the law's energy rises steeply as det F approaches 0, so that the pressure stays
+    positive for det F < 0. If `barrier` is false, the stress of an inverted element follows from
+    its energy.
     """
 
 
 NOWHERE = wp.constant(-1e9)
-"""Grid coordinate that replaces NaN; it is outside every window."""
+"""Value that replaces a grid coordinate that is NaN; it is outside every window."""
 
 
 @wp.func

@@ -24,7 +24,7 @@ IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
 sums.
 
 `MOVED` is the sum of the norms of all impulses, and `TURNED` the sum of the absolute values of
-work. For forces on particles, each term of these two sums is itself the sum over a thread's
+work. For forces on particles, each term of `MOVED` and `TURNED` is itself a sum over a thread's
 particles.
 """
 
@@ -72,7 +72,9 @@ for kinds in (types(wp.float32), types(wp.float64)):
 
 @build_once
 def make_push_sums_v(real: Any):
-    """Kernel: like `make_push_sums`, but for forces that do not change C."""
+    """Kernel: adds the changes of momentum and energy by forces that do not change C to `EXCHANGE`
+    sums.
+    """
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
     def push_sums_v(first, each, stride, mass, v, v_kept, exchange_out):
@@ -222,9 +224,7 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Index of the work [J] of rate-dependent stress, index of the work of other stress, and number of
-sums.
-"""
+"""Indices of the work [J] of rate-dependent stress and of other stress, and the number of sums."""
 
 
 @build_once

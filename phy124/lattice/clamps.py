@@ -79,9 +79,11 @@ class Clamp:
         self.held = np.flatnonzero(
             (far[:, 3] < -HELD * model.dx) & acts_on(part, model, lattice.body)
         )
-        """Indices of the nodes inside the clamp."""
+        """Indices of the nodes that lie inside the clamp."""
         self.pairs, ratios = pins(lattice, far, acts_on(part, model, lattice.body))
-        """Indices of the nodes at the clamp's surface, inside and outside [K,2]."""
+        """Indices of pairs of neighbouring nodes at the clamp's surface: inside and outside
+        [K,2].
+        """
         self._ratios = model.array(ratios, model.real)
         self.nodes = np.concatenate([self.held, self.pairs.ravel()])
         """Indices of the nodes whose velocities the clamp changes."""

@@ -58,7 +58,7 @@ class Crew:
         """
         self._model, self._state, self._lattice = model, state, lattice
         self.nodes = nodes
-        """Arrays of the nodes."""
+        """Arrays of the nodes of all lattices."""
         self._vectors = vectors and simd.usable(model.real, model.device)
         self._blocks: dict[tuple[int, int], tuple[int, wp.array, wp.array]] = {}
         t, device = types(model.real), model.device
@@ -380,7 +380,9 @@ class Crew:
         return kicks + self._kick(*stress, self._middle if kicks else before)
 
     def _kick(self, span: slice, pool: wp.array, donors: Any, *rest: Any) -> list[Named]:
-        """Return the kernel launch of `make_kick` on a span of nodes."""
+        """Return the launch of the kernel `make_kick`, which changes the velocities of a span of
+        nodes.
+        """
         inputs = [self.nodes.inverse, pool, self._spans, donors, *rest]
         plain = node_kernels.make_kick(self._model.real)
         return self._over_nodes(span, plain, simd.make_kick_simd, inputs)

@@ -159,7 +159,7 @@ class Energies(Kept):
         return [(EXTERNAL, launch) for _, launch in work]
 
     def read(self) -> Works:
-        """Return the work done since the start."""
+        """Return the work on all bodies since the start."""
         total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
         walls = total[at.WALLS : at.WALLS + 3]
         clamps, held = self._clamps + self._of_clamps()
@@ -180,7 +180,7 @@ class Energies(Kept):
         return Works(*map(float, works))
 
     def clear(self) -> None:
-        """Set all sums to zero."""
+        """Set all sums of work to zero."""
         self._sums.zero_()
         self._clamps = -self._of_clamps()
 

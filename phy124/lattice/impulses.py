@@ -21,7 +21,7 @@ class Impulses:
     """The sums of contact impulses on surface points and nodes since they were last cleared."""
 
     def __init__(self, model: Model, points: int, nodes: Any, tracks: Tracks) -> None:
-        """Set all sums to zero.
+        """Set all sums of impulses to zero.
 
         Args:
             model: The constants of the run.

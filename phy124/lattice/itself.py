@@ -177,7 +177,7 @@ class Meeting:
             self._pass = self._passed.of(every, points, pairs["force"])
 
     def record(self, work: ContactWork | None, passed: PassedOn | None) -> list[Named]:
-        """Return the stages that apply, correct and sum the impulses.
+        """Return the stages of a substep that apply, correct and sum the contact impulses.
 
         Args:
             work: Object that records the launch that sums the work of the impulses; None if the

@@ -85,7 +85,7 @@ class Limits(Kept):
         walls.
         """
         self.measured = 0.0
-        """Time of the last measurement [s]."""
+        """Time of the last measurement of the limits [s]."""
 
     def bind(self, walls: Walls, meetings: Meetings, rejection: StepRejection) -> None:
         """Bind the measured limits to the walls, the contacts between bodies, and bounds of

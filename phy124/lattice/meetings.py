@@ -27,7 +27,7 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 SAMPLED = 1.5
-"""Distance between sampled points [cells]."""
+"""Distance between neighbouring sampled surface points [cells]."""
 
 
 class Meetings(Kept):

@@ -43,7 +43,7 @@ class Partners:
     """Searches for points that may touch among the surface points of all bodies."""
 
     def __init__(self, surface: Surface, model: Model, nodes: Nodes, division: Division) -> None:
-        """Prepare the search.
+        """Prepare the search for partners.
 
         Args:
             surface: Points that may touch.
@@ -89,7 +89,7 @@ class Partners:
         return flag
 
     def find(self, points: NDArray[np.int64], *, between: bool) -> dict[str, NDArray[Any]]:
-        """Return the points that have a partner, and the partners.
+        """Return the surface points that touch a partner, and their partners.
 
         Args:
             points: Indices of the points among which to search [K].

@@ -34,7 +34,7 @@ from phy124.lattice.ties import (
 from phy124.particles.lattice import PER_CELL
 
 ROW = 9
-"""Number of rows per cell; a row is three nodes along z."""
+"""Number of rows of nodes in a cell; a row is three nodes along z."""
 STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Indices of the 27 nodes of a cell, relative to the cell's middle node."""
 
@@ -46,7 +46,7 @@ class RestLattice:
     dx: float
     """Side of a cell [m]."""
     index: NDArray[np.int64]
-    """Indices of the nodes [N,3]."""
+    """Indices of the nodes along each axis [N,3]."""
     rows: NDArray[np.int32]
     """For each cell, the first node of each of its nine rows of three nodes along z [C,9]."""
     offset: NDArray[np.float64]

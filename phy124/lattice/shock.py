@@ -17,13 +17,14 @@ from phy124.mpm.timestep import Extremes, Substep, decay
 
 FAST = 0.25
 """Closing rate of a cell above which the artificial viscosity acts, relative to the speed of sound
-divided by the side of a cell. With this value, points penetrate walls by up to 0.36 cells if an
-undamped block is pressed to a fifth of its height. With a value of 0.6, it would be 0.66 cells.
+divided by the side of a cell. With a value of 0.25, points penetrate walls by up to 0.36 cells if
+an undamped block is pressed to a fifth of its height. With a value of 0.6, the points would
+penetrate walls by up to 0.66 cells.
 """
 LEAST = 0.1
-"""Largest compression of a point in a substep while the artificial viscosity acts. The viscosity
-grows with the rate of compression, so it is stable up to a fixed compression per substep. With a
-largest compression of 0.2, cells would invert in impacts at ten times the speed of sound.
+"""Largest compression of a point in a substep while the artificial viscosity acts. The artificial
+viscosity grows with the rate of compression, so it is stable up to a fixed compression per substep.
+With a largest compression of 0.2, cells would invert in impacts at ten times the speed of sound.
 """
 IMPACT = 0.3
 """If a point moves farther than this in a substep [cells], a wall may squeeze the point too
@@ -34,9 +35,9 @@ UNSEEN = 0.6
 several short substeps without a measurement squeeze a point as much as one long substep.
 """
 FORGET = 4
-"""Factor on the decay of the frequency and the closing rate that were measured earlier. The
-frequency and the closing rate depend on a few points that are squeezed only for a short time. Their
-decay is therefore faster than the decay of measured values in the particle solver.
+"""Factor by which the measured frequency and closing rate decay faster than measured values in the
+particle solver. The largest frequency and closing rate depend on a few points that are squeezed
+only for a short time. Their measured values should therefore decay fast.
 """
 COLLAPSED = 1e-6
 """Smallest valid length of a substep, relative to the substep of the undeformed body."""
@@ -52,7 +53,7 @@ class LatticeClock(Clock):
     calm = math.inf
     """Closing rate of a cell above which the artificial viscosity acts [1/s]."""
     shocked = 0
-    """Number of substeps with artificial viscosity."""
+    """Number of substeps in which the artificial viscosity acted."""
     closing = lasting = 0.0
     """Largest closing rates of cells [1/s]: the rate in the last measurement, and the recent
     maximum, which decays slowly.

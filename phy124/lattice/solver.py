@@ -41,7 +41,7 @@ from phy124.mpm.tracks import Tracks
 from phy124.mpm.workers import FOLLOW, SCHEDULE, Timings, run_timed, usable_workers
 
 NODES = ("u", "residue", "v", "lagging")
-"""Names of the node arrays that belong to the state."""
+"""Names of the arrays of nodes that belong to the solver's state."""
 
 
 class LatticeSolver(Kept):
@@ -51,7 +51,7 @@ class LatticeSolver(Kept):
 
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[LatticeClock]] = LatticeClock
-    """Class of the clock."""
+    """Class of the solver's clock."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class LatticeSolver(Kept):
         """The largest angular frequency of the bodies, which limits the length of a substep."""
         parts = self.crew, self.runner, self.spectrum, self.free
         self.limits = Limits(model, self.clock, *parts)
-        """Measured values that limit the substep."""
+        """Measured values that limit the length of a substep."""
         self.bind(**acting)
 
     def bind(
@@ -236,7 +236,7 @@ class LatticeSolver(Kept):
 
     @property
     def nodes(self) -> int:
-        """Number of nodes."""
+        """Number of nodes of all lattices."""
         return len(self.lattice)
 
     @property

@@ -186,7 +186,7 @@ class Spectrum:
         return float(np.abs(self._read_shape()).max())
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the last trial shape, its frequency, and whether this frequency is
+        """Return a snapshot: the last trial shape, its squared frequency, and whether it is
         steady.
         """
         shape, factor = self._trials.shape.numpy().copy(), self._stiffened

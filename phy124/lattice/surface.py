@@ -68,7 +68,7 @@ class Surface:
 
     @property
     def count(self) -> int:
-        """Number of points."""
+        """Number of surface points."""
         return len(self.x)
 
     @cached_property
@@ -86,7 +86,8 @@ class Surface:
     def deform(
         self, points: NDArray[np.int64], u: NDArray
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return F [K,3,3], its cofactors [K,3,3] and the current normals [K,3] of some points [K].
+        """Return deformation gradients F [K,3,3], their cofactors and the normals [K,3] at K
+        points.
 
         `u` [N,3], m, are the displacements of all nodes.
         """
@@ -194,7 +195,7 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
 def _nearest_pieces(
     at: NDArray[np.float64], body: NDArray[np.int64], lattice: RestLattice
 ) -> NDArray[np.int64]:
-    """Return the cells with the nearest integration point to each position [K].
+    """Return, for each of K positions, the cell with the nearest integration point [K].
 
     Args:
         at: Positions [K,3], cells.

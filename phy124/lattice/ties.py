@@ -16,12 +16,13 @@ to 14 % too stiff.
 """
 CORNER = 0.01
 """A node that belongs to a single cell is tied if its mass is less than this fraction of the mass
-of a node inside the body. If such a node moved by many cells, the points of its cell would be only
-slightly strained. Large forces would therefore turn the cell inside out.
+of a node inside the body. If a node that belongs to a single cell moved by many cells, the points
+of the cell would be only slightly strained. Large forces on such a node would therefore turn the
+cell inside out.
 """
 LIGHT = 0.02
 """Smallest mass of nodes that are not tied, relative to the mass of a node inside the body. Nodes
-with less mass would vibrate too fast.
+with a smaller mass would vibrate too fast.
 """
 GIVING = 0.2
 """A node gives mass to light nodes only if its mass is at least this fraction of the mass of a node
@@ -31,8 +32,9 @@ BENT, THIN = 3.0, 0.6
 """In thin parts of a body, the weights of the donors are fitted so that they also reproduce
 products of two coordinates. `BENT` is the weight of these products in the fit of the donors'
 weights. A part of a body is thin if each donor has less than `THIN` of the mass of a node inside
-the body. Without the products, the outer nodes of a bent plate would not follow its curvature. A
-plate with a thickness of 0.3 cells on the border of two layers of cells would be 20 % too stiff.
+the body. Without products of two coordinates in the fit, the outer nodes of a bent plate would not
+follow its curvature. A plate with a thickness of 0.3 cells on the border of two layers of cells
+would then be 20 % too stiff.
 """
 DONORS = 27
 """Largest number of nodes from which the motion of a tied node is extrapolated (its donors)."""

@@ -90,7 +90,7 @@ def exact_weights(
 
 
 def _three_in_a_row(motion: scipy.sparse.csr_matrix) -> tuple[NDArray[np.int64], NDArray]:
-    """Return the nodes and weights [K,27] of nine groups of three consecutive nodes.
+    """Return nodes and weights [K,27] in nine groups of three nodes that are consecutive in memory.
 
     The groups with the largest weights are chosen, one after another. `motion` [K,N] are the
     weights of all nodes in the motion of each point.

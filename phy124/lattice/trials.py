@@ -14,10 +14,10 @@ from phy124.mpm.model import Model
 from phy124.mpm.stage import Named, launches
 
 ACCELERATE, TRY, TRIAL, COMPARE = -3, -4, -5, -6
-"""Tasks of the workers. `ACCELERATE`: compute the accelerations of the nodes from the forces in the
-current substep. `TRY`: displace the nodes. `TRIAL`: sum the forces due to the trial displacements
-of the nodes. `COMPARE`: compute the accelerations due to the forces of a trial, and the next trial
-shape.
+"""Tasks of the workers in a trial. `ACCELERATE`: compute the accelerations of the nodes from the
+forces in the current substep. `TRY`: displace the nodes. `TRIAL`: sum the forces due to the trial
+displacements of the nodes. `COMPARE`: compute the accelerations due to the forces of a trial, and
+the next trial shape.
 """
 
 

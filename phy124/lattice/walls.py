@@ -44,8 +44,8 @@ from phy124.mpm.tracks import STILL, Tracks
 REACH = 0.6
 """Distance from a wall [cells] up to which the wall holds points that have touched it."""
 AHEAD, CLOSE, FAR = 2.0, 0.1, 3.0
-"""Contact with a wall is computed up to a distance that is at most `FAR` [cells]. The distance is
-`AHEAD` times the displacement in a substep, plus `CLOSE`.
+"""Contact with a wall is computed up to a distance that is at most `FAR` [cells]. The distance up
+to which contact is computed is `AHEAD` times the displacement in a substep, plus `CLOSE`.
 """
 TOUCHING = 0.5
 """A point inside one wall also counts as touching a second wall if it is at most this far away from
@@ -63,8 +63,7 @@ RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Speed at which surface points inside a wall are moved out, divided by their depth. The unit of
 this ratio is (pi / 2 H)^2 / dt for a body with a height of H cells and for substeps dt at rest. The
 slowest vibration of a body that stands on a wall has the angular frequency pi c / 2 H, where c is
-the speed of sound. Bodies that stick to a wall also rock and shear, with lower frequencies than
-this.
+the speed of sound. Bodies that stick to a wall also rock and shear, with frequencies below this.
 """
 
 
@@ -84,21 +83,23 @@ class Nodes:
     """Arrays of the nodes on the device."""
 
     rest: wp.array
-    """Positions at rest [N,3], m."""
+    """Positions of the nodes at rest [N,3], m."""
     u: wp.array
-    """Displacements [N,3], m."""
+    """Displacements of the nodes [N,3], m."""
     residue: wp.array
     """Rounding errors of the displacements [N,3], m; they are added in the next substep."""
     v: wp.array
-    """Velocities [N,3], m/s, half a substep behind the displacements."""
+    """Velocities of the nodes [N,3], m/s, half a substep behind the displacements."""
     before: wp.array
-    """Velocities before the kick of the current substep [N,3], m/s."""
+    """Velocities of the nodes before the kick of the current substep [N,3], m/s."""
     lagging: wp.array
-    """Velocities on which viscosity acts [N,3], m/s (phy124/kernels/lattice/nodes.py)."""
+    """Velocities of the nodes on which viscosity acts [N,3], m/s
+    (phy124/kernels/lattice/nodes.py).
+    """
     inverse: wp.array
-    """Inverse masses [N], 1/kg; 0 for tied nodes."""
+    """Inverse masses of the nodes [N], 1/kg; 0 for tied nodes."""
     movable: wp.array
-    """Inverse masses [N], 1/kg; 0 for tied nodes and for nodes in a clamp."""
+    """Inverse masses of the nodes [N], 1/kg; 0 for tied nodes and for nodes in a clamp."""
     points: tuple[wp.array, wp.array, wp.array]
     """Nodes [S,27], weights [S,27] and positions at rest [S,3], m, of the surface points."""
     rows: Rows
@@ -173,7 +174,7 @@ class Walls:
             contact.clamped = bool(self._clamps)
 
     def __bool__(self) -> bool:
-        """Return whether there is any wall or clamp."""
+        """Return whether the run has any wall or clamp."""
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
@@ -316,8 +317,8 @@ class _Contact:
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
-        """Whether clamps exist. If so, the response of surface points to impulses changes between
-        substeps.
+        """Whether the run has clamps. If there are clamps, the response of surface points to
+        impulses changes between substeps.
         """
         self._count, device = (count := surface.count), model.device
         self._list = wp.zeros(count, dtype=int, device=device)
@@ -333,7 +334,9 @@ class _Contact:
         self._measure(self._count)
 
     def distances(self) -> NDArray[np.float64]:
-        """Return the distance of each point from the wall [S], m; infinite where it cannot act."""
+        """Return the distance of each surface point from the wall [S], m; infinite where the wall
+        cannot act.
+        """
         self.look()
         movable = self._affected & (self._yields.numpy() > 0)
         gaps: NDArray[Any] = self._gaps.numpy()
@@ -341,7 +344,9 @@ class _Contact:
 
     @cached_property
     def _measure(self) -> Callable[[int], None]:
-        """Function that measures the distances of the first points from the wall."""
+        """Function that measures the distances of surface points from the wall, up to a number of
+        points.
+        """
         nodes = self._nodes
         inputs = [self._shape, self._slot, *nodes.points, nodes.u, self._tracks.values]
         kernel = make_reach(self._part.outline(), self._model.real, nodes.rows)
@@ -430,7 +435,7 @@ class _Contact:
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
     def _resist(self) -> wp.Launch:
-        """Record the kernel launch that corrects the impulses."""
+        """Record the kernel launch that corrects the wall's impulses on points."""
         model, nodes, tracks, response = (
             self._model,
             self._nodes,

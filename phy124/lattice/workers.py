@@ -42,7 +42,7 @@ class Worker:
     """Kernel launches of a substep, for each phase; threads wait for each other between phases."""
     tasks: dict[int, list[Named]] = field(default_factory=dict)
     """Kernel launches of each task that is not a phase; the key is the task's negative number. The
-    time of these tasks is measured where the tasks are started.
+    time of the tasks that are not phases is measured where they are started.
     """
     timings: Timings = field(default_factory=dict)
 

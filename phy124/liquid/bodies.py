@@ -74,7 +74,7 @@ class Bodies(Kept):
         work: BodyWork,
         expect: Expect | None = None,
     ) -> None:
-        """Allocate the arrays of the particles.
+        """Allocate the arrays for the particles of the bodies.
 
         Args:
             model: The particles of the bodies; particles of a liquid may precede or follow them.
@@ -90,7 +90,7 @@ class Bodies(Kept):
         if expect is not None:  # The next motion is predicted under the last pressure.
             self.kept = (*self.kept, "limit", "pushes", "turns")
         self.numbers = work.numbers
-        """Indices of the bodies."""
+        """Indices of the bodies that are not liquid."""
         t, device, count = types(model.real), model.device, len(self.numbers)
         self.free, self.first = FreeSolids(model, free), len(free.all)
         """Freely moving rigid solids, and their number."""
@@ -136,7 +136,7 @@ class Bodies(Kept):
 
     @property
     def names(self) -> list[str]:
-        """Names of the bodies."""
+        """Names of the bodies that are not liquid."""
         called = self._model.names or tuple(map(str, range(self._model.bodies)))
         return [called[body] for body in self.numbers]
 
@@ -352,7 +352,7 @@ class Bodies(Kept):
     def receive(
         self, cells: Cells, tracks: Tracks, sums: wp.array, densities: wp.array | None, drift: float
     ) -> None:
-        """Compute the accelerations of the particles due to the pressure of a step.
+        """Compute the accelerations of the bodies' particles due to the pressure of a step.
 
         Args:
             cells: The cells.
@@ -477,6 +477,6 @@ def _wave_speed(model: Model, body: int) -> float:
 
 
 def _materials(model: Model, body: int) -> list[Any]:
-    """Return the materials of a body."""
+    """Return the materials of a body's particles."""
     laws = {group.law.name for group in model.groups if group.body == body}
     return [material for material in model.materials if material.device_law.name in laws]

@@ -16,7 +16,7 @@ from phy124.mpm.grid import FARTHEST
 from phy124.mpm.stage import Repeatable
 
 MARGIN = 10
-"""Margin around the particles in a new window [cells]."""
+"""Margin between the particles and the border of a new window [cells]."""
 LEAST = 5
 """The window is replaced by a larger window if the margin around the particles is smaller than this
 [cells]. A step moves particles by up to two cells, and the B-splines around each particle reach two
@@ -68,7 +68,9 @@ def restrict(x: NDArray, dx: float, most: float) -> tuple[NDArray, NDArray, int]
 
 
 def _shorten(sides: NDArray, most: float) -> NDArray:
-    """Shorten the longest sides of a box [3] so that their product is at most `most`."""
+    """Shorten the longest sides of a box to a common length, so that the product of the sides [3]
+    is at most `most`.
+    """
     ordered = np.sort(sides)
     for kept in range(3):
         length = (most / ordered[:kept].prod()) ** (1 / (3 - kept))
@@ -100,7 +102,9 @@ class OverActive:
     """
 
     def __init__(self, launch: wp.Launch, ends: NDArray[np.int32]) -> None:
-        """Store the launch, and a view [2] of the first active cell and the cell after the last."""
+        """Store the launch, and an array that contains the first active cell and the cell after the
+        last.
+        """
         self.recorded, self._ends = launch, ends
 
     def launch(self) -> None:
@@ -131,7 +135,7 @@ class Cells:
 
     @property
     def count(self) -> int:
-        """Number of cells."""
+        """Number of cells in the window."""
         return int(np.prod(self.size))
 
     @property
@@ -166,7 +170,7 @@ class Cells:
         return True
 
     def rebase(self, low: NDArray, size: NDArray) -> None:
-        """Set the window to `size` [3] cells from `low` [3] on.
+        """Set the window to `size` [3] cells from the cell `low` [3] on.
 
         Cells that were already in the old window keep their pressures.
         """

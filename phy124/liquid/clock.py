@@ -27,7 +27,7 @@ neighbouring face. This limit keeps the number of iterations that compute viscos
 """
 
 RESOLVED = 4.0
-"""Each period of a body's vibration must contain at least this number of steps, or each step must
+"""Each vibration period of a body must contain at least this number of steps, or each step must
 contain at least `AVERAGED` periods.
 """
 AVERAGED = 1.5

@@ -62,7 +62,7 @@ class Energies(Kept):
         self._model, self._state, self._cells = model, state, cells
         self._sums = wp.zeros((workers, ROOM), dtype=wp.float64, device=model.device)
         self.on = False
-        """Whether work is summed."""
+        """Whether the work is summed."""
 
     def start(self) -> None:
         """Start to sum the work of all causes, from the next time that the kernel launches are
@@ -135,7 +135,7 @@ class Energies(Kept):
         return [(STAGE, self._model.launch(kernel, threads, inputs, [self._row(worker)]))]
 
     def read(self) -> Works:
-        """Return the work done since the start."""
+        """Return the work on the liquid since the start."""
         total: NDArray[Any] = np.asarray(self._sums.numpy()).sum(axis=0)
         drag, pressure, end = (
             total[at : at + 2] for at in (kernels.AT_DRAG, kernels.AT_PRESSURE, kernels.AT_END)
@@ -149,7 +149,7 @@ class Energies(Kept):
         )
 
     def clear(self) -> None:
-        """Set all sums to zero."""
+        """Set all sums of work to zero."""
         self._sums.zero_()
 
     def _row(self, worker: int) -> wp.array:
@@ -157,6 +157,6 @@ class Energies(Kept):
 
 
 def energy_kernels(real: Any) -> Iterator[Any]:
-    """Yield the kernels that sum work."""
+    """Yield the kernels that sum the work on a liquid."""
     yield from (kernels.make_keep(real), kernels.make_face_work(real))
     yield from (kernels.make_wall_work(real), kernels.make_shift_work(real))

@@ -29,10 +29,10 @@ class BodyWork(Kept):
         """Store the particles of all bodies that are not liquid."""
         self._model, self._state = model, state
         self.numbers = [body for body in range(model.bodies) if body not in model.wet]
-        """Indices of the bodies."""
+        """Indices of the bodies that are not liquid."""
         self._runs = [model.particles(body) for body in self.numbers]
         self.on = False
-        """Whether work is summed."""
+        """Whether the work of the liquid is summed."""
         self.total = np.zeros(len(self._runs))
         """Work of the liquid on each body since the start [B], J."""
 

@@ -17,7 +17,7 @@ class WallImpulses:
     """Sums of each wall's impulses in the current step, per worker, and totals over all steps."""
 
     def __init__(self, names: Sequence[str], count: int, workers: int, device: str) -> None:
-        """Set all sums to zero.
+        """Set all sums of impulses to zero.
 
         Args:
             names: Names of the walls.
@@ -26,7 +26,7 @@ class WallImpulses:
             device: Warp device.
         """
         self.names = tuple(names)
-        """Names of the walls."""
+        """Names of the walls of boundaries, which come first among all walls."""
         walls, real = max(count, 1), wp.float64
         self.step = wp.zeros((workers, walls, COLUMNS), dtype=real, device=device)
         """Sums of the walls' impulses and work in the current step [workers,walls,7]."""

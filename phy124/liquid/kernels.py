@@ -1,4 +1,4 @@
-"""Lists the kernels of a liquid's steps, so that they can be compiled before a run."""
+"""Lists the kernels of the steps of a liquid, so that they can be compiled before a run."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -19,7 +19,7 @@ def weigh_layers(
     densities: wp.array | None,
     pull: NDArray[np.float64],
 ) -> tuple[float, wp.array]:
-    """Return the height of the lowest liquid layer around a body, and the weight of each layer.
+    """Return the height of the lowest layer of liquid around a body, and the weight of each layer.
 
     Heights are in cells. Weights are relative to the mean density. The list of weights is empty if
     there is a single liquid.

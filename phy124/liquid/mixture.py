@@ -12,7 +12,7 @@ VISCOSITY = 2
 
 
 class Mixture:
-    """Properties of the liquids in a run, relative to the reference values of the equations."""
+    """Density and viscosity of the liquids in a run, relative to reference values."""
 
     def __init__(self, model: Model) -> None:
         """Determine whether the particles' densities and viscosities differ."""
@@ -24,7 +24,7 @@ class Mixture:
         self.viscosity = float(viscosities.max())
         """Largest viscosity of the liquids [Pa s], to which relative viscosities refer."""
         self.lightest = float((mass / volume).min())
-        """Smallest density [kg/m^3]."""
+        """Smallest density of a liquid [kg/m^3]."""
         self.differ = [_differ(mass / volume), _differ(viscosities)]
         """Whether the liquids differ in density, and whether they differ in viscosity."""
         each = mass / self.density, volume * viscosities / max(self.viscosity, 1e-300)
@@ -42,7 +42,7 @@ class Mixture:
         model = self._model
         kind = types(model.real).vec4
         self.uniform = wp.full(count, kind(1.0, 1.0, 1.0, 1.0), dtype=kind, device=model.device)
-        """1 in every cell."""
+        """The value 1 in every cell, for properties that are equal for all liquids."""
         self.mixed = [wp.zeros_like(self.uniform) for _ in self.weights]
         """For each cell, averages of the properties that differ between the liquids, in the order
         of `weights`.

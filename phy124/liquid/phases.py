@@ -68,7 +68,7 @@ class Phases:
         free: FreeBodies,
         bodies: Bodies | None,
     ) -> None:
-        """Allocate the arrays that the launches use for every window.
+        """Allocate the arrays that the kernel launches use for every window.
 
         Args:
             model: The particles.
@@ -266,7 +266,7 @@ class Phases:
         return [*first, *moves, *last]
 
     def _run(self, worker: int) -> slice:
-        """Return the particles of a worker."""
+        """Return the range of particles that a worker handles."""
         first, count = span(len(self._model), worker, len(self._workers))
         return slice(first, first + count)
 

@@ -136,7 +136,7 @@ class Projection:
         return [(STAGE, self._model.launch(rigid.project, parts, inputs, [self.sums]))]
 
     def solve(self, run: Callable[[int], None], begin: int, tolerance: float) -> int:
-        """Run recorded iterations until the residual is small, and return the number of iterations.
+        """Run the recorded iterations until the residual is small; return the number of iterations.
 
         Args:
             run: Function that runs a phase of all workers.

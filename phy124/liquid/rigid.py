@@ -29,19 +29,19 @@ class Motion(NamedTuple):
     """The rigid motion of a body."""
 
     mass: float
-    """Mass [kg]."""
+    """Mass of the body [kg]."""
     centre: NDArray[np.float64]
-    """Centre of mass [3], m."""
+    """Centre of mass of the body [3], m."""
     momentum: NDArray[np.float64]
-    """Momentum [3], kg m/s."""
+    """Momentum of the body [3], kg m/s."""
     angular: NDArray[np.float64]
-    """Angular momentum about the centre [3], kg m^2/s."""
+    """Angular momentum of the body about its centre [3], kg m^2/s."""
     inverse: NDArray[np.float64]
-    """Inverse of the inertia about the centre [3,3], 1/(kg m^2)."""
+    """Inverse of the body's inertia tensor about its centre [3,3], 1/(kg m^2)."""
 
     @classmethod
     def of(cls, row: NDArray[np.float64], dx: float) -> Motion:
-        """Return the rigid motion from the sums of `phy124.kernels.liquid.bodies`."""
+        """Return the rigid motion of a body from its sums (`phy124.kernels.liquid.bodies`)."""
         mass, first, momentum, angular, second = np.split(row, [1, 4, 7, 10])
         m = float(mass[0])
         x = first / m

@@ -46,7 +46,7 @@ class Solids:
 
     @property
     def present(self) -> bool:
-        """Whether the scene has a solid."""
+        """Whether the scene contains a freely moving solid."""
         return self._projection.solids > 0
 
     def first(self, walls: Walls) -> int:

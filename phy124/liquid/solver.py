@@ -144,7 +144,7 @@ class LiquidSolver(Kept):
         the liquid can expand.
         """
         self.impulses = WallImpulses((), 0, count, model.device)
-        """Impulses of the walls."""
+        """Impulses of the walls on the liquid."""
         self.bind(**acting)
 
     def bind(
@@ -409,7 +409,7 @@ class LiquidSolver(Kept):
             self._measure()
 
     def _measure(self) -> None:
-        """Measure the particles' extent and speed, and renew the window if it is too small.
+        """Measure the particles' extent and speed, and replace the window if it is too small.
 
         Raises:
             Unstable: A value of a particle is not finite, or a particle is too far away.

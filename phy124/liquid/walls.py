@@ -68,7 +68,7 @@ class Group:
     first: int
     """Index of the first wall in the group."""
     numbers: wp.array
-    """Indices of the walls."""
+    """Indices of the walls in the group."""
     geometries: wp.array
     """Shapes of the walls in the group, as three vectors each."""
     frame: wp.array
@@ -129,7 +129,7 @@ class Walls:
         self.motions = wp.zeros((len(slots), 3), dtype=t.vec3, device=device)
         """Velocity, angular velocity and centre of each wall, as three vectors."""
         self.still = wp.zeros_like(self.motions)
-        """Motions of fixed walls."""
+        """Motions of walls that are fixed: all zero."""
         self.move = any(wall.moves for wall in walls)
         """Whether any wall moves or disappears."""
         self.follow_tracks = any(slot > 0 for slot in slots)

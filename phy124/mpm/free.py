@@ -40,11 +40,11 @@ Vector3 = NDArray[np.float64]
 
 
 class FreeBody(NamedTuple):
-    """A rigid solid in its initial state."""
+    """A freely moving rigid solid in its initial state."""
 
     name: str
     shape: str
-    """sphere, box, or capsule."""
+    """Shape of the solid: sphere, box, or capsule."""
     half: tuple[float, float, float]
     """Half of the solid's side lengths along its local axes [m]."""
     place: tuple[float, float, float]
@@ -52,11 +52,11 @@ class FreeBody(NamedTuple):
     turn: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     """Orientation of the solid: unit quaternion wxyz from its local axes to the world axes."""
     density: float = 1000.0
-    """Density [kg/m^3]."""
+    """Density of the solid [kg/m^3]."""
     velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Velocity [m/s]."""
+    """Initial velocity of the solid [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Angular velocity [rad/s]."""
+    """Initial angular velocity of the solid [rad/s]."""
     friction: float = 0.5
     """Coefficient of Coulomb friction with material."""
     sticky: bool = False
@@ -127,7 +127,7 @@ class FreeBody(NamedTuple):
 
 
 class Plane(Protocol):
-    """A flat wall with which free bodies collide."""
+    """A flat wall with which freely moving solids collide."""
 
     @property
     def friction(self) -> float:
@@ -149,7 +149,7 @@ class Plane(Protocol):
 
 
 class FreeBodies(Kept):
-    """All free bodies of one run."""
+    """All freely moving solids of a run."""
 
     kept = ("_bodies", "_totals", "_begun")
 

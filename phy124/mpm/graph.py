@@ -200,14 +200,16 @@ class Mirrored:
         self._values: Any = self._staged.numpy()
 
     def upload(self, fields: dict[str, Any]) -> None:
-        """Set the named fields of the items to the given values; set all other fields to zero."""
+        """Set the named fields of all items in the array to certain values, and all other fields to
+        zero.
+        """
         self._values[:] = np.zeros_like(self._values)
         for name, value in fields.items():
             self._values[name] = value
         wp.copy(self.array, self._staged)
 
     def download(self) -> NDArray[Any]:
-        """Return the items; the next call overwrites the memory of the returned items."""
+        """Return the items of the array; the next call overwrites their memory."""
         wp.copy(self._staged, self.array)
         wp.synchronize_device(self.array.device)
         return self._values

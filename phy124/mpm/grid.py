@@ -17,7 +17,7 @@ from phy124.mpm.model import Model
 from phy124.mpm.timestep import TRAVEL, Maxima
 
 Corners = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Lowest and highest corner of a box [m]."""
+"""Lowest and highest corner of a bounding box [m]."""
 MARGIN = 2 * TRAVEL
 """Margin of the grid's window around the particles [cells]: twice the distance that a particle may
 travel between two measurements.
@@ -71,7 +71,7 @@ class Grid:
 
     @property
     def count(self) -> int:
-        """Number of nodes in the window."""
+        """Number of nodes in the grid's window."""
         return int(np.prod(self.size))
 
     @contextmanager
@@ -131,8 +131,8 @@ class Grid:
 
     @property
     def changes(self) -> wp.array:
-        """Change of each node's velocity by the current wall. The array is allocated at first use.
-        Before each wall, all its values are zero.
+        """Change of each node's velocity by the wall that currently acts. This array of velocity
+        changes is allocated at first use. Before each wall acts, all values of the array are zero.
         """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)
@@ -161,7 +161,7 @@ class Grid:
         return start, np.maximum(stop - start, 0)
 
     def slab(self, first: int, last: int) -> wp.array:
-        """Return the nodes of the layers first <= i < last, which are contiguous in memory."""
+        """Return the nodes of some layers, first <= i < last, which are contiguous in memory."""
         layer = int(self.size[1] * self.size[2])
         return cast("wp.array", self.nodes[first * layer : last * layer])
 

@@ -60,11 +60,11 @@ class Model:
     """Particles, their materials and the grid's spacing; built by `Model.of`."""
 
     rest: NDArray[np.float64]
-    """Positions at rest [P,3], m."""
+    """Positions of the particles at rest [P,3], m."""
     mass: wp.array
-    """Masses [P], kg."""
+    """Masses of the particles [P], kg."""
     volume: wp.array
-    """Volumes at rest [P], m^3."""
+    """Volumes of the particles at rest [P], m^3."""
     history: NDArray[np.float64]
     """Initial history variables of the constitutive laws [P,2]."""
     groups: tuple[Group, ...]
@@ -79,19 +79,19 @@ class Model:
     depend on this fraction.
     """
     precision: str
-    """float32 or float64."""
+    """Precision of the run: float32 or float64."""
     device: str
-    """Warp device, "cpu" or "cuda:0"."""
+    """Name of the Warp device, "cpu" or "cuda:0"."""
     form: str
     """Implementation of the transfers between particles and grid: "simd" (float32 on the CPU),
     "plain" or "spline".
     """
     held: frozenset[int] = frozenset()
-    """Indices of bodies that never move."""
+    """Indices of the bodies that never move."""
     wet: frozenset[int] = frozenset()
     """Indices of the bodies that another solver moves: liquids, or bodies on lattices."""
     names: tuple[str, ...] = ()
-    """Names of the bodies; empty if the bodies have no names."""
+    """Names of the bodies; empty if they have no names."""
     tops: Mapping[str, float] = field(default_factory=dict)
     """Height of the surface of each body on a lattice and of each free solid, by name [m]. The
     integration points of a lattice lie below its surface, and free solids have no particles.
@@ -198,12 +198,12 @@ class Model:
         )
 
     def __len__(self) -> int:
-        """Return the number of particles."""
+        """Return the number of particles of the model."""
         return len(self.rest)
 
     @property
     def bodies(self) -> int:
-        """Number of bodies."""
+        """Number of bodies of the model."""
         return 1 + max(group.body for group in self.groups)
 
     def particles(self, body: int) -> slice:
@@ -217,7 +217,7 @@ class Model:
 
     def rest_of(self, name: str | None) -> NDArray[np.float64]:
         """Return the rest positions [Q,3], m, of a body's particles, or of all particles if the
-        name is None. This model need not contain the body if the model of all bodies contains it.
+        name is None. The body may also belong only to the model of all bodies (`whole`).
         """
         model = self if self.whole is None else self.whole
         return model.rest[model.named(name)]
@@ -284,15 +284,15 @@ class State(Kept):
     kept = ("x", "residue", "v", "C", "F", "history", "total")
 
     x: wp.array
-    """Positions [P,3], m."""
+    """Positions of the particles [P,3], m."""
     residue: wp.array
-    """Rounding errors of the positions [P,3], m; the next substep adds them to the positions."""
+    """Rounding errors of the particles' positions [P,3], m; they are added in the next substep."""
     v: wp.array
-    """Velocities [P,3], m/s, half a substep behind the positions."""
+    """Velocities of the particles [P,3], m/s, half a substep behind the positions."""
     C: wp.array
     """Velocity gradients of the APIC scheme [P,3,3], 1/s."""
     F: wp.array
-    """Elastic deformation gradients [P,3,3]."""
+    """Elastic deformation gradients of the particles [P,3,3]."""
     history: wp.array
     """History variables of the constitutive laws [P,2]; empty if no law has any."""
     total: wp.array
@@ -302,7 +302,7 @@ class State(Kept):
 
     @classmethod
     def of(cls, model: Model, v: NDArray | None = None, C: NDArray | None = None) -> State:
-        """Return an undeformed state.
+        """Return the state of undeformed particles.
 
         Args:
             model: The particles.
@@ -325,7 +325,7 @@ class State(Kept):
         )
 
     def arrays(self) -> dict[str, wp.array]:
-        """Return all arrays by name."""
+        """Return all arrays of the state by name."""
         return {name: getattr(self, name) for name in self.kept}
 
     @property

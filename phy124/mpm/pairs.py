@@ -34,11 +34,11 @@ class Pair(NamedTuple):
     """Contact parameters of two bodies; pairs without such parameters have the default friction."""
 
     first: int
-    """Index of a body."""
+    """Index of the first body."""
     second: int
-    """Index of another body."""
+    """Index of the second body."""
     friction: float = 0.5
-    """Coefficient of Coulomb friction."""
+    """Coefficient of Coulomb friction between the two bodies."""
     sticky: bool = False
     """Whether the two bodies have equal velocities at every node at which both have mass."""
 

@@ -70,10 +70,10 @@ class StepRejection:
         self.begin(-math.inf, math.inf)
         self._pushy = any(stage.sudden for stage in pushes)
         self.rejected = 0
-        """Number of trial substeps that were rejected."""
+        """Number of trial substeps that have been rejected."""
 
     def keep(self, sums: Sums) -> None:
-        """From now on, restore these sums as well after each rejected substep."""
+        """From now on, also restore these sums after each rejected substep."""
         self._accumulators = [*self._accumulators, sums]
 
     def begin(self, start: float, end: float) -> None:

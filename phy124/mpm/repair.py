@@ -45,7 +45,7 @@ class Repair(Kept):
     kept = ("count", "first")
 
     def __init__(self, model: Model, state: State, *, needed: bool = True) -> None:
-        """Record the kernel launches.
+        """Record the kernel launches that repair particles.
 
         Args:
             model: The particles.

@@ -63,13 +63,13 @@ class Gathered(Protocol):
     """An object that reads the particles of one worker and law at a time, after their gather."""
 
     def allocate(self, model: Model, workers: int) -> None:
-        """Allocate memory for a number of workers."""
+        """Allocate the object's memory for a number of workers."""
         ...
 
     def record(
         self, part: Part, worker: int, model: Model, state: State, tracks: Tracks
     ) -> Recorded:
-        """Record the kernel launch for a worker's part of the particles.
+        """Record the kernel launch that reads a worker's part of the particles.
 
         Args:
             part: Particles of one law that a worker processes.

@@ -43,14 +43,16 @@ class Extremes(NamedTuple):
     """The largest values among all particles; these values limit the substep."""
 
     speed: float
-    """|v| [m/s]."""
+    """Largest speed |v| of a particle [m/s]."""
     gradient: float
-    """|C|, Frobenius norm [1/s]."""
+    """Largest Frobenius norm of a particle's velocity gradient C [1/s]."""
     stiffness: float
-    """A / rho0 [m^2/s^2]."""
+    """Largest A / rho0 of a particle [m^2/s^2]: the modulus of its law divided by its rest
+    density.
+    """
 
     def after(self, before: Extremes, speed: float = 0.0, *, substeps: int) -> Extremes:
-        """Return these extremes, but with lower bounds for speed and stiffness.
+        """Return these largest values, but with lower bounds for speed and stiffness.
 
         The speed is at least `speed`, and the stiffness is at least the decayed stiffness of
         `before`.
@@ -65,14 +67,14 @@ class Extremes(NamedTuple):
 
 
 class Maxima(NamedTuple):
-    """Extremes and bounding box of some particles, as measured on the device."""
+    """Largest values and bounding box of some particles, as measured on the device."""
 
     extremes: Extremes
     """Measured values that limit the length of a substep."""
     lower: NDArray[np.float64]
     """Lowest corner of the particles' bounding box [3], m."""
     upper: NDArray[np.float64]
-    """Highest corner of the bounding box [3], m."""
+    """Highest corner of the particles' bounding box [3], m."""
 
     @classmethod
     def of(cls, row: NDArray[np.float64]) -> Maxima:
@@ -82,7 +84,7 @@ class Maxima(NamedTuple):
 
     @property
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lowest and highest corner of the bounding box [m]."""
+        """Lowest and highest corner of the particles' bounding box [m]."""
         return self.lower, self.upper
 
 
@@ -90,7 +92,7 @@ class Substep(NamedTuple):
     """Length of a substep, and the limit that determines it."""
 
     dt: float
-    """Length [s]."""
+    """Length of the substep [s]."""
     limiter: str
     """Name of the limit: elastic, speed, gradient, viscous or user."""
 
@@ -103,7 +105,7 @@ def stable_substep(
     ceiling: float = math.inf,
     viscous: float = math.inf,
 ) -> Substep:
-    """Return the longest stable substep.
+    """Return the longest stable substep, and the limit that determines it.
 
     Args:
         extremes: The largest speed, gradient and stiffness of the particles.

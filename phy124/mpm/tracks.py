@@ -28,7 +28,7 @@ SEGMENTS = 64
 FOREVER = 1e30
 """A time later than the end of any run [s], but finite in float32."""
 Key = tuple[float, Vector]
-"""Time [s] and value."""
+"""A key of a track: time [s] and value."""
 Over = Literal["", "kick", "drift"]
 """Interval over which a track's value is averaged: no interval, the kick, or the drift."""
 OVER: dict[Over, int] = {"": 0, "kick": KICK, "drift": DRIFT}
@@ -67,7 +67,7 @@ class Ramp(Table):
     duration: float = Field(default=0.5, ge=SHORTEST, le=LONGEST)
     """Duration of the ramp [s]."""
     first: Factor = 0.0
-    """Factor at the start."""
+    """Factor at the start of the ramp."""
     last: Factor = 1.0
     """Factor at the end of the ramp and afterwards."""
 
@@ -106,7 +106,7 @@ class Keyframes(Table):
     times: tuple[Instant, ...] = (0.0, 1.0)
     """Times at which the factors apply [s]."""
     factors: tuple[Factor, ...] = (1.0, 1.0)
-    """Factors at `times`."""
+    """Factors of the profile at `times`."""
     repeat: bool = False
     """Whether the profile repeats after the last time."""
 
@@ -160,9 +160,9 @@ class Track:
     period: float = 0.0
     """Time after which the keys of the track repeat [s]; 0 if they never repeat."""
     mean: bool = False
-    """If it is true, the device uses the mean of the track over each velocity update, and zero
-    while the track is inactive. If it is false, the flags in the track's slot determine which value
-    the device uses.
+    """If `mean` is true, the device uses the mean of the track over each velocity update, and zero
+    while the track is inactive. If `mean` is false, the flags in the track's slot determine which
+    value the device uses.
     """
 
     @classmethod

@@ -38,8 +38,8 @@ GATHER = -1
 SCHEDULE, WINDOW, REPAIR, FOLLOW = HOST = ("schedule", "window", "repair", "follow")
 """Names under which reports list the times of the host. `schedule`: choosing substeps, and all
 other work between kernel launches. `window`: recording the kernel launches again for a moved window
-of the grid. `repair`: resetting broken deformations. `follow`: the functions that are called after
-each substep (progress, time limit and observers).
+of the grid. `repair`: resetting particles with invalid deformations. `follow`: the functions that
+are called after each substep (progress, time limit and observers).
 """
 NODES = 16
 """Particles are divided again only if the workers' slabs have more nodes per particle than this."""
@@ -55,7 +55,7 @@ LINE = 4
 """Number of nodes in a cache line; no two workers write to the same cache line."""
 Result = TypeVar("Result")
 Timings = dict[str, list[float]]
-"""Seconds and number of launches, keyed by the name of a stage."""
+"""Seconds and number of kernel launches, keyed by the name of a stage."""
 
 
 @dataclass
@@ -70,7 +70,7 @@ class Part:
     of the range.
     """
     count: int
-    """Number of particles."""
+    """Number of particles in the part."""
     nodes: Grid
     """The nodes to which the part scatters: the grid of the body, or nodes that only this worker
     uses.
@@ -104,8 +104,8 @@ class Worker:
     """Measured maxima of speed and velocity gradient of the worker's particles [SPEEDS]."""
     parts: list[Part] = field(default_factory=list)
     phases: list[list[Named]] = field(default_factory=list)
-    """Launches of each phase. The phases of a substep are pushes (if there are any), scatter, one
-    or several phases of grid update and walls, and gather.
+    """Kernel launches of each phase of a substep. The phases of a substep are pushes (if there are
+    any), scatter, one or several phases of grid update and walls, and gather.
     """
     measures: list[wp.Launch] = field(default_factory=list)
     """Kernel launches that measure the limits of the substep."""

@@ -77,8 +77,8 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of nodes around a free body: adds contact terms to the body's six
-    equations.
+    """Kernel over rows of nodes around a free body: adds contact terms to its equations of
+    motion.
     """
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
@@ -135,7 +135,7 @@ def make_assemble(real: Any):
 
 @build_once
 def make_apply(real: Any):
-    """Kernel over rows of nodes around a body: changes the velocities of nodes in contact.
+    """Kernel over rows of nodes around a free body: changes the velocities of the nodes in contact.
 
     `exchange_out` collects the impulses on the nodes as `EXCHANGE` sums; the moment is about the
     body's centre.
@@ -194,7 +194,7 @@ def make_apply(real: Any):
 
 @build_once
 def make_finish(real: Any):
-    """Single-thread kernel: changes a body's momentum by the impulses of walls and nodes.
+    """Single-thread kernel: changes a free body's momentum by the impulses of walls and nodes.
 
     `total_out` accumulates the impulses on the nodes of one grid since the start; the moment is
     about the origin of the world.

@@ -13,14 +13,15 @@ from phy124.kernels.free.numbers import arm_of, axes, first_node
 from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, outward
 
 NARROWEST = wp.constant(0.2)
-"""Fraction of a cell's volume above which a cell counts as the interior of a body. With a smaller
-limit, the thin rim of a jelly next to the lower edge of a box would count as interior, and a light
-box would hover one cell above the jelly.
+"""A cell counts as the interior of a body if the body fills more than this fraction of its volume.
+With a smaller limit, the thin rim of a jelly next to the lower edge of a box would count as
+interior, and a light box would hover one cell above the jelly.
 """
 THINNEST = wp.constant(0.015)
-"""Volume fraction that the solid must fill around a node for the node to be in contact. At a node
-one cell away from a flat side of the solid, this fraction is 0.021. If nodes farther away from the
-solid took part in its contact, a light box under load would creep.
+"""A node is in contact with a freely moving solid only if the solid fills at least this fraction of
+the volume around the node. At a node one cell away from a flat side of the solid, the filled
+fraction is 0.021. If nodes farther away from the solid took part in its contact, a light box under
+load would creep.
 """
 ROUND = wp.constant(0.6)
 """Factor on the contact tolerance `ROUNDING` if a particle body touches a freely moving solid,
@@ -28,8 +29,8 @@ whose surface is sharp. The factor is fitted to the contact of a ball with a box
 (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""If the slope of a box's volume fraction at a node is smaller than this [1/cell], the contact
-normal is the normal of the box's nearest face.
+"""If the slope of the volume fraction that a box fills around a node is smaller than this [1/cell],
+the contact normal is the normal of the box's nearest face.
 """
 
 
@@ -72,7 +73,8 @@ def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
 
 @build_once
 def make_touch(shape: str, real: Any):
-    """Kernel over the nodes around a body: finds the nodes in contact, with the normals.
+    """Kernel over the nodes around a free body: finds the nodes in contact, and the contact
+    normals.
 
     The criterion of contact is the same as between two particle bodies (phy124/kernels/pairs.py),
     but the solid's volume fraction around a node is known exactly. `fill` is the volume fraction

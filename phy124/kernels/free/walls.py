@@ -92,7 +92,7 @@ def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64
 
 @build_once
 def make_walls(drifts: bool, real: Any):
-    """Single-thread kernel: solves a free body's six equations, including the impulses of flat
+    """Single-thread kernel: solves a free body's equations of motion with the impulses of flat
     walls.
 
     Each wall, defined by a point and an outward normal, may act at `points` of the body (see

@@ -42,7 +42,7 @@ mobility in spite of clamps.
 NODES = 27
 """Largest number of nodes that carry a surface point."""
 SWEEPS = 16
-"""Largest number of sweeps over all points, forwards and backwards."""
+"""Largest number of sweeps of the Gauss-Seidel method over all points, forwards and backwards."""
 MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
 """Indices in the sums of each wall: the moment of all impulses about the origin [N m s], and the
 work by a clamp's motion [J]; and the number of sums. The first `EXCHANGE` of a wall's sums are the
@@ -216,7 +216,8 @@ def mostly_held(
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Single-thread kernel: computes the gaps of pairs of points, as `make_touch` does for walls.
+    """Single-thread kernel: computes the gaps between points of two bodies, as `make_touch` does
+    for walls.
 
     A pair is treated like a single point. The weights of a pair are the weights of the point minus
     the weights of the opposite position. With these weights, `rest_out` and the nodes give the
@@ -291,7 +292,8 @@ def make_meet(real: Any, rows: Rows):
 
 @build_once
 def make_exchange(real: Any):
-    """Single-thread kernel: adds impulses and moments of pairs of points to a body's sums.
+    """Single-thread kernel: adds impulses and moments between points of two bodies to a body's
+    sums.
 
     `sign` is 1 if the points belong to the body on which the summed impulse acts, and -1 otherwise.
     """

@@ -21,7 +21,9 @@ from phy124.kernels.work import WORK, add_exchange
 
 @build_once
 def make_add_impulse(real: Any):
-    """Kernel over points near a wall: adds the wall's impulse in a substep to each sum [N s]."""
+    """Kernel over points near a wall: adds the wall's impulse on each point to the point's sum [N
+    s].
+    """
 
     @kernel(f"phy124_lattice_add_impulse_{real.__name__}", real, seconds=0.2)
     def add_impulse(near, force, clock, impulse_out):

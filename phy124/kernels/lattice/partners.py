@@ -37,8 +37,8 @@ least this.
 """
 DEEPEST = wp.constant(0.5)
 """A surface point counts as inside another body or part only up to this depth below the other
-surface [cells]. Two thin parts of a body may lie on each other. Without this limit, contact would
-push the outer side of each part through the other part, which would create energy.
+surface [cells]. Without this limit, contact of two thin parts that lie on each other would push the
+outer side of each part through the other part, which would create energy.
 """
 
 

@@ -15,7 +15,7 @@ from phy124.kernels.elastic import safe_volume
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
-"""Number of points in a cell, and number of rows of nodes for a cell."""
+"""Number of integration points in a cell of a lattice, and number of rows of nodes for a cell."""
 
 
 @wp.func
@@ -163,7 +163,7 @@ def make_push(real: Any):
 
 @build_once
 def make_press(real: Any):
-    """Kernel over points: adds the forces of an acceleration with a gradient to the nodes' forces.
+    """Kernel over points: adds the forces of a non-uniform acceleration to the nodes' forces.
 
     `turns` are 4 / dx^2 times the moments of the acceleration around the points. Only the
     antisymmetric part T of the moments acts, which contains the angular momentum. The symmetric

@@ -82,10 +82,12 @@ def strike_rows(
 
 
 class Rows(NamedTuple):
-    """The functions on the nodes of a surface point, either scalar or vectorised."""
+    """Functions on the nodes of a surface point (`moved_by`, `yielding`, `strike`), either scalar
+    or vectorised.
+    """
 
     name: str
-    """Prefix in the names of Warp modules."""
+    """Prefix that these functions give to the names of Warp modules."""
     moved_by: Callable[..., Any]
     yielding: Callable[..., Any]
     strike: Callable[..., Any]
@@ -96,7 +98,7 @@ SIMD = Rows("simd_", moved_rows, yielding_rows, strike_rows)
 
 
 def rows_for(real: Any, device: str, *, vectors: bool = True) -> Rows:
-    """Return the functions on rows of nodes for a precision and a device.
+    """Return the functions on the nodes of surface points for a precision and a device.
 
     Args:
         real: wp.float32 or wp.float64.

@@ -26,21 +26,23 @@ from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.transfer import Law
 
 CELLS = 16
-"""Number of cells that one thread handles."""
+"""Number of cells of a lattice that a thread handles."""
 APART = 4
 """Distance between the cells of a block in the list of all cells, which is sorted along z."""
 NODES = 256
-"""Number of nodes that one thread handles."""
+"""Number of nodes of a lattice that a thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
-"""Positions of a cell's Gauss points relative to its first node, in the order of the points [8,3],
-cells.
+"""Positions of the Gauss points of a cell relative to its first node [8,3], cells; in the same
+order as the integration points.
 """
 ALIGNED = 1e-4
 """A cell of a lattice is full only if each of its integration points is at most this far from a
 Gauss point [cells].
 """
 MOTION = "lattice", "lattice:strains", "lattice:rates"
-"""Names of the C++ snippets that compute the strains and the strain rates of a block's points."""
+"""Names of the C++ snippets that compute the strains, and the strain rates, of the points in a
+block of cells.
+"""
 
 
 def usable(real: Any, device: str) -> bool:
@@ -54,7 +56,7 @@ def has_stress(law: Law) -> bool:
 
 
 class Blocks(NamedTuple):
-    """Cells, grouped in blocks of sixteen."""
+    """Cells of a lattice, grouped in blocks of sixteen."""
 
     order: NDArray[np.int32]
     """Indices of the cells in each block [blocks,16]."""
@@ -67,7 +69,7 @@ class Blocks(NamedTuple):
 
 
 def pack(offset: NDArray, volume: NDArray, first: int) -> Blocks:
-    """Group consecutive cells into blocks.
+    """Group consecutive cells of a lattice into blocks.
 
     Args:
         offset: Positions of the points relative to the first node of their cell [P,3], cells.

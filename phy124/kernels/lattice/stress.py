@@ -17,9 +17,13 @@ from phy124.kernels.lattice.points import PER_CELL, inverse_rows, slopes_at, spr
 from phy124.kernels.transfer import Law
 
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
-"""Indices in the array of measured maxima, and the number of maxima."""
+"""Indices of the largest speed, rate of compression and closing rate in the array of maxima, and
+the number of maxima.
+"""
 FLAT = wp.constant(0.05)
-"""Volume ratio below which the strain rate of a flat or inverted point is reduced."""
+"""If the volume ratio of a flat or inverted point is below this value, its strain rate is
+reduced.
+"""
 
 QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""

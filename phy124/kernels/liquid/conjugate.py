@@ -1,4 +1,5 @@
-"""Solves the pressure equation by conjugate gradients, preconditioned with MIC(0).
+"""Solves the pressure equation by conjugate gradients, preconditioned with MIC(0) (a Cholesky
+method).
 
 The modified incomplete Cholesky factor (Bridson 2015, "Fluid simulation for computer graphics",
 ch. 5) ignores matrix entries that couple cells of different parts (listed.py). The parts can
@@ -184,7 +185,7 @@ def descend(
 
 
 def _native(function: Any, returns: Any = None) -> Any:
-    """Return the C++ form of a function over a part of the listed cells."""
+    """Return the C++ form of a function that loops over a part of the list of cells."""
     name = function.key
     body = code("conjugate", f"conjugate:{name}")
     body = constants("double", TUNING=TUNING, SAFETY=SAFETY) + body
@@ -198,7 +199,7 @@ FORMS = {
         *(_native(function, wp.float64) for function in (precondition, turn, descend)),
     ),
 }
-"""Implementations of the loops over the listed cells, by name."""
+"""For each implementation, by name, the functions that loop over the cells of liquid in a list."""
 
 
 @build_once

@@ -94,7 +94,8 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 
 @build_once
 def make_sum_copies(real: Any, width: int):
-    """Kernel over active cells: adds all other copies of the cell vectors to the first copy.
+    """Kernel over active cells: adds the cells' sums of all other workers to those of the first
+    worker.
 
     Copies are added in a fixed order, so the result depends only on their number.
     """

@@ -53,7 +53,8 @@ def make_contact(real: Any):
 
 @build_once
 def make_layers(real: Any):
-    """Kernel over the cells of a region: sums densities and counts cells in each horizontal layer.
+    """Kernel over the cells of a region: sums the densities and counts the cells in each horizontal
+    layer.
 
     `low` is the height of the first layer [cells].
     """

@@ -15,7 +15,9 @@ from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import FILL, entry, stride, sums
 
 CENTRE = wp.constant(3)
-"""Index of the value at a cell's centre; the indices 0 to 2 are the values at the low faces."""
+"""Index of the value at a cell's centre; the indices 0 to 2 are the values at the cell's
+low faces.
+"""
 
 
 @wp.func

@@ -18,9 +18,9 @@ from phy124.kernels.liquid.faces import cell_of, entry, inner, stride
 from phy124.kernels.liquid.surface import opening
 
 RATE = wp.constant(0.75)
-"""Fraction of the density error that one step removes."""
+"""Fraction of a cell's density error that is removed in a step."""
 MOST = 0.5
-"""Upper limit of a cell's relative density error, and of a displacement [cells]."""
+"""Upper limit of a cell's relative density error; and of a displacement [cells]."""
 
 
 @wp.func
@@ -41,7 +41,8 @@ def leads_behind(step: int, low: int, high: int):
 
 @build_once
 def make_excess(real: Any):
-    """Kernel over cells: computes the part of the density error that this step removes.
+    """Kernel over cells: computes the part of each cell's density error that is removed in this
+    step.
 
     Cells inside a wall have no unknown in the linear system. The density error of such a cell is
     therefore added to the cell in front of the wall. At an edge or corner between walls, the error

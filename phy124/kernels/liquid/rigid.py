@@ -8,7 +8,7 @@ from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
 
 RIGID = wp.constant(5)
 """Index in the solver's table of sums (`conjugate`): the first row of the first solid. Each solid
-has six rows in this table: the force and the moment J^T s (`solids`).
+has six rows in this table of sums: the force and the moment J^T s (`solids`).
 """
 
 

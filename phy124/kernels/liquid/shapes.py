@@ -236,7 +236,7 @@ def make_body_volume(real: Any):
 
 @build_once
 def make_body_distance(real: Any):
-    """Kernel over points at half the spacing: stores the distance from a body if it is smaller."""
+    """Kernel over points at half the grid spacing: updates the distance to the nearest body."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_distance_{real.__name__}", real, seconds=0.3)
@@ -317,7 +317,9 @@ def make_body_openings(real: Any):
 
 @build_once
 def make_body_push_out(real: Any):
-    """Kernel: moves particles of liquid out of bodies; `wall` is the index of the first body."""
+    """Kernel: moves particles of liquid out of bodies; `wall` is the index of the first body among
+    the walls.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)

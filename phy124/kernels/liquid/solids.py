@@ -42,7 +42,9 @@ from phy124.kernels.liquid.walls import centre_of, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls: computes the mean velocities of walls with tracks in a step."""
+    """Kernel over walls: computes the mean velocity in a step of each wall that moves along a
+    track.
+    """
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
@@ -188,7 +190,8 @@ def make_lift(real: Any):
 
 @build_once
 def make_kick(real: Any):
-    """Single-thread kernel: applies gravity to a free solid; writes motion, mobility and centre.
+    """Single-thread kernel: applies gravity to a freely moving solid; writes its motion, mobility
+    and centre.
 
     `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of the matrix scale
     I^-1 for the inertia I.
@@ -238,7 +241,7 @@ def make_push(real: Any):
 
 @build_once
 def make_predict(real: Any):
-    """Kernel over solids: writes the predicted motion of each solid, without the pressure.
+    """Kernel over solids: writes the motion that each solid would have without the pressure.
 
     The predicted motion is the motion without the liquid, plus the solid's response to the sums of
     `make_lift`.

@@ -92,12 +92,13 @@ def around_rows(
 
 
 FORMS = {"plain": around, "simd": around_rows}
-"""Implementations of the sums over neighbours, by name."""
+"""For each implementation, by name, the function that sums over neighbouring faces."""
 
 
 @build_once
 def make_spread(real: Any, form: str):
-    """Kernel over cells: extrapolates velocities to unknown faces, from their known neighbours.
+    """Kernel over cells: extrapolates velocities to faces without a velocity, from neighbouring
+    faces.
 
     `cells` contains the sums over the particles. If `cells` is empty, `velocity_out` contains
     displacements, and every unknown face gets the mean of its known neighbours. The walls from the

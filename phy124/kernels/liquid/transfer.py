@@ -259,7 +259,7 @@ FORMS = {
     "plain": (scatter, scatter_volume, gather, flow),
     "simd": (scatter_rows, scatter_volume_rows, gather_rows, flow_rows),
 }
-"""Implementations of the transfers, by name."""
+"""For each implementation, by name, the functions of the transfers between particles and faces."""
 
 
 @build_once

@@ -19,9 +19,9 @@ from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 
 SHUT = wp.constant(1.0e-3)
-"""Open fraction of a face below which the face counts as closed."""
+"""A face counts as closed if its open fraction is below this value."""
 GAP = wp.constant(0.02)
-"""Particles inside a wall are moved to this distance in front of the wall [cells]."""
+"""Particles of liquid inside a wall are moved to this distance in front of the wall [cells]."""
 DISTANT = wp.constant(2.0)
 """Distance [cells] beyond which a wall closes no part of a cell or of a face."""
 
@@ -389,7 +389,7 @@ def make_eighths(shape: str, real: Any):
 
 @build_once
 def make_solid_shares(real: Any):
-    """Kernel over cells: computes the fractions of two B-splines around the cell that are inside
+    """Kernel over cells: computes the fractions of two B-splines around each cell that are inside
     walls.
 
     The two B-splines are the linear and the quadratic B-spline around the cell's centre.

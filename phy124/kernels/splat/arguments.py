@@ -54,4 +54,4 @@ _WRITTEN: dict[str, Any] = {
     "ranks": Ints,  # for each entry of the tiles' lists, the splat's position in `order`
 }
 DRAWN = {**_READ, **_WRITTEN, **{f"{name}_out": kind for name, kind in _WRITTEN.items()}}
-"""Types of the arguments by name."""
+"""Types of the kernels' arguments, by name."""

@@ -168,7 +168,7 @@ class Shape:
     lower: float
     """Fraction with which the liquid's face on the wall is drawn."""
     here: float
-    """Value of phi."""
+    """Value of phi, the filled fraction, at the Gaussian."""
     foam: float
     """Fraction of foam in the liquid around the Gaussian."""
 
