@@ -67,7 +67,9 @@ class Cleaning:
 
     @property
     def sentences(self) -> list[str]:
-        """Sentences for the report, one per rule that dropped or changed Gaussians."""
+        """Sentences for the report, one for each rule by which Gaussians were dropped or
+        changed.
+        """
         texts = {
             "not_finite": "had NaN or infinite values and were dropped",
             "beyond": f"had a coordinate or scale above {LARGEST:g} m and were dropped",
@@ -185,7 +187,7 @@ def _are_finite(gaussians: Gaussians) -> NDArray[np.bool_]:
 
 
 def _are_near(gaussians: Gaussians) -> NDArray[np.bool_]:
-    """Return the mask of the Gaussians whose coordinates and scales are at most `LARGEST`."""
+    """Return a mask of the Gaussians whose coordinates and scales are at most `LARGEST`."""
     near = [
         (np.abs(values) <= LARGEST).all(axis=1) for values in (gaussians.means, gaussians.scales)
     ]

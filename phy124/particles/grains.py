@@ -38,7 +38,7 @@ CELLS = 48
 BRIGHTEST = 99.0
 """Percentile of the brightness that is at most white after Gaussians are tinted."""
 COARSEST = 0.005
-"""Largest size of the grains that make a surface rough, relative to the object's longest side."""
+"""Largest size of the grains of a rough surface, relative to the object's longest side."""
 FINE = 0.006
 """Largest standard deviation of a Gaussian that still shows a single grain, relative to the
 object's longest side.

@@ -23,9 +23,10 @@ the neighbours have the opposite signs.
 AROUND = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 """Index offsets from a cell or node to itself and to its 26 neighbours."""
 LEAST = 0.08
-"""A sliver that forms a separate piece of the body is not merged with another piece if its filled
-fraction is below this value. If this sliver were merged with a neighbouring cell, it would spread
-the points of this cell. With a limit of 0.03, a thin disc turned inside out when it was pushed.
+"""If the filled fraction of a sliver that forms a separate piece of the body is below this value,
+the sliver is not merged with another piece. If this sliver were merged with a neighbouring cell, it
+would spread the points of this cell. With a limit of 0.03, a thin disc turned inside out when it
+was pushed.
 """
 TOUCH = np.abs(AROUND[:, None] - AROUND[None]).max(axis=2) <= 1
 """For each pair of the 27 offsets in `AROUND`, whether the offsets lead to neighbours or to the

@@ -217,9 +217,9 @@ class _Room(NamedTuple):
     side: float
     """Side of a cell of the lattice [m]."""
     cells: NDArray[np.int64]
-    """Indices [L,3] of the cells that contain part of the solid."""
+    """Indices of the lattice's cells that contain part of the solid [L,3]."""
     volume: NDArray[np.float64]
-    """Volume of the solid in each cell [L], m^3."""
+    """Volume of the solid in each of these cells [L], m^3."""
 
 
 def _room_per_cell(shape: Solid, spacing: float) -> _Room:

@@ -32,8 +32,8 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Local thickness, relative to the longest side. Nine tenths of the object's volume are thicker
-    than this.
+    """Smallest local thickness of the object, relative to its longest side. Nine tenths of the
+    object's volume are thicker than this thickness.
     """
     compliance: float
     """Mean deflection if the object's weight acts sideways, in units of L rho g L / E, where L is
