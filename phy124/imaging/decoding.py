@@ -22,8 +22,7 @@ ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats in which images after the first are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
 """Largest allowed number of scans in a JPEG file. Usual JPEG files have 1 to 10 scans. A JPEG file
-of 8
-MB can have 190,000 scans, and decoding one scan takes 18 ms.
+of 8 MB can have 190,000 scans, and decoding one scan takes 18 ms.
 """
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")

@@ -80,7 +80,7 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Search around a point for an object that was missed; return its alpha [H,W], or None.
+    """Search around a point for an object that the segmentation missed; return its alpha, or None.
 
     Windows of several sizes around the point are segmented by `find`. The object that touches the
     fewest edges of its window is selected.

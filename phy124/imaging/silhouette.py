@@ -37,7 +37,7 @@ AROUND = 0.125
 to the object's longest side.
 """
 BINS = (12, 24, 24)
-"""Numbers of histogram bins for L, a and b."""
+"""Numbers of bins of a colour histogram for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
 """Kernel that smooths a colour histogram along one axis, and a kernel that changes nothing."""
 

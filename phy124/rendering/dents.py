@@ -20,9 +20,8 @@ from phy124.rendering.matte import LAMP_LIGHT, SKY, SMOOTH, blur, locate, number
 
 PATCH, LARGEST = 0.7, 1 / 48
 """Size of the surface patches on which light is computed: in cells of the simulation, and at most
-as a fraction of the solid's longest side.
-The limit by the solid's size is needed on coarse grids, where patches would otherwise be thicker
-than horns and ears.
+as a fraction of the solid's longest side. The limit by the solid's size is needed on coarse grids,
+where patches would otherwise be thicker than horns and ears.
 """
 SIDE = 0.7
 """When patches near a Gaussian are chosen, a difference of this size between two unit normals

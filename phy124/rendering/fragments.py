@@ -19,8 +19,7 @@ material at rest.
 """
 SIZES = 0.11, 0.06, 0.04
 """Mean sizes of fragments, relative to the longest side of the material at rest. All fragments of a
-lump have the same mean
-size."""
+lump have the same mean size."""
 WHOLE, BROKEN = 1.06, 1.3
 """Two stretches: up to the first, a fragment deforms with its material; above the second, it keeps
 its shape.

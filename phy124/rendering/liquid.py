@@ -24,8 +24,9 @@ from phy124.kernels.splat import discs, fields
 from phy124.kernels.splat.discs import BLUR, LEVEL
 
 WHOLE = 0.945
-"""Standard deviation of the smoothing of a point on the grid [cells]. The smoothing of a point
-combines the filter and the distribution of the point among the eight cells around it.
+"""Standard deviation of the distribution to which smoothing spreads a liquid's point on the grid
+[cells]. The smoothing of a point combines the filter and the distribution of the point among the
+eight cells around it.
 """
 MOST = 4_000_000
 """Largest number of cells. If a scattered liquid needs more cells than this, the cells are made
@@ -64,7 +65,7 @@ class Surface(NamedTuple):
     means: NDArray
     """Centres [N,3], m."""
     quats: NDArray
-    """Orientations [N,4]. The z axis of a disc points outwards."""
+    """Orientations [N,4]. The z axis of a disc points out of the liquid."""
     scales: NDArray
     """Standard deviations [N,3], m."""
     opacities: NDArray

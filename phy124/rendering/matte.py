@@ -174,7 +174,7 @@ def interpolate(
 
 
 def blur(values: NDArray, sigma: float) -> NDArray[np.float32]:
-    """Return values of cells, smoothed with a standard deviation [cells]."""
+    """Smooth values of cells with a Gaussian filter, whose standard deviation is in cells."""
     reach = np.arange(-round(TAILS * sigma), round(TAILS * sigma) + 1)
     weights = np.exp(-0.5 * (reach / sigma) ** 2)
     weights /= weights.sum()

@@ -31,8 +31,7 @@ PROFILE = "fine"
 """Name of the library's profile with the smallest error bounds."""
 KEYFRAME = 8
 """Number of frames from one keyframe of a .4dgs file to the next. To show any frame of a .4dgs
-file, a player reads at most this
-number of frames.
+file, a player reads at most this number of frames.
 """
 STILL = 1 / 24
 """Duration of a clip that has only one frame [s]."""

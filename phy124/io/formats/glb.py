@@ -309,7 +309,7 @@ def _matrix(node: dict[str, Any]) -> NDArray[np.float64]:
 
 
 def _check_kind(scene: Scene, primitive: dict[str, Any], extension: dict[str, Any]) -> None:
-    """Refuse Gaussians that use an unsupported feature of the extension."""
+    """Refuse Gaussians that use an unsupported feature of KHR_gaussian_splatting."""
     if "indices" in primitive:
         limit = "its Gaussians are selected by indices, which is not supported."
         raise refusal(KIND, scene.path, limit, "Export the scene without indices.")

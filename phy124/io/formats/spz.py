@@ -111,7 +111,7 @@ def read_extensions(data: bytes) -> Extensions:
 
 
 def _axis(system: str, letters: str) -> str:
-    """Return the axis, with its sign, that points in the direction of the first of two letters.
+    """Return the signed axis, such as -y, that points in the direction of the first letter.
 
     For example, `UD` returns the axis that points up.
     """

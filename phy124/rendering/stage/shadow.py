@@ -50,13 +50,14 @@ them casts shadows, and each shadow is wider.
 GLASS = 0.25
 """Opacity of boundaries, which are drawn as glass."""
 FAINT = 2 / 255
-"""Fraction of removed light that is halved; smaller fractions almost vanish.
+"""A shadow that removes this fraction of the light is drawn half as dark; fainter shadows almost
+vanish.
 
 The sky's shadow, which is faint and wide, is thus limited in extent.
 """
 UNSEEN = 0.1 / 255
-"""Smallest visible fraction of removed light. A shadow that removes a smaller fraction of the light
-is omitted.
+"""Smallest fraction of the floor's light whose removal by a shadow is visible. A shadow that
+removes a smaller fraction of the light is omitted.
 """
 FAINTEST = 1e-4
 """Smallest value of a layer's frequency response that is not neglected."""

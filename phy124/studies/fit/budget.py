@@ -40,7 +40,7 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Time since the time budget of the fit was created [s]."""
+        """Time that has passed since the fit's time budget was created [s]."""
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:

@@ -72,8 +72,7 @@ class Study:
     keep: bool = False
     """Whether finished settings are evaluated if the study is cancelled or fails later."""
     ended: Exception | None = field(default=None, init=False)
-    """The exception that ended the study early if `keep` is true; None if the study did not end
-    early.
+    """The exception that ended the study early, if its finished settings were kept; otherwise None.
     """
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)

@@ -39,7 +39,7 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return Poisson's ratio, and the exact stress / (E strain).
+    """Return Poisson's ratio, and the exact values of stress / (E * strain).
 
     The three cases are free sides, fixed sides, and hydrostatic pressure.
     """
@@ -57,7 +57,7 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def measure(cells: int, nu: float) -> Values:
-    """Measure Poisson's ratio, and stress / (E strain) in the three cases of `publish`."""
+    """Measure Poisson's ratio, and stress / (E * strain) in the three cases of `publish`."""
     free, ratio = press(cells, 1, 0, nu)
     confined, bulk = press(cells, 1, 2, nu)[0], press(cells, 3, 0, nu)[0]
     return ratio, free / E, confined / E, bulk / E

@@ -24,7 +24,7 @@ the lattice solver.
 PIERCED = 2.5
 """Maximum permitted depth of a shape's Gaussian inside another body [cells].
 
-The method cannot prevent such penetration; see docs/lab/stability.md.
+The simulation method cannot keep Gaussians out of another body; see docs/lab/stability.md.
 """
 CUSHION = (1.0, 1.0, 0.4)
 """Sides of the other body, a box [m]."""
