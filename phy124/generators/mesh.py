@@ -279,7 +279,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return a file's meshes that have triangles, in phy124's axes, and all of the file's shapes.
+    """Return a file's meshes that have triangles, in phy124's axes, and all geometries of the file.
 
     Raises:
         ValueError: If the mesh is unusable; its message is "limit; remedy".

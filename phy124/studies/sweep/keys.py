@@ -55,7 +55,7 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 
 
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
-    """Return the key of a request for a clip, which also exists if the request is invalid.
+    """Return the key of a request for a clip; an invalid request has a key, too.
 
     `picture` is an address; `changes` maps dotted paths in the scene to values.
     """

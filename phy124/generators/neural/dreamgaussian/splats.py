@@ -97,7 +97,7 @@ class Splats:
         )
 
     def set_step(self, step: int) -> None:
-        """Set the learning rate of the centres for a step."""
+        """Set the learning rate of the Gaussians' centres for a step of the optimisation."""
         for group in self.optimizer.param_groups:
             if group["name"] == "xyz":
                 group["lr"] = self.rates.position(step)

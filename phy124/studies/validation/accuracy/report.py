@@ -63,7 +63,8 @@ class Row:
     torn: str = ""
     """Reason why the grid may have torn the material; a torn setting has no error estimate."""
     stated: dict[str, Any] | None = None
-    """The `error` that the report of such a run would state. No error is stated (None) if the
+    """The `error` that the report of a run with this setting would state. No error is stated (None)
+    if the
     setting is not a level or the study is not thorough.
     """
 

@@ -28,7 +28,7 @@ def way(time: float) -> float:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the exact displacements, and the final velocity."""
+    """Return the block's exact displacements and its exact final velocity."""
     ways = [
         Quantity.within(f"way at t = {time:g} / rate [m]", way(time), 0.002, time) for time in TIMES
     ]
