@@ -64,8 +64,7 @@ class Row:
     """Reason why the grid may have torn the material; a torn setting has no error estimate."""
     stated: dict[str, Any] | None = None
     """The `error` that the report of a run with this setting would state. No error is stated (None)
-    if the
-    setting is not a level or the study is not thorough.
+    if the setting is not a level or the study is not thorough.
     """
 
     @property
