@@ -1,4 +1,4 @@
-"""Moves particles outside the grid; only the uniform acceleration acts on such particles.
+"""Moves particles that are outside the grid; no force but the uniform acceleration acts on them.
 
 A particle that is outside the grid during the scatter counts as outside for the whole substep.
 Before the gather, such a particle is moved far outside the window ("hidden") so that the gather
@@ -22,7 +22,9 @@ gather ignores particles at such a distance from the window.
 
 @build_once
 def make_hide(real: Any):
-    """Kernel: hides chosen particles that were outside the grid's window during the scatter."""
+    """Kernel: hides particles from the gather if they were outside the grid's window during the
+    scatter.
+    """
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}", real)

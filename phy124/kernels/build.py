@@ -27,7 +27,7 @@ Options = ParamSpec("Options")
 Built = TypeVar("Built")
 
 BUILDING = RLock()
-"""Lock for building a variant; reentrant, since a factory may call another factory."""
+"""Lock for building a variant of a kernel; reentrant, since a factory may call another factory."""
 
 
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:

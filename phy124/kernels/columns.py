@@ -83,9 +83,9 @@ body narrows. The best exponent is 1.1 to 1.3 for a body that narrows to an edge
 a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""A node behind a wall below this signed distance [cells] gets no mass from a body in front of the
-wall. In a body that touches a wall, the particles nearest to the wall are a quarter of a cell in
-front of it.
+"""A node that lies farther behind a wall than this signed distance [cells] gets no mass from a body
+in front of the wall. In a body that touches a wall, the particles nearest to the wall are a quarter
+of a cell in front of it.
 """
 
 
@@ -242,7 +242,7 @@ class Response(NamedTuple):
     """Functions that define how single nodes and columns of three nodes respond to a wall."""
 
     answer: Any
-    """Maps `(v, wall, n, friction)` to the new velocity of a single node."""
+    """`(v, wall, n, friction)`: returns the new velocity of a single node near a wall."""
     acts: Any
     """`(m, above, beyond, u, lightest, full)`: returns whether material has reached a wall, from
     the masses `m` of the nodes at the distances `u` from the wall.
@@ -256,8 +256,8 @@ class Response(NamedTuple):
     mass along the wall's normal.
     """
     hold: Any
-    """`(along, pressed, friction)`: returns the fraction of the tangential motion that the wall
-    stops.
+    """`(along, pressed, friction)`: returns the fraction of a column's tangential motion that a
+    wall stops.
     """
 
 

@@ -116,7 +116,10 @@ def without_strain(C: Any, share: Any):
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel: lets the symmetric part of C decay as exp(-rate t), rate in 1/s, before a scatter."""
+    """Kernel: lets the symmetric part of the velocity gradients C decay before a scatter.
+
+    The part decays as exp(-rate t), with the rate in 1/s.
+    """
 
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):

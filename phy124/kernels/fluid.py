@@ -11,11 +11,11 @@ from typing import Any
 import warp as wp
 
 MIN_J = wp.constant(1.0e-4)
-"""Volume ratio below which the pressure no longer rises."""
+"""Volume ratio of a fluid below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Below this volume ratio, the product of J and pressure p rises only as log J. Impacts faster than
-a quarter of the speed of sound can compress a few particles to smaller volume ratios. Without this
-limit on the pressure, such particles would shorten the substeps of all particles.
+"""Below this volume ratio of a fluid, the product of J and pressure p rises only as log J. Impacts
+faster than a quarter of the speed of sound can compress a few particles to smaller volume ratios.
+Without this limit on the pressure, such particles would shorten the substeps of all particles.
 """
 
 

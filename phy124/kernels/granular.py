@@ -24,7 +24,9 @@ CLOSE = wp.constant(0.1)
 F.
 """
 LOOSEST = wp.constant(1.0e6)
-"""Upper limit of Jp; without it, Jp of scattered snow would overflow."""
+"""Upper limit of snow's plastic volume ratio Jp; without it, Jp of scattered snow would
+overflow.
+"""
 
 
 @wp.func

@@ -28,7 +28,7 @@ LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
 
 @wp.struct
 class Inflated:
-    """F(x, y, z) = w(x, y) - (z - m(x, y))^2."""
+    """A surface F(x, y, z) = 0 with F = w(x, y) - (z - m(x, y))^2."""
 
     fields: Fields
     """Values of w and m at each pixel, and the slopes of w and m along x and y [H,W,6]."""
@@ -36,7 +36,7 @@ class Inflated:
 
 @wp.struct
 class Hull:
-    """F = w(x, y) + s(z, y), but negative beyond two end planes normal to y."""
+    """A surface F = 0 with F = w(x, y) + s(z, y), but F < 0 beyond two end planes normal to y."""
 
     front: Fields
     """Values of w at each pixel of the front view, and its slopes along x and y [H,W,3]; x = 0 is
@@ -126,7 +126,7 @@ def evaluate_hull(surface: Hull, p: wp.vec3d) -> wp.vec4d:
 
 
 class Kernels(NamedTuple):
-    """The kernels of one kind of surface."""
+    """The kernels for a kind of implicit surface."""
 
     evaluate: Any
     """`(surface, points)`: returns F and the gradient of F at the points."""

@@ -39,8 +39,8 @@ around a single particle.
 ROUNDING = wp.constant(0.375)
 """Contact tolerance for curved gaps between two bodies. The gap at a node counts as closed if it is
 at most this fraction of a sum: the gaps at the four neighbouring nodes, each minus the gap at the
-node. The curvature of a gap between two splines would give a tolerance of 1/4. The larger value is
-fitted to measurements with balls (docs/lab/contact-force.md).
+node. The curvature of a gap between two splines would give a tolerance of 1/4. The larger tolerance
+that is used is fitted to measurements with balls (docs/lab/contact-force.md).
 """
 STEEPER = wp.constant(10.0)
 """Weight that determines how close the contact normal of two bodies is to the steeper of the slopes

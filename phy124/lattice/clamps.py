@@ -170,9 +170,10 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each column of nodes that enters a clamp, return three values.
+    """For each column of nodes that enters a clamp, return its nodes on both sides of the clamp's
+    surface.
 
-    The values are the last clamped node, the first free node, and the ratio of their motions.
+    The results are the last clamped node, the first free node, and the ratio of their motions.
 
     Args:
         lattice: The lattice at rest.

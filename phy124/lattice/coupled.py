@@ -122,7 +122,8 @@ class CoupledSolver(Solver):
     def bind(
         self, *, uniform: Sequence[Attachable] = (), walls: Sequence[Any] = (), **acting: Any
     ) -> None:
-        """Replace forces, boundaries and sums from the next substep on, as `Solver.bind` does.
+        """Replace the forces, the boundaries and the sums, from the next substep on, as
+        `Solver.bind` does.
 
         The `uniform` forces and the boundaries `walls` act on the lattices.
         """

@@ -58,9 +58,10 @@ class RestLattice:
     ties: scipy.sparse.csr_matrix
     """Weights with which the motions of all nodes determine the motion of each tied node [T,N]."""
     pushes: scipy.sparse.csr_matrix
-    """Weights with which the push on each node gets the pushes on other nodes [N,N]. A push on a
-    tied node, or on mass that has been moved from a light node to a heavier node, then acts on the
-    heavier node. With these weights, a uniform push accelerates all nodes equally.
+    """Weights with which pushes on other nodes are added to the push on a node, for each node
+    [N,N]. A push on a tied node, or on mass that has been moved from a light node to a heavier
+    node, then acts on the heavier node. With these weights, a uniform push accelerates all nodes
+    equally.
     """
     body: NDArray[np.int64]
     """Body index of each node [N]."""
@@ -317,7 +318,7 @@ def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
 
 
 def splines(offset: NDArray) -> NDArray[np.float64]:
-    """Return quadratic B-spline weights of three nodes [...,3] from offsets to the first."""
+    """Return quadratic B-spline weights of three nodes [...,3] from offsets to the first node."""
     parts = [0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1) ** 2, 0.5 * (offset - 0.5) ** 2]
     return np.stack(parts, axis=-1)
 

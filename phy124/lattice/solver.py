@@ -135,7 +135,7 @@ class LatticeSolver(Kept):
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Any] = (),
     ) -> None:
-        """Replace forces, boundaries and sums, from the next substep on.
+        """Replace the forces, the boundaries and the sums over points, from the next substep on.
 
         Contact forces and times of measurements are kept, so that live runs are bitwise
         reproducible.

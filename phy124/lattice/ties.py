@@ -226,7 +226,8 @@ def _extrapolate(
     distance: NDArray,
     thin: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the weights of each tied node's donors [T,K], and a mask [T].
+    """Return the weights of each tied node's donors [T,K], and whether they determine its motion
+    [T].
 
     The mask is true where a linear function is known from its values at the donors.
 

@@ -278,7 +278,7 @@ class Walls:
                 contact.force.assign(forces[str(i)])
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the sums and the contact forces."""
+        """Return a snapshot: the sums and the contact forces of the walls."""
         kept = {"sums": wp.clone(self.sums), "forces": self.forces()}
         return kept if self.impulses is None else {**kept, "impulses": wp.clone(self.impulses.sums)}
 

@@ -27,11 +27,11 @@ class Worker:
     """The points and nodes of one thread, and the thread's launches."""
 
     points: slice
-    """Span of the worker's points; the points fill a whole number of cells."""
+    """Range of indices of the worker's points; the points fill a whole number of cells."""
     nodes: slice
-    """Span of the nodes that the worker moves."""
+    """Range of indices of the nodes that the worker moves."""
     touched: slice
-    """Span of the nodes that the worker's cells use."""
+    """Range of indices of the nodes that the worker's cells use."""
     forces: wp.array
     """Forces on the nodes due to the stress in the worker's cells, N."""
     pushes: wp.array

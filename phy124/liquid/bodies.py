@@ -45,8 +45,8 @@ YIELDED = 0.004
 
 Expect = Callable[[float], tuple[wp.array, wp.array]]
 """Function that returns the mean velocities [m/s] and velocity gradients [1/s] of the particles in
-a step. Its argument is the duration of the step [s]; the pressure of the last step acts during this
-step.
+a step. The argument of the function is the duration of the step [s]; the pressure of the last step
+acts during this step.
 """
 
 
@@ -198,8 +198,8 @@ class Bodies(Kept):
             wp.zeros(count, dtype=self._model.real, device=device) for _ in range(2)
         )
         self._shares, self._vacant = wp.zeros_like(cells.shares), wp.zeros_like(cells.eighths)
-        """Values of two arrays of the cells without bodies: fractions of B-splines inside walls,
-        and open fractions of the octants of cells (2 x 2 x 2 per cell).
+        """Two arrays as they would be without bodies: fractions of B-splines inside walls, and open
+        fractions of the octants of cells (2 x 2 x 2 per cell).
         """
         self.pressed, self._change, self._contact = (
             wp.zeros(count, dtype=t.vec3, device=device) for _ in range(3)
@@ -247,7 +247,9 @@ class Bodies(Kept):
                     launch.launch()
 
     def _shape(self, cells: Cells, body: int, box: wp.array, count: int) -> None:
-        """Compute distances from a body's surface, shifted to enclose the body's volume."""
+        """Compute distances from a body's surface, which is shifted so that it encloses the body's
+        volume.
+        """
         real, shift = self._model.real, float(np.nan_to_num(self._shifts[body]))
         self._volumes.zero_()
         inputs = [shift, cells.lattice, cells.window, box, self._full, self._shares]

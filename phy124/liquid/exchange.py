@@ -46,7 +46,7 @@ class BodyWork(Kept):
             self._before = [self._read(array) for array in (self._state.x, self._state.C)]
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the liquid in the substeps since `begin`.
+        """Add the work of the liquid in the substeps since the call of `begin`.
 
         Args:
             pushes: Acceleration of each particle by the pressure [P,3], m/s^2.
@@ -84,8 +84,9 @@ class LatticeBodyWork(BodyWork):
             self._u.assign(-self._solver.nodes_state.u.numpy())
 
     def end(self, pushes: wp.array, turns: wp.array, drift: float) -> None:
-        """Add the work of the liquid in the substeps since `begin`, from the forces that the
-        lattices store.
+        """Add the work of the liquid in the substeps since the call of `begin`.
+
+        The work is computed from the forces that the lattices store.
         """
         if not self.on:
             return

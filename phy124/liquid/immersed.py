@@ -182,7 +182,7 @@ class ImmersedSolver:
         planes: Sequence[Plane] = (),
         walls: Sequence[tuple[str, Boundary]] = (),
     ) -> None:
-        """Replace forces, boundaries and sums, from the next step on.
+        """Replace the forces, the boundaries and the sums over particles, from the next step on.
 
         Args:
             forces: Forces, as in `__init__`.
@@ -306,7 +306,9 @@ class ImmersedSolver:
         self.renew()
 
     def renew(self) -> None:
-        """Measure all limits again; call after changing the state from outside."""
+        """Measure all limits of a step again; call this after the state was changed from
+        outside.
+        """
         self.clock.expire()
         self.liquid.renew()
 

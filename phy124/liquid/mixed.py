@@ -161,7 +161,7 @@ class MixedSolver(Solver):
         pushed: bool = False,
         **acting: Any,
     ) -> None:
-        """Replace forces, boundaries and sums, from the next step on.
+        """Replace the forces, the boundaries and the sums over particles, from the next step on.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -210,7 +210,9 @@ class MixedSolver(Solver):
         self.liquid.clock.bodies = self.clock.extremes.speed
 
     def renew(self) -> None:
-        """Measure all limits again; call after changing the state from outside."""
+        """Measure all limits of a step again; call this after the state was changed from
+        outside.
+        """
         super().renew()
         self.liquid.renew()
 

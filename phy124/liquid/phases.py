@@ -117,7 +117,7 @@ class Phases:
         impulses_of_walls: WallImpulses,
         grid: Grid,
     ) -> None:
-        """Record the phases of every worker.
+        """Record the kernel launches of every worker's phases.
 
         Args:
             pushes: Stages of forces on particles.
@@ -340,7 +340,9 @@ class Phases:
         return self._over_cells(worker, "levels", kernel, inputs, outputs)
 
     def _near_walls(self) -> list:
-        """Return the arguments that describe walls, and the index of the first solid wall."""
+        """Return the arguments that describe walls, and the index of the first wall that is a
+        solid.
+        """
         cells = self._cells
         first = self._solids.first(self._walls)
         return [cells.open, cells.shares, cells.distances, cells.owners, first]

@@ -53,7 +53,9 @@ class Motion(NamedTuple):
 
 
 class Moments:
-    """Sums over the particles of several bodies, from which the rigid motions follow."""
+    """Sums over the particles of several bodies, from which the bodies' rigid motions are
+    computed.
+    """
 
     def __init__(self, model: Model, runs: Sequence[slice]) -> None:
         """Allocate a row of sums for each body; `runs` are the slices of the bodies' particles."""

@@ -155,7 +155,7 @@ class LiquidSolver(Kept):
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """Replace forces, walls and sums, from the next step on.
+        """Replace the forces, the walls and the sums over particles, from the next step on.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -304,7 +304,9 @@ class LiquidSolver(Kept):
         self._measure()
 
     def renew(self) -> None:
-        """Measure all limits again; call after changing the state from outside."""
+        """Measure all limits of a step again; call this after the state was changed from
+        outside.
+        """
         self._fit()
         self._phases.pushes.renew()
         self._measure()

@@ -196,7 +196,7 @@ class FreeBodies(Kept):
         return wp.zeros(size, dtype=wp.float64, device=self._model.device)
 
     def _reach(self, solid: FreeBody) -> int:
-        """Return the largest distance from the solid's centre of a node that can be in contact
+        """Return the largest distance, from the solid's centre, of nodes that the solid can touch
         [nodes].
         """
         far = float(np.linalg.norm(solid.half)) if solid.shape == "box" else max(solid.half)

@@ -127,8 +127,9 @@ class Pairs(Kept):
         return cast("wp.array", self._sums[0, index])
 
     def wrenches(self, seconds: float) -> dict[tuple[int, int], Wrench]:
-        """Return each pair's mean wrench of the first body on the second since `begin`, `seconds`
-        ago.
+        """Return each pair's mean wrench of the first body on the second since the call of `begin`.
+
+        `begin` was called `seconds` ago.
 
         The torque is about the origin. The wrench of the second body on the first is the opposite.
         """

@@ -26,8 +26,8 @@ TRIES = 100
 before.
 """
 FIRST = 4
-"""If any force may change velocities suddenly, the first substeps of a run are trials; this is
-their number.
+"""Number of substeps at the start of a run that are trials, if any force may change velocities
+suddenly.
 """
 PULL = 0.1
 """A substep is run as a trial if forces could move a particle at rest farther than this in the

@@ -99,7 +99,7 @@ class Repair(Kept):
 
 
 def kernels(laws: Iterable[Law], real: Any) -> Iterator[Any]:
-    """Yield the kernels that repair particles of these laws; plastic laws have an F_total."""
+    """Yield the kernels that reset particles and, if a law is plastic, limit F_total."""
     yield make_reset(real)
     if any(law.project is not None for law in laws):
         yield make_limit_total(real)

@@ -146,7 +146,7 @@ class Solver(Kept):
         accumulators: Sequence[Accumulator] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
-        """Replace forces, boundaries and sums, from the next substep on.
+        """Replace the forces, the boundaries and the sums over particles, from the next substep on.
 
         Args:
             forces: Forces, in the order in which they act.
@@ -245,7 +245,9 @@ class Solver(Kept):
         self.clock.finish(drift)
 
     def renew(self) -> None:
-        """Measure all limits again; call after changing the state from outside."""
+        """Measure all limits of a substep again; call this after the state was changed from
+        outside.
+        """
         self.clock.expire()
         for grid in self.grids:
             grid.stale = True

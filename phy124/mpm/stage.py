@@ -45,11 +45,11 @@ class Stage(NamedTuple):
     """
     limit: Callable[[float, float], float] | None = None
     """Function that returns the largest acceleration of a particle [m/s^2] between two times [s].
-    If it is None, the track's values are used.
+    If `limit` is None, the track's values are used.
     """
     top_speed: Callable[[float, float], float] | None = None
     """Function that returns the speed [m/s] up to which the stage accelerates particles between two
-    times [s]. If it is None, there is no limit.
+    times [s]. If `top_speed` is None, the stage may accelerate particles to any speed.
     """
 
 

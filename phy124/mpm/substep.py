@@ -118,7 +118,7 @@ class Recorder:
     def record(
         self, pushes: Sequence[Stage], walls: Sequence[Stage], sums: Sequence[Stage]
     ) -> None:
-        """Record the phases of every worker.
+        """Record the kernel launches of every worker's phases.
 
         Args:
             pushes: Stages of forces on particles, before the scatter.

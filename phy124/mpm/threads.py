@@ -25,8 +25,8 @@ ROUNDS = 20
 NAP = 5e-5
 """Between later spins at the barrier, the waiting thread sleeps for this time [s]."""
 SPINS = 100_000
-"""Number of times that a waiting thread checks the barrier per spin, if every thread has a core.
-Otherwise, the thread checks it once per spin.
+"""Number of times that a waiting thread checks the barrier per spin, if every thread has a core to
+itself. If threads share cores, a waiting thread checks the barrier once per spin.
 """
 Task = Callable[[int], None]
 """Function that runs the part of a task that belongs to a member of the team; its argument is the

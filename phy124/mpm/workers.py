@@ -64,7 +64,7 @@ class Part:
 
     group: Group
     particles: slice
-    """The range of indices of particles that contains the part."""
+    """Range of indices of particles that contains all particles of the part."""
     chosen: wp.array
     """Indices of the part's particles within this range; empty if the part contains all particles
     of the range.
@@ -202,7 +202,7 @@ class Slabs:
         self._share_out()
 
     def divide_again(self, lower: NDArray, upper: NDArray) -> None:
-        """Divide the particles along the longest axis of a box, given by its corners [m]."""
+        """Divide the particles along the longest axis of the box between two corners [m]."""
         x: NDArray[Any] = self._state.x.numpy()
         layer = layers(np.clip(x, lower, upper), int(np.argmax(upper - lower)), self._model.dx)
         orders = [

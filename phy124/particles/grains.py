@@ -53,7 +53,7 @@ def add_grains(
     materials: Sequence[AnyMaterial],
     spacing: float,
 ) -> tuple[Gaussians, Particles]:
-    """Append a Gaussian for each inner particle of materials that separate.
+    """Append a Gaussian for each inner particle of a material that separates into grains.
 
     Args:
         gaussians: The object at rest, N Gaussians, m.

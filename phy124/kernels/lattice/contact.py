@@ -109,7 +109,8 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_yields(real: Any, rows: Rows):
-    """Kernel over points near a wall: computes the velocity change per unit impulse [1/kg].
+    """Kernel over points near a wall: computes each point's velocity change per unit impulse
+    [1/kg].
 
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
     `whole` is not). Without this rule, an impulse would move the few other nodes violently.
@@ -377,7 +378,9 @@ def make_reach(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_distances(shape: str, real: Any):
-    """Kernel over points: computes a shape's normal and the signed distance from it [m]."""
+    """Kernel over points: computes each point's signed distance from a shape [m], and the
+    normal.
+    """
     t = types(real)
     distance = SHAPES[shape]
 

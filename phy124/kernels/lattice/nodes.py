@@ -289,7 +289,9 @@ def make_drift(real: Any):
 
 @build_once
 def make_node_totals(real: Any):
-    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, mass x position."""
+    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, and mass times
+    position.
+    """
 
     @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)
     def node_totals(inverse, rest, u, v, sums_out):

@@ -116,7 +116,8 @@ def next_near(
 
 @build_once
 def make_flag(real: Any):
-    """Kernel over the samples from `start` on: flags the samples near which contact is possible.
+    """Kernel over sampled surface points from `start` on: flags those near which contact is
+    possible.
 
     `x` contains the current positions of the samples, which have been sorted into `cells`.
     """
@@ -140,7 +141,7 @@ def make_flag(real: Any):
 
 @build_once
 def make_flag_simd():
-    """Kernel over sampled points, equivalent to `make_flag`, for float32 on a CPU.
+    """Kernel over sampled surface points, equivalent to `make_flag`, for float32 on a CPU.
 
     The kernel compares all samples with each other, sixteen at a time. For the 1,100 samples of a
     duck on 32 cells this is faster than a search in cells.

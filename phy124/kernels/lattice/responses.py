@@ -65,7 +65,7 @@ def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
 
 
 LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
-"""Functions that limit a corrected impulse, by name of the surface's response.
+"""For each response of a surface, by name, the function that limits a corrected impulse.
 
 The arguments of these functions are the normal component of the corrected impulse, the normal
 component of the last impulse, the tangential part of the corrected impulse, the normal of the

@@ -1,4 +1,5 @@
-"""Couples particle bodies to a liquid: terms of the pressure equation, and pressure on the bodies.
+"""Couples particle bodies to a liquid: terms of the pressure equation, and the pressure on the
+bodies.
 
 A body responds to the pressure in two ways. The body moves rigidly (`solids`). In addition, the
 layer of mass at its surface moves with the change of the pressure since the last step (a Robin

@@ -1,4 +1,5 @@
-"""Indices and sums of the cells in a window of the staggered grid; extent of the particles.
+"""Computes indices and sums of the cells in a window of the staggered grid, and the particles'
+extent.
 
 The values at a cell's three low faces and at its centre are stored as one vector.
 """

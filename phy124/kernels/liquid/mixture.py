@@ -34,7 +34,8 @@ def between(a: Any, b: Any):
 
 @cache
 def make_mix(real: Any):
-    """Kernel over cells: computes a property's volume average at the centre and the low faces.
+    """Kernel over cells: averages a property of liquids over the volumes around each centre and low
+    face.
 
     `fills` contains the sums of volume times property, and `cells` the sums of the volume. In a
     cell without liquid, the average is 1.

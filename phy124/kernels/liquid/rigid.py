@@ -1,4 +1,4 @@
-"""Sums the forces and moments of pressures on solids, and the response of the solids."""
+"""Sums the forces and moments of pressures on solids, and computes how the solids respond."""
 
 import warp as wp
 

@@ -17,8 +17,8 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""The fill of a cell determines a body's surface only if walls cover at most this fraction of the
-cell.
+"""The filled fraction of a cell determines a body's surface only if walls cover at most this
+fraction of the cell.
 """
 
 
@@ -265,7 +265,8 @@ def make_body_distance(real: Any):
 
 @build_once
 def make_body_openings(real: Any):
-    """Kernel over the cells of a region: multiplies open fractions by a body's open fractions.
+    """Kernel over the cells of a region: multiplies open fractions by those that a body leaves
+    open.
 
     The kernel changes the open fractions of the low faces and of the eighths of each cell.
     """

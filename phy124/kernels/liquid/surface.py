@@ -16,8 +16,8 @@ from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""If the fill of a cell is below this value, the cell has no pressure, and its particles are drops
-in flight.
+"""If the filled fraction of a cell is below this value, the cell has no pressure, and its particles
+are drops in flight.
 """
 
 

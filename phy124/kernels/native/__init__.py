@@ -25,7 +25,7 @@ FOLDER = Path(__file__).parent
 
 
 def code(*pieces: str) -> str:
-    """Return the C++ text of pieces, joined in order.
+    """Return the C++ text of some pieces of this folder's files, joined in order.
 
     "tile:store" is the piece `store` of tile.h, and "tile" is the text before the first piece.
     """

@@ -156,7 +156,7 @@ class Shape:
 
     kind: int
     normal: wp.vec3
-    """Unit normal, outwards."""
+    """Outward unit normal of the liquid's surface at the Gaussian."""
     gloss: wp.vec3
     """Normal that the Gaussian's reflections use. A normal shorter than 1 makes the Gaussian
     reflect less light.

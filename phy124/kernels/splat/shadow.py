@@ -8,8 +8,8 @@ from phy124.kernels.reduction import finite
 from phy124.kernels.splat.arguments import DRAWN
 
 NARROW = wp.constant(0.9)
-"""Width [cells] below which a Gaussian is treated as a point between four cells. The point is
-ignored unless all four cells are on the shadow map.
+"""Width of a Gaussian on the shadow map [cells] below which it is treated as a point between four
+cells. The point is ignored unless all four cells are on the shadow map.
 """
 REACH = wp.constant(3.0)
 """Distance up to which a wider Gaussian is evaluated [standard deviations]."""
