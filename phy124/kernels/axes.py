@@ -9,8 +9,8 @@ import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace of the matrix of a rotation by 45 degrees. If an ellipsoid's axes have turned by a rotation
-with a larger trace, they keep their order.
+"""Trace of the matrix of a rotation by 45 degrees. If the rotation from the previous axes of a
+Gaussian to the new axes has a larger trace, the axes keep their order.
 """
 
 

@@ -16,7 +16,7 @@ from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
 """Hidden particles are placed this far below the lowest node of the grid's window [nodes]. The
-gather ignores particles at such a distance from the window.
+gather ignores particles so far outside the window.
 """
 
 

@@ -37,7 +37,7 @@ several short substeps without a measurement squeeze a point as much as one long
 FORGET = 4
 """Factor by which the measured frequency and closing rate decay faster than measured values in the
 particle solver. The largest frequency and closing rate depend on a few points that are squeezed
-only for a short time. Their measured values should therefore decay fast.
+only for a short time. The measured frequency and closing rate should therefore decay fast.
 """
 COLLAPSED = 1e-6
 """Smallest valid length of a substep, relative to the substep of the undeformed body."""

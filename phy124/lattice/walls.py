@@ -63,7 +63,8 @@ RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Speed at which surface points inside a wall are moved out, divided by their depth. The unit of
 this ratio is (pi / 2 H)^2 / dt for a body with a height of H cells and for substeps dt at rest. The
 slowest vibration of a body that stands on a wall has the angular frequency pi c / 2 H, where c is
-the speed of sound. Bodies that stick to a wall also rock and shear, with frequencies below this.
+the speed of sound. Bodies that stick to a wall also rock and shear; these vibrations have lower
+frequencies.
 """
 
 

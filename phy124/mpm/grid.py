@@ -132,7 +132,8 @@ class Grid:
     @property
     def changes(self) -> wp.array:
         """Change of each node's velocity by the wall that currently acts. This array of velocity
-        changes is allocated at first use. Before each wall acts, all values of the array are zero.
+        changes is allocated at first use. Before each wall acts, all these velocity changes are
+        zero.
         """
         if self._changes is None:
             self._changes = wp.zeros_like(self.nodes)

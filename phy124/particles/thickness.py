@@ -32,8 +32,8 @@ class Proportions(NamedTuple):
     """Proportions of an object, independent of its size."""
 
     thickness: float
-    """Smallest local thickness of the object, relative to its longest side. Nine tenths of the
-    object's volume are thicker than this thickness.
+    """Local thickness that nine tenths of the object's volume exceed, relative to the object's
+    longest side.
     """
     compliance: float
     """Mean deflection if the object's weight acts sideways, in units of L rho g L / E, where L is
