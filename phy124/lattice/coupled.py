@@ -195,8 +195,8 @@ class CoupledSolver(Solver):
 
 
 class _Lattices(Kept):
-    """The lattices during a substep of the particles. If the substep is rejected, their state is
-    restored.
+    """The lattices during a substep of the particles. If the substep is rejected, the state of the
+    lattices is restored.
     """
 
     kept = ("_lattice", "_materials")

@@ -56,7 +56,7 @@ class Works(NamedTuple):
     friction: float
     """Work of the tangential impulses of walls."""
     impacts: float
-    """Work of the normal impulses of walls and clamps, without the part due to their motion."""
+    """Work of the normal impulses of walls and clamps, except the work due to their motion."""
     itself: float
     """Work of contact of bodies with themselves."""
     pairs: float

@@ -134,7 +134,7 @@ def _slopes_at(
 def _flat_at(
     x: NDArray, normal: NDArray, body: NDArray, dx: float, tree: KDTree, points: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return whether some surface points are on a flat part of the surface [K]."""
+    """Return, for each of K surface points, whether it is on a flat part of the surface [K]."""
     near = KDTree(x[points]).sparse_distance_matrix(tree, dx, output_type="ndarray")
     a, b = near["i"], near["j"]
     # Points on the opposite side of a thin part are ignored.

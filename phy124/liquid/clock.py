@@ -32,7 +32,7 @@ contain at least `AVERAGED` periods.
 """
 AVERAGED = 1.5
 """Smallest number of a body's vibration periods in a step, if a period contains fewer than
-`RESOLVED` steps. Between this value and `RESOLVED` steps per period, the last pressure would
+`RESOLVED` steps. If the length of a step were between these two limits, the last pressure would
 amplify the body's vibrations.
 """
 LIGHT_RESOLVED = 8.0
@@ -41,8 +41,8 @@ must contain at least `LIGHT_AVERAGED` periods.
 """
 LIGHT_AVERAGED = 0.45
 """Smallest number of a light body's vibration periods in a step, if a period contains fewer than
-`LIGHT_RESOLVED` steps. Between this value and `LIGHT_RESOLVED` steps per period, the pressure of a
-step would deform a light body more than the liquid can follow, which would create energy.
+`LIGHT_RESOLVED` steps. If the length of a step were between these two limits, the pressure would
+deform a light body more than the liquid can follow, which would create energy.
 """
 
 

@@ -353,7 +353,7 @@ def _zero_held(motion: NDArray, model: Model) -> NDArray:
 
 
 def form_of(precision: str, device: str, gradient: str = "affine") -> str:
-    """Return the form of the transfers: "spline" on request, "simd" (float32, CPU) or "plain"."""
+    """Return the name of the transfers' implementation: "spline" on request, "simd" or "plain"."""
     if gradient == "spline":
         return "spline"
     return "simd" if device == "cpu" and precision == "float32" else "plain"
