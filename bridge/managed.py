@@ -86,7 +86,7 @@ class Work:
         self._open.close()
 
     def shut_down(self) -> None:
-        """Clean up, and let `run` end."""
+        """Close the clip, remove the topics and services, and let `run` return."""
         self._over = True
         self.clean_up()
 
@@ -126,7 +126,7 @@ def managed_player(name: str, *, namespace: str) -> Any:
     from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
     def attempt(action: Callable[[], None]) -> Any:
-        """Carry out a transition; if it fails, log the reason and keep the state."""
+        """Carry out a lifecycle transition; if it fails, log the reason and keep the state."""
         try:
             action()
         except Exception as error:

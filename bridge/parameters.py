@@ -216,13 +216,13 @@ class Running:
         node.add_post_set_parameters_callback(self._carry_out)
 
     def close(self) -> None:
-        """Stop watching."""
+        """Stop watching changes of the parameters."""
         self._node.remove_pre_set_parameters_callback(self._keep_types)
         self._node.remove_on_set_parameters_callback(self._check)
         self._node.remove_post_set_parameters_callback(self._carry_out)
 
     def follow(self, values: Mapping[str, Any]) -> None:
-        """Update the parameters after a command has made a change."""
+        """Set the node's parameters to the values that a command has changed."""
         from rclpy.parameter import Parameter as RosParameter
 
         for name in values.keys() & self._parameters.keys():

@@ -155,7 +155,7 @@ class FileWatch:
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Remember the state of the file, if it exists."""
+        """Store the identity, the size and the change time of the clip's file, if it exists."""
         self._path = path
         self._before = self._state()
 

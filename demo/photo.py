@@ -1,4 +1,4 @@
-"""Components for files that programs upload; the size of a file is checked before it is decoded.
+"""Gradio components for uploaded files, whose size is checked before they are decoded.
 
 Gradio's own components would decode a picture before any check, download it from any URL, and
 accept data: URLs beyond `max_file_size`.

@@ -54,7 +54,7 @@ class GaussianFile:
     """A file of Gaussians that has been read."""
 
     path: str
-    """PLY file of the Gaussians that were kept. Its axes are those of the uploaded file."""
+    """PLY file of the Gaussians that were kept, with the axes of the uploaded file."""
     format: str
     """Title of the file's format."""
     count: int

@@ -81,7 +81,7 @@ class Measurement(BaseModel):
         return promises.promise_measured(error, cells, sorted(errors), self.until)
 
     def table(self) -> str:
-        """Format the grid, the time and the error of each level as an HTML table."""
+        """Format the name, the time and the error of each grid of the study as an HTML table."""
         rows = [
             f"<tr><td>{level.name}</td><td>{level.seconds:.1f} s</td>"
             f"<td>{promises.off(level.error, torn=level.torn)}</td></tr>"
@@ -90,7 +90,9 @@ class Measurement(BaseModel):
         return f'<table class="stops">{"".join(rows)}</table>'
 
     def rows(self) -> list[dict[str, float | str | bool | None]]:
-        """Return the grid, the time and the error of each level, for programs."""
+        """Return the name, the time and the error of each grid of the study, as plain data for
+        programs.
+        """
         return [{"name": level.name, **level.model_dump()} for level in self.levels]
 
 

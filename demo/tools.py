@@ -80,7 +80,7 @@ class Tool:
     function: Any
     description: str
     parameters: Mapping[str, dict[str, Any]]
-    """JSON schema of each argument."""
+    """JSON schema of each argument of the tool, by the argument's name."""
     required: tuple[str, ...]
     files: frozenset[str]
     """Arguments whose values are files."""
@@ -89,7 +89,7 @@ class Tool:
     """Names of the results."""
 
     def schema(self) -> dict[str, Any]:
-        """Return the JSON schema of all arguments together."""
+        """Return the JSON schema of all arguments of the tool together."""
         return {
             "type": "object",
             "properties": dict(self.parameters),
@@ -217,7 +217,7 @@ class ToolServer:
         ]
 
     async def _call(self, name: str, arguments: dict[str, Any]) -> types.CallToolResult:
-        """Call a tool.
+        """Call the endpoint of the page that a tool stands for.
 
         The agent receives errors as sentences. Errors of the server are logged.
         """

@@ -147,7 +147,9 @@ class Visitor:
         return self.measure() <= most
 
     def _oldest(self) -> Iterator[Path]:
-        """Yield the paths that may be removed, in the order in which they should be removed."""
+        """Yield the paths of results that may be removed, in the order in which they should be
+        removed.
+        """
         if not self.busy:
             yield self.folder / "live"
         yield from sorted((self.folder / "exports").glob("*/*"), key=change_time)

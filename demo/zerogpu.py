@@ -20,13 +20,15 @@ from .progress import Done, Measured
 from .work import Order, steps
 
 MARGIN = 1.5
-"""Declared time as a multiple of the predicted time. After 70 % of the declared time, no further
-frame is simulated."""
+"""Time that a job declares to ZeroGPU, divided by its predicted time. After 70 % of the declared
+time, no further frame is simulated.
+"""
 SHORTEST = 15
-"""Shortest declared time of a job, which includes the start of the forked process [s]."""
+"""Shortest time that a job declares to ZeroGPU [s]. It includes the start of the forked process."""
 COMPILING = 20
-"""Time for compiling CUDA kernels [s]. It is added to the declared times until the first job has
-ended."""
+"""Time for compiling CUDA kernels [s]. Jobs declare this additional time to ZeroGPU until the first
+job has ended.
+"""
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 
 Work = Callable[[Order], Iterator[Any]]
@@ -38,10 +40,10 @@ class Durations:
     def __init__(self, longest: float) -> None:
         self.longest = longest
         self.compiled = False
-        """Whether a job has ended. After that, all kernels are probably compiled."""
+        """Whether a job has ended, so that all CUDA kernels are probably compiled."""
 
     def __call__(self, order: Order) -> int:
-        """Return the declared time of a job [s]."""
+        """Return the time that a job declares to ZeroGPU [s]."""
         compiling = 0 if self.compiled else COMPILING
         asked = max(MARGIN * order.expected, SHORTEST) + compiling
         return math.ceil(min(asked, self.longest))

@@ -304,7 +304,7 @@ class DdsServices:
         return [offered.writer for offered in self._offered]
 
     def serve(self) -> None:
-        """Answer the requests that are waiting."""
+        """Answer the service requests that are waiting."""
         for offered in self._offered:
             for request in offered.reader.take(AT_ONCE):
                 if request.sample_info.valid_data:

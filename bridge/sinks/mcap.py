@@ -131,7 +131,7 @@ class McapSink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Complete the file; after a disk error, leave the file unchanged."""
+        """Complete the recording; after a disk error, leave the file unchanged."""
         if self._stream.closed:
             return
         try:
@@ -144,7 +144,7 @@ class McapSink:
             log.error(str(failure))
 
     def write(self, frame: Frame) -> None:
-        """Append a frame.
+        """Append a frame to the recording.
 
         Raises:
             Incomplete: The disk is full or was removed. The frames written so far stay in the file.

@@ -64,7 +64,7 @@ class Inputs:
         oldest: float,
         now: Callable[[], float],
     ) -> None:
-        """Start without any inputs.
+        """Prepare to collect inputs; no wrench, grab or transform has arrived yet.
 
         Args:
             live: The run on which the inputs act.

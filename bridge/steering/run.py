@@ -119,7 +119,7 @@ class SteeredRun:
 
     @property
     def paused(self) -> bool:
-        """Whether the simulated time does not advance."""
+        """Whether the simulated time stands still, because the run is paused or stopped."""
         return self.state in (State.PAUSED, State.STOPPED)
 
     @property
