@@ -18,31 +18,19 @@ CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 """Corners of a cube of side 1, relative to its middle [8,3]."""
 SIGNS = np.prod(-2 * CORNERS, axis=1)
 """Signs of the volumes of the tetrahedra at the eight corners of a cube [8]."""
-HALVINGS = 16
-"""Number of bisection steps that find the distance between two planes from the filled fraction."""
-LEAST = 1e-9
-"""If a volume by which a sum is divided is smaller than this value, the sum is divided by this
-value instead. A filled fraction is limited to the range from this value to 1 minus this value.
-"""
 
 
-def below(normal: NDArray, height: NDArray, side: float = 1, order: int = 0) -> NDArray[np.float64]:
-    """Return the volume of a cube below a plane [K], or a derivative with respect to the plane's
-    height.
-
-    The first derivative is the area of the cut, and the second is the rate at which this area
-    grows.
+def below(normal: NDArray, height: NDArray, side: float = 1) -> NDArray[np.float64]:
+    """Return the volume of a cube below a plane [K].
 
     Args:
         normal: Unit normals of the planes [K,3].
         height: Distances of the planes from the middles of the cubes, along the normals [K].
         side: Side of the cubes.
-        order: Order of the derivative, 0 to 2.
     """
     size = np.maximum(np.abs(normal), FLAT)
     depth = np.maximum(height[:, None] - side * (size @ CORNERS.T), 0)
-    power = (depth * depth * depth / 6, depth * depth / 2, depth)[order]
-    result: NDArray[np.float64] = power @ SIGNS / size.prod(axis=1)
+    result: NDArray[np.float64] = depth**3 / 6 @ SIGNS / size.prod(axis=1)
     return result
 
 
@@ -60,36 +48,6 @@ def between(
     """
     upper, lower = (below(normal, height + part * thick, side) for part in (0.5, -0.5))
     return upper - lower
-
-
-def fill_between(
-    fraction: NDArray, normal: NDArray, height: NDArray
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return centres [K,3] and second moments [K,3,3] of parts of voxels between parallel planes.
-
-    The second moments are divided by the volume of each part.
-
-    The distance of the planes follows from the filled fraction of the voxel.
-
-    Args:
-        fraction: Filled fractions [K].
-        normal: Unit normals of the planes [K,3].
-        height: Distance from the middle of each voxel to the point midway between its two planes
-            [K].
-    """
-    fraction = np.clip(fraction, LEAST, 1 - LEAST)
-    low = np.zeros(len(fraction))
-    high = 2 * np.abs(height) + np.abs(normal).sum(axis=1) + 8 * FLAT
-    for _ in range(HALVINGS):
-        thick = (low + high) / 2
-        thin = between(normal, height, thick) < fraction
-        low, high = np.where(thin, thick, low), np.where(thin, high, thick)
-    half = (low + high) / 4
-    upper, lower = (moments_below(normal, height + part) for part in (half, -half))
-    volume, first, second = (a - b for a, b in zip(upper, lower, strict=True))
-    volume = np.maximum(volume, LEAST)
-    centre = first / volume[:, None]
-    return centre, second / volume[:, None, None] - centre[:, :, None] * centre[:, None, :]
 
 
 def moments_below(

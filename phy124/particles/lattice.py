@@ -294,6 +294,8 @@ def _subdivide(solid: Solid, dx: float) -> Solid:
     parts = round(solid.voxel / dx)
     if parts <= 1:
         return solid
+    if solid.source is not None:
+        return solid.source.resample(solid.voxel / parts)
     fraction = solid.fraction
     for axis in range(3):
         fraction = np.repeat(fraction, parts, axis=axis)

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phy124.particles.cuts import moments_below
-from phy124.particles.surface import PARTS, Cubes, Surface
+from phy124.particles.surface import Cubes, Surface
 
+ROUNDING = 1e-9
+"""Borders of voxels that differ by less than this value are equal [voxels]."""
 SMALLEST = 1e-6
 """A part of a cube is ignored if one of its sides is shorter than this [new voxels]."""
 
@@ -69,7 +71,8 @@ def average(
     mean, firsts = values.astype(np.float64), []
     for axis, start in enumerate((first * voxel).tolist()):
         old = start + voxel * np.arange(mean.shape[axis] + 1)
-        low, high = math.floor(old[0] / step), math.ceil(old[-1] / step)
+        low = math.floor(old[0] / step + ROUNDING)
+        high = math.ceil(old[-1] / step - ROUNDING)
         firsts.append(low)
         summed = np.cumsum(np.moveaxis(mean, axis, 0), axis=0)
         summed = np.concatenate([np.zeros_like(summed[:1]), summed])
@@ -100,7 +103,7 @@ def move_material(
     """
     shape = inner.shape
     moments = [_divide_even(low + side * full, side, np.ones(len(full)), shape)]
-    for cubes, size in ((surface.slabs, side), (surface.edges, side / PARTS)):
+    for cubes, size in ((surface.slabs, side), (surface.edges, side / surface.parts)):
         moments += _move_cubes(cubes, low, side, size, shape)
     outer = [each.select(~inner.ravel()[each.voxel]) for each in moments]
     every = _Moments(*map(np.concatenate, zip(*outer, _full_voxels(inner), strict=True)))

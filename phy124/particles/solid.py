@@ -26,7 +26,6 @@ import math
 import threading
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -36,16 +35,8 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians, rotation_matrices
 from phy124.particles.cleaning import VISIBLE
 from phy124.particles.resampling import Material, average, move_material
-from phy124.particles.surface import (
-    Samples,
-    Surface,
-    fill_voxels,
-    find_surface,
-    shortest_axes,
-)
-
-if TYPE_CHECKING:
-    from phy124.particles.voxels import Voxels
+from phy124.particles.surface import Samples, Surface, find_surface, shortest_axes
+from phy124.particles.voxels import Voxels, find_voxels
 
 Mask = NDArray[np.bool_]
 
@@ -80,18 +71,18 @@ class Solid:
     fraction: NDArray[np.float32]
     """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
     surface: Surface | None = None
-    """Material of the voxels at the surface; None if only the filled fractions are known."""
+    """Material of the voxels at the surface. If None, it is known from `source`, or all voxels are
+    filled evenly."""
     source: Solid | None = None
-    """The solid from which this solid was resampled; None if only the fractions are known."""
+    """The solid from which this solid was resampled, if its surface is known."""
 
     @cached_property
     def voxels(self) -> Voxels:
         """The filled parts of the solid's voxels."""
-        from phy124.particles.voxels import find_voxels  # This import loads Warp.
-
-        if self.source is None:
+        origin = self.source if self.surface is None else self
+        if origin is None:
             return find_voxels(self.fraction)
-        material = self.source._move_to(self.voxel)
+        material = origin._move_to(self.voxel)
         filled = np.zeros(self.fraction.shape)
         filled.ravel()[material.voxel] = material.fraction
         return find_voxels(filled, material)
@@ -158,7 +149,7 @@ class Solid:
         """
         assert self.surface is not None
         full = self.fraction > 0
-        for cubes in self.surface:
+        for cubes in (self.surface.slabs, self.surface.edges):
             full.ravel()[cubes.voxel] = False
         first, inner = average(full, self.first, self.voxel, step)
         at_border = full & _dilate(~full, math.ceil(step / self.voxel) + 1)
@@ -209,7 +200,7 @@ def _find_interior(gaussians: Gaussians) -> Solid:
     grid = _voxelise(some)
     region, outside = _find_inside(grid.occupied, grid.across)
     surface = find_surface(region, region & _dilate(outside, 1), grid.samples)
-    fraction = fill_voxels(region, surface)
+    fraction = surface.fill(region)
     fraction.flags.writeable = False  # All runs use this array.
     return Solid(grid.first, grid.voxel, fraction, surface)
 

@@ -99,12 +99,24 @@ class Cubes(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The material in the voxels at the surface of an object; other voxels are full or empty."""
+    """The material of the voxels at the surface; other voxels are full or empty."""
 
     slabs: Cubes
-    """Voxels near which all faces are parallel; each voxel is one cube."""
+    """Voxels near which all faces are parallel."""
     edges: Cubes
-    """Parts of all other voxels at the surface; each voxel has `PARTS` parts along each axis."""
+    """Parts of the other voxels at the surface."""
+    parts: int
+    """Number of parts along each axis of these voxels."""
+
+    def fill(self, region: Mask) -> NDArray[np.float32]:
+        """Return the filled fractions of the voxels of a region with this surface [X,Y,Z]."""
+        fraction = region.ravel().astype(np.float64)
+        for cubes, side in ((self.slabs, 1), (self.edges, 1 / self.parts)):
+            fraction[cubes.voxel] = 0
+            middle, thick = (cubes.upper + cubes.lower) / 2, cubes.upper - cubes.lower
+            volume = cubes.weight * between(cubes.normal, middle, thick, side)
+            fraction += np.bincount(cubes.voxel, volume, region.size)
+        return np.clip(fraction, 0, 1).reshape(region.shape).astype(np.float32)
 
 
 class _Faces(NamedTuple):
@@ -168,22 +180,8 @@ def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
     main = faces.normal[near.main]
     turned = np.abs(np.einsum("vsi,vi->vs", faces.normal[near.faces], main))
     is_slab = ((turned > PARALLEL) | (near.faces < 0)).all(axis=1)
-    return Surface(
-        _make_slabs(faces, near.select(is_slab)), _cut_edges(faces, near.select(~is_slab))
-    )
-
-
-def fill_voxels(region: Mask, surface: Surface) -> NDArray[np.float32]:
-    """Return the filled fractions of all voxels [X,Y,Z], from a region and the surface of the
-    object.
-    """
-    fraction = region.ravel().astype(np.float64)
-    for cubes, side in ((surface.slabs, 1), (surface.edges, 1 / PARTS)):
-        fraction[cubes.voxel] = 0
-        middle, thick = (cubes.upper + cubes.lower) / 2, cubes.upper - cubes.lower
-        volume = cubes.weight * between(cubes.normal, middle, thick, side)
-        fraction += np.bincount(cubes.voxel, volume, region.size)
-    return np.clip(fraction, 0, 1).reshape(region.shape).astype(np.float32)
+    edges = _cut_edges(faces, near.select(~is_slab))
+    return Surface(_make_slabs(faces, near.select(is_slab)), edges, PARTS)
 
 
 def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:

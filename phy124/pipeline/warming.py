@@ -8,7 +8,6 @@ from phy124.generators.shapes import ball
 from phy124.kernels.implicit import HULL, INFLATED, push
 from phy124.kernels.splat import discs, fields, shadow, stage
 from phy124.kernels.splat.arrange import arrange
-from phy124.kernels.voxels import fill_voxels
 from phy124.rendering.render import Renderer
 from phy124.runtime.compiling import compile_missing
 from phy124.runtime.context import RunContext
@@ -22,7 +21,7 @@ STAGE = {
     "cuda": (shadow.cover, arrange, stage.draw_setting),
 }
 """One kernel from each module that draws a stage; compiling it compiles the whole module."""
-HOST = (INFLATED.project, HULL.project, push, fill_voxels, fields.fill, discs.find_surface)
+HOST = (INFLATED.project, HULL.project, push, fields.fill, discs.find_surface)
 """One kernel from each module that always runs on the CPU. The modules are used by the generator
 `relief`, by the set-up of lattices, and for the surfaces of liquids.
 """

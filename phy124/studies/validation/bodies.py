@@ -17,6 +17,7 @@ from phy124.materials import Material
 from phy124.mpm import Model, Solver, State
 from phy124.particles.lattice import lattice_of
 from phy124.particles.solid import Solid
+from phy124.particles.surface import Cubes, Surface
 
 if TYPE_CHECKING:
     import warp as wp
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 PARTS = 6
-"""Number of samples along each axis of a voxel at a solid's surface."""
+"""Number of parts along each axis of a voxel at a solid's surface."""
 MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 
 
@@ -132,7 +133,7 @@ def fill_solid(
     upper: Sequence[float] | NDArray[Any],
     voxel: float,
 ) -> Solid:
-    """Return the solid inside a surface; a voxel at the surface is filled up to the surface.
+    """Return the solid inside a surface; the surface is flat in each part of a voxel.
 
     Args:
         distance: Function that returns the signed distance of points [...,3] from the surface [m];
@@ -145,13 +146,20 @@ def fill_solid(
     count = np.ceil(np.asarray(upper) / voxel - 1e-9).astype(np.int64) - first
     index = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1)
     away = distance((index + first + 0.5) * voxel)
-    fraction = (away < 0).astype(np.float32)
-    edge = index[np.abs(away) < 0.9 * voxel]
-    sample = (np.stack(np.meshgrid(*[np.arange(PARTS)] * 3), axis=-1).reshape(-1, 3) + 0.5) / PARTS
-    for some in np.array_split(edge, max(1, len(edge) // 20_000)):
-        far = distance((some[:, None] + first + sample) * voxel) / voxel
-        fraction[tuple(some.T)] = np.clip(0.5 - PARTS * far, 0, 1).mean(axis=1)
-    return Solid(first, voxel, fraction)
+    border = np.flatnonzero(np.abs(away) < 0.9 * voxel)
+    inner = np.array(list(np.ndindex(PARTS, PARTS, PARTS))) / PARTS
+    corner = (index.reshape(-1, 3)[border][:, None] + inner).reshape(-1, 3)
+    middle = (corner + first + 0.5 / PARTS) * voxel
+    height, step = -distance(middle) / voxel, 1e-3 * voxel
+    slopes = [(distance(middle + step * unit) - distance(middle)) / step for unit in np.eye(3)]
+    normal = np.stack(slopes, axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    lowest = np.full(len(height), -1.0)
+    voxels, weight = np.repeat(border, PARTS**3), np.ones(len(height))
+    parts = Cubes(voxels, corner, weight, normal, np.clip(height, -1, 1), lowest)
+    none = parts.select(np.zeros(len(height), bool))
+    surface = Surface(none, parts.select(height > -1 / PARTS), PARTS)
+    return Solid(first, voxel, surface.fill(away < 0), surface)
 
 
 def make_lattice_solver(
