@@ -34,7 +34,7 @@ REQUIREMENTS: dict[str, Callable[[], None]] = {
 }
 """Functions that raise InputError if the package for an outlet (kind of output) is missing."""
 AUTOMATIC = ("rclpy", "dds")
-"""Backends that `auto` tries in this order.
+"""Backends in the order in which the option `auto` tries them.
 
 Only one backend is used, because frames would otherwise arrive twice.
 """

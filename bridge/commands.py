@@ -232,7 +232,8 @@ class Steer:
     """rclpy (needs ROS 2), dds (ROS 2 topics without ROS 2) or foxglove. auto uses rclpy if ROS 2
     is installed, otherwise dds."""
     speed: float = 1.0
-    """Simulated seconds per real second. If the machine is too slow, the run is slower than this.
+    """Simulated seconds per real second. If the machine is too slow, the run is slower than
+    requested.
     """
     paused: bool = False
     """Show the object at rest until a command plays or steps the simulation."""

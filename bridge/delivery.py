@@ -19,8 +19,8 @@ STEP = 0.02
 IN_BUFFERS = 1 << 20
 """Amount of unacknowledged data that is assumed to have arrived [bytes].
 
-Acknowledgements may take 100 ms (Cyclone's heartbeat), but this amount of data fits into the
-default buffers of a subscriber.
+Acknowledgements may take 100 ms (Cyclone's heartbeat), but so little data fits into the default
+buffers of a subscriber.
 """
 log = logging.getLogger(__name__)
 

@@ -154,8 +154,7 @@ class Pacer:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """These values are constant, because a running simulation shows each frame once. A `Playback`
-    needs them.
+    """Members of `Playback` that are constant, because a running simulation shows each frame once.
     """
 
     def __init__(self, speed: float, clock: Clock) -> None:

@@ -79,7 +79,7 @@ MAKING: dict[str, Any] = {
 }
 """Sections of options for making Gaussians from the source, by their name in `LiveOptions`.
 
-Each field of such a section is a ROS parameter of the node.
+Each field of a section is a ROS parameter of the node.
 """
 
 

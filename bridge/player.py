@@ -34,8 +34,9 @@ class Tick:
     time: float
     """Time of the frame in the clip [s]."""
     stamp: float
-    """Number of seconds of the clip that were played so far. It increases even at loops and
-    seeks."""
+    """Number of seconds of the clip that were played so far. The value increases even at loops and
+    seeks.
+    """
 
 
 class Player:

@@ -56,8 +56,8 @@ class LiveSink(Sink, Protocol):
     """A sink whose viewers can send commands."""
 
     monotonic: bool = True
-    """Whether the time stamps of frames must not decrease. If false, they jump at each loop and
-    seek.
+    """Whether the time stamps of frames must not decrease. If false, time stamps jump at each loop
+    and seek.
     """
 
     def listen(self, seconds: float, obey: Obey) -> bool | None:

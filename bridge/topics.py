@@ -76,7 +76,7 @@ CAMERA = {
 """Kinds of camera data: end of the topic's name, and message type."""
 DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", depth=5)
 MAIN = (POINTS.name, SPLATS.name)
-"""Names of the two topics of Gaussians. Every frame is published on one of these topics."""
+"""Names of the topics for points and for splats. Every frame is published on one of the two."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
 """Topics that a recording may contain, by name. Topics of contact forces and cameras are recorded,
 too, but not listed here.

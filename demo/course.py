@@ -14,10 +14,11 @@ After `SIMULATING` of the limit, no further frame is simulated. After `FILMING`,
 started. A run fails if it has taken `HOPELESS` times the limit.
 """
 SOFT, FEW = 1e4, 8
-"""A softer material is suggested only above this stiffness [Pa], and a shorter clip only above this
-number of frames."""
+"""Stiffness [Pa] above which a softer material is suggested, and number of frames above which a
+shorter clip is suggested.
+"""
 SURE = 0.1
-"""After this fraction of the time limit, the time of the remaining frames is predicted from the
+"""Fraction of the time limit after which the time of the remaining frames is predicted from the
 time of the frames simulated so far.
 """
 

@@ -74,7 +74,9 @@ class ExtraInputs:
     reading: Reading = NO_READING
     """Orientation of the file of Gaussians."""
     photographed: Photographed = NOT_PHOTOGRAPHED
-    """Whether to render the object in its photograph; this does not affect the Gaussians."""
+    """Whether to also render a video of the object in its photograph, which does not affect the
+    Gaussians.
+    """
     making: Making = NOT_CHOSEN
     """The generator that creates the object from the picture."""
 

@@ -59,7 +59,7 @@ class Estimate:
     unloaded: float = 0.0
     """Predicted time without load from other programs [s]; 0 if unknown."""
     after: float = 0.0
-    """Predicted time of the stages after the simulation [s]. It is included in `seconds`."""
+    """Predicted time of the stages after the simulation, which is a part of `seconds` [s]."""
     course: Course | None = None
     """Predicted course of the run under the page's time limit; None if no limit is known."""
     accuracy: object = None

@@ -32,8 +32,8 @@ POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors {frames}"
 )
 INERT = "default-src 'none'; style-src 'unsafe-inline'; sandbox"
-"""Content security policy of all responses except the page. It matters if a browser opens such a
-response in a tab: the response can then run no scripts.
+"""Content security policy of all responses except the page. If a browser opens such a response in a
+tab, the policy prevents its scripts from running.
 """
 COOKIE = "phy124"
 NAME = re.compile(r"[A-Za-z0-9_-]{32}")

@@ -18,7 +18,9 @@ from phy124.budget.cost import Rates, Work
 from phy124.scene import Scene
 
 READ = 0.2
-"""Gaussians that were available within this time were probably read from a file [s]."""
+"""Longest time in which Gaussians are available if they were read from a file instead of generated
+[s].
+"""
 SPREAD = 3.0
 """Largest factor between a corrected cost and the cost measured at the start."""
 WINDOW = 5
@@ -26,7 +28,7 @@ WINDOW = 5
 FIXED = 0.7
 """Largest fraction of a usual run's time that may be attributed to fixed costs."""
 MINIMUM = 0.2
-"""A run corrects a cost only if its work is at least this fraction of the work in the first
+"""Smallest amount of work of a run that corrects a cost, as a fraction of the work in the first
 measurement.
 """
 
@@ -98,7 +100,7 @@ class Learned:
 
 
 def _observe(report: dict[str, Any], scene: Scene) -> tuple[Work, dict[str, float]]:
-    """Return the work of a finished run, and the time of each stage [s]."""
+    """Return the amount of work in a finished run (see `Work`), and the time of each stage [s]."""
     spent = {stage["name"]: stage["seconds"] for stage in report["stages"]}
     spent["film"] = spent.get("render", 0.0) + spent.get("encode", 0.0)
     for name in ("generate", "simulate", "deform"):

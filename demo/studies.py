@@ -26,7 +26,7 @@ class Level(BaseModel):
     error: float | None
     """Error as a fraction of the object's size.
 
-    None if the grids do not converge, or if the object may have torn on this grid.
+    The error is None if the grids do not converge, or if the object may have torn on this grid.
     """
     torn: bool
 

@@ -39,9 +39,9 @@ because its answer shows the latest state.
 CHANGE = "(globalThis.Phy124 ??= {}).change"
 """JavaScript expression for the number of changes that the visitor has made to the scene.
 
-It is undefined before the first change. Events that update the forecast send this number instead of
-the value of the forecast panel. Their answers repeat the number, so that old answers can be
-ignored.
+The number is undefined before the first change. Events that update the forecast send the number of
+changes instead of the value of the forecast panel. The answers repeat the number, so that old
+answers can be ignored.
 """
 CHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} = ({CHANGE} ?? 0) + 1]"
 UNCHANGED = f"(...values) => [...values.slice(0, -1), {CHANGE} ?? 0]"

@@ -24,10 +24,10 @@ MARGIN = 1.5
 time, no further frame is simulated.
 """
 SHORTEST = 15
-"""Shortest time that a job declares to ZeroGPU [s]. It includes the start of the forked process."""
+"""Shortest time that a job declares to ZeroGPU, including the start of the forked process [s]."""
 COMPILING = 20
-"""Time for compiling CUDA kernels [s]. Jobs declare this additional time to ZeroGPU until the first
-job has ended.
+"""Time for compiling CUDA kernels [s]. Until the first job has ended, jobs declare the time for
+compiling to ZeroGPU in addition.
 """
 REMEDY = "Choose a coarser accuracy or fewer frames, sign in to Hugging Face, or try again later."
 

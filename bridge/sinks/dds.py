@@ -37,8 +37,8 @@ DEPTH = 10
 AT_ONCE = 16
 """Largest number of messages or requests that are read from a topic at a time."""
 HEADER = struct.Struct("<Qq")
-"""Header of a service request: identity of the client, and number of the request. It has 16 bytes,
-so that the members of the request are aligned.
+"""Header of a service request: identity of the client, and number of the request. The header has 16
+bytes, so that the members of the request are aligned.
 """
 
 

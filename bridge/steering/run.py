@@ -57,9 +57,7 @@ class SteeredRun:
 
     rate: float | None = None
     loop, dropped = False, 0
-    """These values are constant, because a live run shows each frame exactly once. A `Playback`
-    needs them.
-    """
+    """Members of `Playback` that are constant, because a live run shows each frame exactly once."""
 
     def __init__(
         self,

@@ -31,7 +31,7 @@ GAUSSIANS = 4000
 """Number of Gaussians from which the outlines of the object are computed."""
 NAME = "material.E"
 TIMES = 10.0
-"""The stiffnesses of the result and of the filmed object may differ by at most this factor."""
+"""Largest factor between the stiffnesses of the result and of the filmed object."""
 SOFTEST, STIFFEST = 1e3, 1e10
 """Range of stiffnesses on the page's slider [Pa]."""
 PLAN, REPORT = "plan.json", "fit.json"

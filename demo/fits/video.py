@@ -41,7 +41,7 @@ class Seen:
     folder: Path
     """Folder of the pictures that fall within the scene's duration."""
     fps: float | None
-    """Pictures per second of real time; None if this rate is unknown."""
+    """Pictures per second of real time; None if the rate is unknown."""
     count: int
     whole: int
     """Number of pictures in the whole video."""

@@ -31,8 +31,8 @@ PREPARING = 120.0
 RATE = 1.6
 """Real-time factor that the grid must reach.
 
-The factor is above 1, because a browser on the same machine also needs time. The chosen grid is
-therefore a tenth coarser.
+This real-time factor is above 1, because a browser on the same machine also needs time. The chosen
+grid is therefore a tenth coarser.
 """
 TEXT, BINDING, FRAME, SESSION = b"t", b"b", b"f", b"s"
 """First letters of the kinds of messages: plain data for the page, a binding, a frame, a

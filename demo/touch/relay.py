@@ -44,7 +44,7 @@ SAYINGS = 32
 """Largest number of messages for the visitor that wait to be sent. Further messages are discarded.
 """
 PARTING = 10.0
-"""Time limit for sending the message with which a live run ends to the browser [s]."""
+"""Time limit for sending the browser the message with which a live run ends [s]."""
 BROKEN = "The live run failed. Start it again."
 IDLE = "The live run ended, because it was not touched for {:g} minutes."
 OVER = "A live run lasts {:g} minutes here. Start another one."

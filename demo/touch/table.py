@@ -32,7 +32,7 @@ The clip and the viewer's file may take the fraction `ROOM` of a visitor's disk 
 may be as long as the fraction `TIME` of the time limit of a run.
 """
 FORCES = 64
-"""A saved session may always have this number of forces and boundaries.
+"""Number of forces and boundaries that a saved session may always have.
 
 In the saved scene, each grab and each change of gravity is a force or a boundary.
 """
@@ -49,7 +49,7 @@ class Ticket:
     """Name of the ticket, which cannot be guessed."""
     created: float = field(default_factory=time.monotonic)
     taken: bool = False
-    """Whether a page has presented this permission."""
+    """Whether a page has presented this ticket."""
     end: Callable[[], None] = lambda: None
     """Function that ends the run. Any thread may call it."""
     session: dict[str, Any] | None = None
@@ -122,7 +122,7 @@ class Table:
             ticket.end()
 
     def over(self, ticket: Ticket) -> None:
-        """Stop counting a run that has ended."""
+        """Stop counting a live run that has ended."""
         with self._lock:
             if self._tickets.get(ticket.visitor) is ticket:
                 del self._tickets[ticket.visitor]

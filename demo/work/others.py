@@ -22,7 +22,7 @@ class Other:
     """A further object of the scene with its picture."""
 
     index: int
-    """Index among the objects of the scene. The first object has index 0."""
+    """Index among the objects of the scene. The scene's first object has index 0."""
     name: str
     picture: Path
     """The uploaded picture."""
