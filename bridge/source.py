@@ -207,9 +207,9 @@ def make_object(
         for note in cutout.notes:
             log.warning(note)
         if cutout.warnings:
-            see = f"Look at it with `phy124 cutout {source}`"
-            mend = "Correct it with --pick or --mask in both commands."
-            for sentence in (*cutout.warnings, f"{see}; {mend}"):
+            see = f"Look at the cut-out with `phy124 cutout {source}`."
+            mend = "If it is wrong, use --pick or --mask in both commands."
+            for sentence in (*cutout.warnings, f"{see} {mend}"):
                 log.warning(sentence)
 
     made = make_gaussians(
