@@ -365,7 +365,7 @@ class Recover:
     path: tyro.conf.Positional[Path]
     """The bag folder or the .mcap file."""
     output: Path | None = None
-    """File for the repaired copy. The damaged recording then remains unchanged."""
+    """File for the repaired copy. With this option, the damaged recording remains unchanged."""
 
     def run(self, say: Say) -> int:
         """Repair the recording; print how many frames were recovered."""

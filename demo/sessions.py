@@ -66,7 +66,7 @@ class _Origin:
 
 
 class Sessions(StateHolder):
-    """Sessions by name.
+    """Gradio's sessions of open pages, by name.
 
     The number of sessions per address is limited. Sessions of known visitors are kept.
     """

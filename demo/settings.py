@@ -73,7 +73,7 @@ class Settings(Section):
     max_fits: int = Field(default=1, ge=1, le=64)
     """Largest number of fits at the same time."""
     max_queue: int = Field(default=16, ge=1)
-    """Largest number of requests that may wait."""
+    """Largest number of requests that may wait in the queue."""
     max_touch: int = Field(default=2, ge=1, le=64)
     """Largest number of live runs at the same time."""
     touch_minutes: float = Field(default=10, gt=0)

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 IDLE = 3
 """Number of reads without a message after which the queue is assumed to be empty."""
 READING, SHARE = 0.02, 0.25
-"""Limits on the time for which messages are read before each frame; the longer time applies.
+"""Two limits on the time for which messages are read before each frame. The longer limit applies.
 
-`READING` is a time [s]. `SHARE` is a fraction of the time since messages were last read, because
-more messages wait in a slow run.
+The limit is never shorter than `READING` [s]. `SHARE` is the limit as a fraction of the time since
+messages were last read, because more messages wait in a slow run.
 """
 FLOOD = "Messages arrive faster than they are read: only the newest of each topic are kept."
 

@@ -100,7 +100,7 @@ def _add_stages(stages: list[dict[str, Any]], others: list[dict[str, Any]]) -> l
 def _videos(
     clip: Clip, view: View, order: Order, folder: Path, limits: Limits, watch: Stopwatch
 ) -> list[str]:
-    """Write the videos one by one; return the sides for which no time was left."""
+    """Write the videos one by one; return the names of the views for which no time was left."""
     left_out = []
     for number, side in enumerate(view.sides):
         if number and limits.spent > FILMING:
