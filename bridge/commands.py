@@ -124,7 +124,8 @@ class Play:
     rate: float | None = None
     """Largest number of frames per second; by default, every frame is sent."""
     loop: bool = False
-    """Start again after the last frame. The time stamps of the messages do not start again."""
+    """Start again after the last frame. The messages' time stamps still increase with each frame.
+    """
     paused: bool = False
     """Show the first frame, then wait for the command `play`."""
     stay: bool = False

@@ -267,7 +267,7 @@ class Player:
 
 
 def checked_speed(speed: float) -> float:
-    """Return the speed if it is allowed.
+    """Check that a playback speed is within `SPEEDS`, and return it.
 
     Raises:
         InputError: The speed is outside `SPEEDS`.

@@ -22,7 +22,7 @@ from ..pictures import MISSING, is_shown, read_place, read_strokes
 from ..source import Cutout, GaussianFile, Source
 from .event import Handler, data_of, file_of, job_of, path_of, table_of
 
-CORRECT = " Click the object, or correct it."
+CORRECT = " Click the object, or correct the cut-out."
 FORGOTTEN = "The server no longer has this picture. Choose it again."
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
