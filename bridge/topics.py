@@ -76,10 +76,9 @@ CAMERA = {
 """Kinds of camera data: end of the topic's name, and message type."""
 DRACO = Topic("/phy124/points/draco", "point_cloud_interfaces/msg/CompressedPointCloud2", depth=5)
 MAIN = (POINTS.name, SPLATS.name)
-"""Names of the topics for points and for splats. Every frame is published on one of the two."""
+"""Names of the topic for points and the topic for splats, one of which publishes every frame."""
 RECORDED = {topic.name: topic for topic in (TF_STATIC, POINTS, DRACO, ELLIPSOIDS, SPLATS, TF)}
-"""Topics that a recording may contain, by name. Topics of contact forces and cameras are recorded,
-too, but not listed here.
+"""Topics that a recording may contain, by name, except the topics of contact forces and cameras.
 
 The clock is not recorded, because it would conflict with the clock of `ros2 bag play --clock`.
 """
