@@ -19,8 +19,8 @@ STEP = 0.02
 IN_BUFFERS = 1 << 20
 """Amount of unacknowledged data that is assumed to have arrived [bytes].
 
-Acknowledgements may take 100 ms (Cyclone's heartbeat), but so little data fits into the default
-buffers of a subscriber.
+The default buffers of a subscriber can store this amount, and an acknowledgement may take 100 ms
+(Cyclone's heartbeat).
 """
 log = logging.getLogger(__name__)
 
