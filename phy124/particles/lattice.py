@@ -41,9 +41,9 @@ SLIVER, THIN_SLIVER = 0.15, 0.05
 `THIN_SLIVER` f^2 or below `SLIVER` g^2. In this rule, f is the filled fraction of the fullest cell
 around the cell, and g is the smallest filled fraction in a block of 2 x 2 x 2 cells that touches
 the cell. A sliver is merged with a neighbouring cell. In parts of a body that are thinner than two
-cells, many cells have a small filled fraction. If `SLIVER` were used for both limits, plates turned
-by 45 degrees would bend up to 1.11 times too far. With a fixed limit, rods would bend up to 3.1
-times too far.
+cells, many cells have a small filled fraction. If `SLIVER` were used for both limits of slivers,
+plates turned by 45 degrees would bend up to 1.11 times too far. With a fixed limit for slivers,
+rods would bend up to 3.1 times too far.
 """
 AROUND = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1
 """Steps from a cell of a lattice to its 26 neighbours."""

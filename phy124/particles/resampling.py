@@ -18,7 +18,9 @@ from phy124.particles.cuts import moments_below
 from phy124.particles.surface import Cubes, Surface
 
 ROUNDING = 1e-9
-"""Borders of voxels that differ by less than this value are equal [voxels]."""
+"""If positions of two voxels' borders differ by less than this, the borders count as equal
+[voxels].
+"""
 SMALLEST = 1e-6
 """A part of a cube is ignored if one of its sides is shorter than this [new voxels]."""
 
@@ -29,7 +31,7 @@ class Material(NamedTuple):
     voxel: NDArray[Any]
     """Indices of the voxels in the flattened grid, in ascending order [V]."""
     fraction: NDArray[Any]
-    """Filled fractions [V]."""
+    """Filled fractions of the voxels [V]."""
     shift: NDArray[Any]
     """Centres of the voxels' filled parts, relative to the middles of the voxels [V,3]."""
     spread: NDArray[Any]
@@ -44,11 +46,11 @@ class _Moments(NamedTuple):
     voxel: NDArray[Any]
     """Indices of the new voxels in which the parts lie, in the flattened grid [K]."""
     volume: NDArray[Any]
-    """Volumes [K]."""
+    """Volumes of the parts [K]."""
     first: NDArray[Any]
-    """First moments [K,3]."""
+    """First moments of the parts [K,3]."""
     second: NDArray[Any]
-    """Second moments [K,3,3]."""
+    """Second moments of the parts [K,3,3]."""
 
     def select(self, mask: NDArray[np.bool_]) -> _Moments:
         return _Moments(*(values[mask] for values in self))

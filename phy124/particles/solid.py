@@ -71,8 +71,9 @@ class Solid:
     fraction: NDArray[np.float32]
     """Fraction of each voxel that is inside the object [X,Y,Z], 0..1."""
     surface: Surface | None = None
-    """Material of the voxels at the surface. If None, it is known from `source`, or all voxels are
-    filled evenly."""
+    """Material of the voxels at the surface. If `surface` is None, the material is known from
+    `source`, or all voxels are filled evenly.
+    """
     source: Solid | None = None
     """The solid from which this solid was resampled, if its surface is known."""
 

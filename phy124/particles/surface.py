@@ -29,8 +29,8 @@ shortest."""
 WINDOW = 5
 """Side of the cube in which the centre of the material around a sample is computed [voxels]."""
 NOISE = 0.15
-"""If the standard deviation of flat Gaussians' distances from a face is at most this, the distances
-count as noise [voxels].
+"""Standard deviation of the distances of flat Gaussians from their face that counts as noise
+[voxels].
 """
 PARALLEL = 0.95
 """Smallest cosine of the angle between the normals of two faces that count as parallel."""
@@ -83,7 +83,7 @@ class Cubes(NamedTuple):
     voxel: Array
     """Index, in the flattened grid, of the voxel that contains each cube [B]."""
     corner: Array
-    """Lower corners [B,3]."""
+    """Lower corners of the cubes [B,3]."""
     weight: Array
     """Filled fraction of the space between the two planes in each cube [B]."""
     normal: Array
@@ -99,17 +99,17 @@ class Cubes(NamedTuple):
 
 
 class Surface(NamedTuple):
-    """The material of the voxels at the surface; other voxels are full or empty."""
+    """The material in the voxels at the surface of an object; other voxels are full or empty."""
 
     slabs: Cubes
-    """Voxels near which all faces are parallel."""
+    """Voxels near which all faces are parallel, as cubes."""
     edges: Cubes
-    """Parts of the other voxels at the surface."""
+    """Parts of all other voxels at the surface, as cubes."""
     parts: int
-    """Number of parts along each axis of these voxels."""
+    """Number of parts along each axis into which each of these other voxels is divided."""
 
     def fill(self, region: Mask) -> NDArray[np.float32]:
-        """Return the filled fractions of the voxels of a region with this surface [X,Y,Z]."""
+        """Return the filled fractions of all voxels [X,Y,Z], from a region and this surface."""
         fraction = region.ravel().astype(np.float64)
         for cubes, side in ((self.slabs, 1), (self.edges, 1 / self.parts)):
             fraction[cubes.voxel] = 0
@@ -129,11 +129,11 @@ class _Faces(NamedTuple):
     side: Array
     """Side of a cube, 0 to 5, whose direction is closest to each face's normal [K]."""
     samples: Array
-    """Number of samples [K]."""
+    """Number of samples of each face [K]."""
     middle: Array
     """Mean positions of the samples of each face [K,3]."""
     normal: Array
-    """Outward normals [K,3]."""
+    """Outward normals of the faces [K,3]."""
     top: Array
     """Height of each face: the scalar product of its position and its normal [K]."""
     thick: Array
@@ -250,7 +250,7 @@ def _centres_around(region: Mask, points: Array, voxel: Array) -> Array:
 
 
 def _blur(values: Array, shape: tuple[int, ...]) -> Array:
-    """Return the mean value in the cube around each voxel [X*Y*Z]."""
+    """Return the mean of the values in the cube around each voxel [X*Y*Z]."""
     mean = scipy.ndimage.uniform_filter(values.reshape(shape), WINDOW, mode="constant")
     return mean.ravel()
 

@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 from phy124.particles.resampling import Material
 
 SHEET = 0.25
-"""Gradient of the filled fraction [1/voxel] below which a voxel has no single outward side."""
+"""A voxel has no single outward side if the length of the gradient of the filled fraction is below
+this value [1/voxel].
+"""
 NEAR = np.array(list(np.ndindex(3, 3, 3))) - 1
-"""Steps from a voxel to itself and its neighbours, 27 in all."""
+"""Steps from a voxel to the 27 voxels within one step, including itself."""
 SLOPES = 3 / 13 * NEAR / np.maximum((NEAR**2).sum(axis=1, keepdims=True), 1)
-"""Weights of the 27 voxels in the gradient. Neighbours have weights in proportion to 1 /
-distance^2; at a plane parallel to a face of the voxels, the gradient has the length 1.
+"""Weights with which the filled fractions of the 27 voxels around a voxel are summed to their
+gradient. The weight of a neighbour is proportional to 1 / distance^2. At a plane parallel to a face
+of the voxels, the gradient has the length 1.
 """
 
 
@@ -24,13 +27,15 @@ class Voxels(NamedTuple):
     indices: NDArray[np.int64]
     """Indices of the voxels [V,3]."""
     fraction: NDArray[np.float64]
-    """Filled fractions [V]."""
+    """Filled fractions of the voxels [V]."""
     normal: NDArray[np.float64]
-    """Outward normals [V,3]; zero in sheets, which have no single outward side."""
+    """Outward normals of the voxels [V,3]; zero in sheets, which have no single outward side."""
     shift: NDArray[np.float64]
-    """Centres of the filled parts, relative to the middles of the voxels [V,3]."""
+    """Centres of the voxels' filled parts, relative to the middles of the voxels [V,3]."""
     spread: NDArray[np.float64]
-    """Second moments of the filled parts about their centres, per volume [V,3,3]."""
+    """Second moments of the voxels' filled parts about their centres, divided by the parts' volumes
+    [V,3,3].
+    """
 
 
 def find_voxels(filled: NDArray, material: Material | None = None) -> Voxels:
