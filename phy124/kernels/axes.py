@@ -88,7 +88,7 @@ def plane_rotation(a: wp.vec3d, b: wp.vec3d, tolerance: wp.float64) -> wp.vec2d:
 
 @wp.func
 def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
-    """Return (A W, V W) for the rotation W that makes the columns of A W orthogonal."""
+    """Return (A W, V W), where the rotation W makes the columns of the product A W orthogonal."""
     zero = wp.float64(0.0)
     a0, a1, a2 = column(a, 0), column(a, 1), column(a, 2)
     v0, v1, v2 = column(v, 0), column(v, 1), column(v, 2)
@@ -129,8 +129,9 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return the unit vector normal to e that is nearest to `wanted`, or to `spare` if `wanted` is
-    along e.
+    """Return the unit vector normal to `e` that is nearest to another direction.
+
+    The other direction is `wanted`; if `wanted` is along `e`, it is `spare`.
     """
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
@@ -176,7 +177,11 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return the proper signed permutation W (one of 24) for which U W is closest to `previous`."""
+    """Return the order and the signs of a Gaussian's axes for which they are closest to the
+    previous axes.
+
+    The result is W, one of 24 proper signed permutations; U W is closest to `previous`.
+    """
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

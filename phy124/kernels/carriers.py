@@ -35,15 +35,16 @@ def within(at: wp.float64, low: int, high: int) -> int:
 
 @wp.func
 def gap(at: wp.float64, cell: int) -> wp.float64:
-    """Return the distance of a coordinate from a cell [cells]."""
+    """Return the distance from a coordinate to the nearest point of a grid cell [cells]."""
     zero = wp.float64(0.0)
     return wp.max(zero, wp.max(wp.float64(cell) - at, at - wp.float64(cell + 1)))
 
 
 @wp.func
 def margin(at: wp.float64, first: int, last: int, count: int) -> wp.float64:
-    """Return the distance from a coordinate to the nearest end of a range [cells], ignoring the
-    ends of the grid.
+    """Return the distance from a coordinate to the nearest end of a range of cells [cells].
+
+    Ends of the range at the border of the grid are ignored.
     """
     room = wp.float64(1e100)
     if first > 0:

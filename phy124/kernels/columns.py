@@ -108,19 +108,21 @@ def coverage(u: Any):
 
 @wp.func
 def xyz(q: Any):
-    """Return a vector's first three components: a velocity, a normal or the value of a track."""
+    """Return the first three components of a vector, for example a velocity, a normal or a track's
+    value.
+    """
     return wp.vector(q[0], q[1], q[2])
 
 
 @wp.func
 def relative(q0: Any, q1: Any, q2: Any, wall: Any):
-    """Return the velocities of a column's nodes relative to a wall [node, axis]."""
+    """Return the velocities of the three nodes of a column relative to a wall [node, axis]."""
     return wp.matrix_from_rows(xyz(q0) - wall, xyz(q1) - wall, xyz(q2) - wall)
 
 
 @wp.func
 def narrow(m: Any, farther: Any, u: Any):
-    """Return the factor by which the mass of the next node towards the wall is reduced if a body
+    """Return the factor by which a body's mass on the next node towards a wall falls as the body
     narrows.
 
     `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
@@ -137,8 +139,8 @@ def narrow(m: Any, farther: Any, u: Any):
 
 @wp.func
 def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
-    """Determine from the masses m of nodes at the distances u [cells] whether material touches a
-    wall.
+    """Return whether material touches a wall, from the masses m of nodes at the distances u
+    [cells].
 
     If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
     which does not depend on the body's density and width. If there is a gap, the nearer node has
@@ -175,15 +177,20 @@ def has_mass(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
 
 @wp.func
 def linear(distances: Any, across: Any):
-    """Return the ratios g for a velocity that is linear in the distance from the wall and zero on
-    the wall.
+    """Return velocities in a column that are linear in the distance from the wall and zero on the
+    wall.
+
+    They are the ratios g to the velocity of the column's first node.
     """
     return distances / distances[0]
 
 
 @wp.func
 def ending(distances: Any, across: Any):
-    """Return the ratios g for a velocity that falls to zero at the end of the region.
+    """Return velocities in a column for which the velocity is zero at the surface of a clamp's
+    region.
+
+    They are the ratios g to the velocity of the column's first node.
 
     `across` is the cell size [m].
     """
@@ -194,14 +201,19 @@ def ending(distances: Any, across: Any):
 
 @wp.func
 def tie(v: Any, m: Any, g: Any):
-    """Return the changes [node, axis] that give the velocities of nodes of mass m the ratios g."""
+    """Return the velocity changes [node, axis] of a column of nodes that preserve its momentum.
+
+    The new velocities have the ratios g to the velocity of the first node; m are the masses of the
+    nodes.
+    """
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
 
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the velocity change that slows a node behind a wall to the speed of the node in front.
+    """Return the velocity change that slows a node behind a wall to the speed of a node in front of
+    it.
 
     The change never accelerates a node, so it never adds energy.
     """
@@ -212,13 +224,15 @@ def hold_back(behind: Any, front: Any, normal: Any):
 
 @wp.func
 def along_wall(change: Any, normal: Any):
-    """Return the tangential component of velocity changes [node, axis] at a wall."""
+    """Return the tangential component, along a wall, of the velocity changes of nodes
+    [node, axis].
+    """
     return change - wp.outer(change * normal, normal)
 
 
 @wp.func
 def pressing(pressed: Any):
-    """Return whether material presses on the wall, for a wall that material may leave."""
+    """Return whether material presses on a wall that material may leave."""
     return pressed > type(pressed)(0.0)
 
 
@@ -230,7 +244,9 @@ def either_way(pressed: Any):
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add velocity changes [node, axis] and a fourth component to those nodes that have mass."""
+    """Add velocity changes [node, axis], and a fourth component, to the nodes of a column with
+    mass.
+    """
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(

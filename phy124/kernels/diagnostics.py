@@ -40,7 +40,7 @@ def wide(a: Any):
 
 @wp.func
 def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
-    """Add a vector to three sums."""
+    """Add the components of a vector to three consecutive sums."""
     add_to(sums, at, a[0])
     add_to(sums, at + 1, a[1])
     add_to(sums, at + 2, a[2])

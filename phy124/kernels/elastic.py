@@ -28,7 +28,7 @@ SMALLEST_J = wp.constant(1.0e-4)
 
 @wp.func
 def safe_volume(J: Any):
-    """Return max(J, r), where r is the volume ratio below which laws replace log J by its
+    """Return max(J, r), where r is the volume ratio below which elastic laws replace log J by its
     tangent.
     """
     return wp.max(J, type(J)(SMALLEST_J))
@@ -130,13 +130,15 @@ def log_volume_far(J: Any):
 
 @wp.func
 def log_volume(J: wp.float64):
-    """Return `log_volume_far` in float64."""
+    """Return the logarithm of the volume ratio J as `log_volume_far` does, in float64."""
     return log_volume_far(J)
 
 
 @wp.func
 def log_volume(J: wp.float32):  # noqa: F811
-    """Return `log_volume_far`; near J = 1, use a polynomial at a third of the cost of log.
+    """Return the logarithm of the volume ratio J, like `log_volume_far`, but faster near J = 1.
+
+    Near J = 1, a polynomial is used that takes a third of the time of log.
 
     The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2. The polynomial's error
     is 3e-8 (1.4e-7 with rounding errors), and the result is exactly 0 at J = 1. The polynomial's

@@ -44,7 +44,7 @@ def hardness(J: Any, theta: Any):
 
 @wp.func
 def lag(F: Any, h: Any):
-    """Return log(J / J'), where J' is the value of J about one relaxation time ago."""
+    """Return log(J / J'), where J' is the volume ratio J of about one relaxation time ago."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     return wp.log(J / wp.max(h[0], type(J)(MIN_J)))
 
@@ -92,7 +92,7 @@ def tait_modulus(F: Any, h: Any, theta: Any):
 
 @wp.func
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
-    """Return (tr F / 3) I, which replaces the F of a fluid, and the unchanged history.
+    """Return the F and the history of a fluid after a substep: F is replaced by (tr F / 3) I.
 
     For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant is
     not used: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, so a vortex would expand.

@@ -168,7 +168,7 @@ def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
 
 @kernel("phy124_held_forget")
 def forget(means_out: wp.array(dtype=wp.vec3d), second_out: wp.array(dtype=wp.mat33d)):
-    """Set the means of a group to zero."""
+    """Set the mean values of a group of particles to zero."""
     for i in range(2):
         means_out[i] = wp.vec3d()
     second_out[0] = wp.mat33d()

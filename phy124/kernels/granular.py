@@ -92,14 +92,16 @@ def volume_growth(s: Any):
 
 @wp.func
 def stretch_energy(s: Any, theta: Any):
-    """Return `fixed_corotated_energy` for the stretches 1 + s."""
+    """Return the energy of the law `fixed_corotated_energy` for the stretches 1 + s."""
     growth = volume_growth(s)
     return theta[0] * wp.dot(s, s) + theta[1] / type(growth)(2.0) * growth * growth
 
 
 @wp.func
 def stretch_of(strain: Any):
-    """Return sqrt(1 + strain) - 1 without cancellation; the strain of a point is set to -1 + 1e-12.
+    """Return a stretch minus 1 without cancellation: sqrt(1 + strain) - 1.
+
+    The strain is at least -1 + 1e-12, the value for an element that is compressed to a point.
 
     This limit has no effect in float32.
     """
@@ -110,7 +112,7 @@ def stretch_of(strain: Any):
 
 @wp.func
 def limit_stretches(F: Any, strain: Any, h: Any, theta: Any, most: Any):
-    """Return F with its stretches between theta[2] and 1 + `most`, and the history.
+    """Return F with stretches limited to the range from theta[2] to 1 + `most`, and the history.
 
     Nothing changes if that would increase the energy. `strain` is F F^T - I.
     """

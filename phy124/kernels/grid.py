@@ -16,7 +16,7 @@ from phy124.kernels.reduction import load, raise_to
 
 @wp.func
 def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Return the index of the first node of row (i, j) of a box among a window's nodes."""
+    """Return the index, among the nodes of the window, of the first node of row (i, j) of a box."""
     low = box[0]
     size = window[1]
     return ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
@@ -63,8 +63,9 @@ for vec4 in (wp.vec4, wp.vec4d):
         first: int,
         end: int,
     ) -> int:
-        """Return the first k >= `first` at which the velocities of two rows differ, or `end` if the
-        rows are equal.
+        """Return the first index at which the velocities in two rows of nodes differ.
+
+        The search starts at `first`; if the rows are equal, the result is `end`.
         """
         ...
 

@@ -66,7 +66,9 @@ class Corner:
 
 @wp.func
 def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
-    """Return the pixel at a point's upper left, clamped to the image, and the point's offset."""
+    """Return the pixel at the upper left of a point, and the offset of the point from this
+    pixel.
+    """
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))

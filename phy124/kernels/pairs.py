@@ -71,7 +71,7 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
 
 @wp.func
 def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
-    """Add the gradient of a body's mass at a node [kg per 32 cells] to `zero`; return the sum.
+    """Return `zero` plus the gradient of a body's mass at a node [kg per 32 cells].
 
     The gradient along each axis is a mean of nine differences. With a single difference, a surface
     roughness of a hundredth of a cell would brake sliding objects.
@@ -87,15 +87,15 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """Return a body's weight in the contact normal; the weight is larger for a body that never
-    moves.
+    """Return the weight of a body's slope in the contact normal, which is larger for a
+    fixed body.
     """
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
 
 
 @wp.func
 def normal(to: Any, away: Any, yields: Any):
-    """Return the contact normal from the slopes of two bodies' volumes.
+    """Return the normal of the contact of two bodies at a node, from the slopes of their volumes.
 
     `to` is the slope of the second body's volume, and `away` is the slope of the first body's
     volume. The steeper slope belongs to the flatter surface and has the larger weight. (Nairn 2013
@@ -111,7 +111,7 @@ def normal(to: Any, away: Any, yields: Any):
 
 @wp.func
 def outward(n: Any):
-    """Return the step to the next node along the axis closest to a normal."""
+    """Return the step to the next node along the axis that is closest to a contact normal."""
     axis = steepest(n)
     step = wp.vec3i()
     step[axis] = int(wp.sign(n[axis]))
@@ -127,7 +127,7 @@ def shared_most(
     node: wp.vec3i,
     step: wp.vec3i,
 ):
-    """Return which of three nodes in a row has the largest overlap of two bodies."""
+    """Return the node, of three in a row, at which two bodies overlap most."""
     at = node
     most = mass_at(first, first_window, node) * mass_at(second, second_window, node)
     for side in range(-1, 2, 2):
@@ -148,7 +148,7 @@ def fill_fraction(
     fill: Any,
     narrowest: Any,
 ):
-    """Return the ratio of a body's mass at a node to its mass in the interior.
+    """Return a body's mass at a node, divided by its mass at nodes in its interior.
 
     The interior is searched up to two nodes further inside. The ratio is -1 if the body's volume
     fraction in the interior is less than `narrowest`. At an edge of the body, and under
@@ -172,7 +172,10 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return the empty volume fraction around a node; 1 if one of the bodies is absent there."""
+    """Return the fraction of the volume around a node that is empty, between two bodies.
+
+    The fraction is 1 if one of the bodies is absent there.
+    """
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)
@@ -181,7 +184,7 @@ def gap(
 
 @wp.func
 def neighbour(step: wp.vec3i, n: int):
-    """Return the step to neighbour n (0 to 3) of a node, perpendicular to `step`."""
+    """Return the step to one of the four neighbours of a node that lie perpendicular to `step`."""
     axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
     to = wp.vec3i()
     to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
@@ -210,7 +213,9 @@ def surfaces_meet(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return whether the surfaces of two bodies meet at the node with their largest overlap."""
+    """Return whether the surfaces of two bodies meet at the node at which the bodies
+    overlap most.
+    """
     here = gap(first, first_window, second, second_window, at, step, fill)
     more = type(here)(0.0)
     for n in range(4):
@@ -224,7 +229,7 @@ def surfaces_meet(
 
 @wp.func
 def stop(relative: Any, n: Any, friction: Any):
-    """Return the component of a relative velocity that contact removes.
+    """Return the component of the relative velocity of two bodies that their contact removes.
 
     Contact removes the whole approaching velocity along the normal n, and the tangential velocity
     as far as Coulomb friction allows.

@@ -29,7 +29,7 @@ DRIFT = 16
 
 @wp.func
 def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: Any):
-    """Return the value of a track at a time between key i and the next key."""
+    """Return the value of a track at a time between the keys i and i + 1."""
     span = times[i + 1] - times[i]
     return keys[i] + ((at - times[i]) / span) * (keys[i + 1] - keys[i])
 
@@ -38,7 +38,9 @@ def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: 
 def integral(
     times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any
 ):
-    """Return the integral of a track from a to b [s]; outside the keys the track is constant."""
+    """Return the integral of a track's value from a to b [s]; outside its keys, a track is
+    constant.
+    """
     zero = a - a
     total = wp.max(wp.min(b, times[first]) - a, zero) * keys[first]
     total += wp.max(b - wp.max(a, times[last]), zero) * keys[last]
@@ -72,8 +74,9 @@ def mean(
     a: Any,
     b: Any,
 ):
-    """Return the mean of a track from a to b [s]; the track is zero outside span = (start, end,
-    origin, period).
+    """Return the mean of a track's value from a to b [s].
+
+    The track is zero outside span = (start, end, origin, period).
     """
     zero = a - a
     low = wp.max(a, span[0])
@@ -113,7 +116,10 @@ def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last
 
 @wp.func
 def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
-    """Count the keys later than a [s] and no later than b, except for the first key."""
+    """Return the number of a track's keys that are later than a [s] and not later than b.
+
+    The first key is not counted.
+    """
     count = int(0)
     for i in range(first + 1, last + 1):
         if times[i] > a and times[i] <= b:
@@ -123,7 +129,7 @@ def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: An
 
 @wp.func
 def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
-    """Return whether the interval between two times [s] contains a whole segment of a track."""
+    """Return whether a whole segment between two keys of a track lies between two times [s]."""
     passed = keys_within(times, first, last, at, to)
     if period > type(at)(0.0) and to > period:
         passed += keys_within(times, first, last, type(at)(0.0), to - period)

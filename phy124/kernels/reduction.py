@@ -48,7 +48,9 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 
 @wp.func_native(code("reduction:run"))
 def run_of(node: int) -> int:
-    """Return the group of neighbouring GPU threads that add to the same nodes; 0 on the CPU.
+    """Return the group of neighbouring GPU threads that add to the same nodes as this thread.
+
+    The result is 0 on a CPU.
 
     After this call, either all threads of a warp must call `add` equally often, or none of them.
     """
@@ -135,5 +137,8 @@ def store(matrices: wp.array(dtype=wp.mat33d), particle: int, value: wp.mat33d):
 def meet(
     parties: int, spins: int, counter_out: wp.array(dtype=int), ticket_out: wp.array(dtype=int)
 ):
-    """Check the barrier up to `spins` times; clear `ticket_out[0]` when all have arrived."""
+    """Check up to `spins` times whether all threads have arrived at the barrier.
+
+    If they have, `ticket_out[0]` is cleared.
+    """
     ...

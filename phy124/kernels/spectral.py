@@ -72,7 +72,7 @@ def farthest_root(t: Any):
 
 @wp.func
 def decompose(a: Any):
-    """Return q, p, D, D^2 and x of a symmetric A = q I + p D.
+    """Decompose a symmetric matrix A = q I + p D; return q, p, D, D^2 and the eigenvalues x of D.
 
     The trace of D is zero and its norm is sqrt(6). Its eigenvalues x, largest first, are exact to
     rounding: they are the roots of x^3 - 3 x = det D, of which the farthest from zero is well
@@ -104,7 +104,9 @@ def eigenvalues(a: Any):
 
 @wp.func
 def slope(rise: Any, run: Any):
-    """Return rise / run, or 0 if the two interpolation nodes coincide."""
+    """Return the slope rise / run of an interpolant, or 0 if the two interpolation points
+    coincide.
+    """
     if run > type(run)(0.0):
         return rise / run
     return type(run)(0.0)
@@ -112,9 +114,7 @@ def slope(rise: Any, run: Any):
 
 @wp.func
 def interpolant(x: Any, f: Any):
-    """Return the coefficients c of the quadratic c0 + c1 t + c2 t^2 with the values f at x (largest
-    first).
-    """
+    """Return the quadratic c0 + c1 t + c2 t^2 with the values f at the points x (largest first)."""
     first = slope(f[0] - f[1], x[0] - x[1])
     second = slope(first - slope(f[1] - f[2], x[1] - x[2]), x[0] - x[2])
     return wp.vector(f[0] - x[0] * (first - second * x[1]), first - second * (x[0] + x[1]), second)

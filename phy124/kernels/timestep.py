@@ -114,7 +114,7 @@ def over(a: wp.float64, b: wp.float64):
 
 @wp.func
 def finish(s: Progress, bounds: Limits):
-    """Update the counts with the last substep, if a substep was taken."""
+    """Update time, strain and number of substeps after the last substep, if a substep was taken."""
     if s.next > wp.float64(0.0):
         rest = bounds.until - s.time
         s.strain += s.gradient * s.next
@@ -136,13 +136,15 @@ def spare(x: wp.float64, origin: wp.float64, dx: wp.float64):
 
 @wp.func
 def corner(maxima: wp.array(dtype=Any), i: int):
-    """Return the measured maxima at the indices i, i + 1 and i + 2 as a float64 vector."""
+    """Return three consecutive measured maxima, from index i on, as a float64 vector."""
     return wp.vec3d(wp.float64(maxima[i]), wp.float64(maxima[i + 1]), wp.float64(maxima[i + 2]))
 
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
-    """Return whether the window's margin around the particles has an acceptable width."""
+    """Return whether the margin of the grid's window around the particles has an acceptable
+    width.
+    """
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -157,7 +159,10 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bound
 
 @wp.func
 def limiter(s: Progress, bounds: Limits):
-    """Return the shortest limit [s] and its index; if limits are equal, the first of them."""
+    """Return the shortest of the limits on the substep [s], and its index.
+
+    If limits are equal, the first of them is returned.
+    """
     dt = over(bounds.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
     if over(bounds.stride, s.speed) < dt:

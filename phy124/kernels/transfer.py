@@ -106,7 +106,7 @@ def member(chosen: wp.array(dtype=int), i: int):
 
 @wp.func
 def between(x: Any, low: Any, high: Any):
-    """Return whether a point is inside the box between two corners."""
+    """Return whether a point is inside the box with two corners."""
     return (
         x[0] >= low[0]
         and x[1] >= low[1]
@@ -262,9 +262,7 @@ def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
 
 @wp.func
 def columns4(a: Any, s: Any):
-    """Return the columns of a 3x3 matrix times s, each as a four-vector whose mass component is
-    zero.
-    """
+    """Return the columns of a 3x3 matrix times s, as four-vectors with a mass component of zero."""
     z = type(s)(0.0)
     return (
         s * wp.vector(a[0, 0], a[1, 0], a[2, 0], z),

@@ -42,7 +42,7 @@ from phy124.kernels.window import strides
 
 @wp.func
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
-    """Return the fractions that contact removes from a node's velocity relative to a surface.
+    """Return the fractions of a node's velocity relative to a surface that contact removes.
 
     The first fraction applies to the velocity component along the normal out of the body, the
     second to the component perpendicular to the normal.

@@ -46,14 +46,14 @@ def at33(values: wp.array(dtype=wp.float64), i: int):
 
 @wp.func
 def axes(body: wp.array(dtype=wp.float64)):
-    """Return the body's principal axes as columns."""
+    """Return the principal axes of a free body as columns."""
     w, x, y, z = body[TURN], body[TURN + 1], body[TURN + 2], body[TURN + 3]
     return wp.quat_to_matrix(wp.quatd(x, y, z, w))
 
 
 @wp.func
 def inertia_of(R: wp.mat33d, moments: wp.vec3d):
-    """Return the inertia tensor in the world's axes [kg m^2]."""
+    """Return the inertia tensor of a free body in world axes [kg m^2]."""
     return R @ wp.diag(moments) @ wp.transpose(R)
 
 
@@ -73,20 +73,22 @@ def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
 
 @wp.func
 def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
-    """Write the orientation to the array of a body."""
+    """Write the orientation of a free body to the array of its state."""
     body[TURN] = q[3]
     put3(body, TURN + 1, wp.vec3d(q[0], q[1], q[2]))
 
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Return the body's velocity [m/s] in a solution, at a point r relative to the centre."""
+    """Return the velocity of a free body in a trial solution [m/s], at a point r relative to its
+    centre.
+    """
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 
 @wp.func
 def first_node(body: wp.array(dtype=wp.float64), lattice: Any, reach: int):
-    """Return the lowest node that a body may touch, `reach` nodes below the body's centre."""
+    """Return the lowest node that a free body may touch, `reach` nodes below the body's centre."""
     dx = wp.float64(lattice[3])
     return wp.vec3i(
         int(wp.floor((body[PLACE] - wp.float64(lattice[0])) / dx)) - reach,
@@ -97,7 +99,7 @@ def first_node(body: wp.array(dtype=wp.float64), lattice: Any, reach: int):
 
 @wp.func
 def arm_of(body: wp.array(dtype=wp.float64), lattice: Any, node: wp.vec3i):
-    """Return the vector from the body's centre to a node of the lattice [m]."""
+    """Return the vector from the centre of a free body to a node of the lattice [m]."""
     dx = wp.float64(lattice[3])
     origin = wp.vec3d(wp.float64(lattice[0]), wp.float64(lattice[1]), wp.float64(lattice[2]))
     at = wp.vec3d(wp.float64(node[0]), wp.float64(node[1]), wp.float64(node[2]))

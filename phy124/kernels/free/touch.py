@@ -36,8 +36,8 @@ the contact normal is the normal of the box's nearest face.
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the normal and the filled volume fraction around a node, for a surface assumed to be
-    flat.
+    """Return the contact normal and the filled volume fraction around a node, for a flat
+    surface.
     """
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
@@ -53,7 +53,7 @@ def weight(u: Any):
 
 @wp.func
 def volume_of_box(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the normal of a box and the volume fraction that the box fills around a node.
+    """Return the contact normal of a box, and the volume fraction that the box fills around a node.
 
     The normal is the direction of the steepest decrease of the fraction, and therefore turns
     continuously at an edge.
@@ -86,7 +86,9 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
-        """Return the normal, and the fraction of the volume around a node that the body fills."""
+        """Return the contact normal, and the fraction of the volume around a node that a free body
+        fills.
+        """
         R = axes(body)
         local = wp.transpose(R) @ arm_of(body, lattice, node)
         d = t.vec3(real(local[0]), real(local[1]), real(local[2]))
@@ -107,7 +109,9 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return which of three nodes in a row has the largest overlap of body and material."""
+        """Return the node, of three in a row, at which a free body and the material overlap
+        most.
+        """
         at = node
         most = real(0.0)
         for n in range(3):
@@ -131,7 +135,11 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the empty volume fraction around a node; 1 if body or material is absent there."""
+        """Return the fraction of the volume around a node that is empty, between a free body and
+        material.
+
+        The fraction is 1 if the body or the material is absent there.
+        """
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

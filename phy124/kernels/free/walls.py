@@ -64,7 +64,7 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 
 @wp.func
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
-    """Return the change of angular velocity due to an impulse J at the point r.
+    """Return the change of a free body's angular velocity due to an impulse J at the point r.
 
     The arguments a, b and c are blocks of the inverse matrix of the six equations.
     """
@@ -73,7 +73,7 @@ def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change along `way`, at the point r, due to an impulse of 1 N s along
+    """Return a free body's velocity change along `way`, at the point r, due to 1 N s along
     `way`.
     """
     turn = turn_by(a, b, c, r, way)
@@ -82,7 +82,10 @@ def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """Return the impulse [N s]: `push` along n, plus J's tangential part, which friction limits."""
+    """Return an impulse that satisfies Coulomb's law [N s].
+
+    The impulse is `push` along n, plus the tangential part of J, which friction limits.
+    """
     grip = J - wp.dot(J, n) * n
     most = friction * push
     if wp.length(grip) > most:

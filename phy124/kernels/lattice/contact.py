@@ -205,7 +205,10 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps fix most nodes of a point; the nodes begin at column `first`."""
+    """Return whether clamps fix most of the nodes of a surface point.
+
+    The point's nodes begin at column `first`.
+    """
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):

@@ -138,7 +138,7 @@ def make_grid_touch(real: Any, rows: Rows):
 
 @wp.func
 def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any, impulse: Any):
-    """Apply the opposite of an impulse [N s] to the nodes around a point."""
+    """Apply the opposite of an impulse [N s] to the nodes of the grid around a surface point."""
     first = first_node(on)
     wx = spline(on[0] - type(on[0])(first[0]))
     wy = spline(on[1] - type(on[0])(first[1]))
@@ -159,7 +159,7 @@ def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: A
 
 @wp.func
 def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any):
-    """Return the mass-weighted mean velocity of the nodes around a point."""
+    """Return the mean velocity of the grid's nodes around a surface point, weighted by mass."""
     first = first_node(on)
     wx = spline(on[0] - type(on[0])(first[0]))
     wy = spline(on[1] - type(on[0])(first[1]))

@@ -42,7 +42,7 @@ def sum_workers(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), n: i
 
 @wp.func
 def force_on(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), donors: Any, n: int):
-    """Return the force on a node, including the forces from the node's tied nodes."""
+    """Return the force on a node of a lattice, including forces on nodes that are tied to it."""
     force = sum_workers(pool, spans, n)
     for k in range(donors.starts[n], donors.starts[n + 1]):
         force += donors.weights[k] * sum_workers(pool, spans, donors.nodes[k])

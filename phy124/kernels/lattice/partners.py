@@ -44,7 +44,9 @@ outer side of each part through the other part, which would create energy.
 
 @wp.func
 def apart(side: wp.array(dtype=int), a: int, b: int):
-    """Return whether two points belong to different pieces with separate copies of the nodes."""
+    """Return whether two surface points belong to separate pieces of a body, with copies of
+    nodes.
+    """
     return side[a] > 0 and side[b] > 0 and side[a] != side[b]
 
 
@@ -88,7 +90,8 @@ def touches(
     i: int,
     j: int,
 ):
-    """Return whether contact is possible near two sampled points, which must be closer than `far`.
+    """Return whether contact is possible near two sampled surface points that are closer than
+    `far`.
 
     `x` contains the current positions of the samples.
     """
@@ -108,8 +111,10 @@ def touches(
 def next_near(
     places: wp.array2d(dtype=wp.float32), i: int, first: int, far: float, nearer: float, loose: bool
 ) -> int:
-    """Return the next sample, from `first` on, that is closer than `far` to sample i; unless
-    `loose` is set, the sample must also be closer than `nearer` times the distance at rest.
+    """Return the next sampled surface point, from `first` on, that may touch sample i.
+
+    The two samples are closer than `far`. Unless `loose` is set, they are also closer than `nearer`
+    times their distance at rest.
     """
     ...
 

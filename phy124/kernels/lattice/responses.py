@@ -18,7 +18,7 @@ have most nodes in common, so full corrections of all points would overshoot.
 
 @wp.func
 def largest_approach(gap: Any, pressed: Any, restore: Any, clock: wp.array(dtype=Any)):
-    """Return the largest speed at which a point may approach a surface [m/s].
+    """Return the largest speed at which a surface point may approach a surface [m/s].
 
     Args:
         gap: Distance of the point from the surface [m], negative inside.
@@ -75,7 +75,9 @@ surface, the distance of the point from the surface, and the friction coefficien
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the list index of the point to visit, in a pass forwards and then backwards."""
+    """Return the index, in a list, of the point to visit in a step of a pass forwards and
+    backwards.
+    """
     if step < count:
         return step
     return 2 * count - 1 - step
@@ -85,8 +87,9 @@ def there_and_back(step: int, count: int):
 def correct(
     relative: Any, last: Any, gap: Any, part: Any, restore: Any, clock: wp.array(dtype=Any)
 ):
-    """Correct the impulse of a surface on a point; the surface's response limits the impulse
-    afterwards.
+    """Correct the impulse of a surface on a surface point by one step of Gauss-Seidel.
+
+    The surface's response limits the impulse afterwards.
 
     The results are the normal component of the impulse, the normal component of the last impulse,
     and the tangential part of the impulse.

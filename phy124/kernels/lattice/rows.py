@@ -63,13 +63,17 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the sum of `moved_by`, with vector instructions of a CPU."""
+    """Return the displacement of a surface point as `moved_by` does, with vector instructions of a
+    CPU.
+    """
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the sum of `yielding`, with vector instructions of a CPU."""
+    """Return the response of a surface point as `yielding` does, with vector instructions
+    of a CPU.
+    """
     ...
 
 

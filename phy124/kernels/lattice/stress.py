@@ -107,7 +107,7 @@ def make_shock(real: Any):
 
 @wp.func
 def compression(C: Any):
-    """Return an upper bound [1/s] of the rate of compression along all directions.
+    """Return an upper bound [1/s] of the rate of compression of a point along any direction.
 
     If m is the mean eigenvalue of the strain rate and q the norm of its deviator, no eigenvalue is
     below m - sqrt(2/3) q.

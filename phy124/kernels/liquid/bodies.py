@@ -69,7 +69,9 @@ def make_moments(real: Any):
 
 @wp.func
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
-    """Return the cell with more mass: cell `n`, or the next cell behind the more open face of `n`.
+    """Return which of two neighbouring cells contains more mass of a body's surface.
+
+    One is the cell `n`, and the other is the next cell behind the more open face of `n`.
 
     `row` is positive if the low face of cell `n` is more open than its high face.
     """

@@ -32,7 +32,9 @@ ROWS = 5
 
 @wp.func
 def multiply(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
-    """Return component n of A x; `row` and `layer` are the memory strides along y and x."""
+    """Return component n of the product A x; `row` and `layer` are the memory strides along y and
+    x.
+    """
     below = links[n - layer][0] * x[n - layer]
     below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
     link = links[n]
@@ -51,7 +53,9 @@ def factorise(
     links: Vectors,
     inverse: Doubles,
 ):
-    """Compute the inverse square root of the factor's diagonal for a part of the cells."""
+    """Compute the inverse square root of the preconditioner's diagonal in a part of the list of
+    cells.
+    """
     lowest = listed[first]
     for k in range(first, last):
         n = listed[k]
@@ -86,8 +90,9 @@ def precondition(
     residual: Doubles,
     z: Doubles,
 ):
-    """Solve M z = r for a part of the listed cells, by forward and backward substitution; return
-    the part's sum of r z.
+    """Solve M z = r in a part of the list of cells; return the part's sum of r z.
+
+    The preconditioner M is solved by forward and backward substitution.
     """
     lowest = listed[first]
     highest = listed[last - 1]
@@ -135,8 +140,8 @@ def turn(
     direction: Doubles,
     product: Doubles,
 ):
-    """Compute the direction s = z + beta s and A s for a part of the listed cells; return the
-    part's sum of s A s.
+    """Compute the direction s = z + beta s, and A s, in a part of the list of cells; return sum s A
+    s.
     """
     steep = wp.float64(0.0)
     for k in range(first, last):
@@ -171,7 +176,7 @@ def descend(
     x: Doubles,
     residual: Doubles,
 ):
-    """Step along the direction in a part of the listed cells; return the part's largest
+    """Step along the direction s in a part of the list of cells; return the part's largest
     residual.
     """
     largest = wp.float64(0.0)

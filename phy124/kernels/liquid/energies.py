@@ -64,8 +64,9 @@ def pressed_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return the velocity change by the pressure at a face without pressure: the mean over the
-    adjacent faces with pressure, weighted with their masses.
+    """Return the velocity change by the pressure at a face that has no pressure.
+
+    It is the mean over the adjacent faces with pressure, weighted by their masses.
     """
     gain = type(velocity[n][axis])(0.0)
     mass = type(gain)(0.0)
@@ -83,7 +84,7 @@ def pressed_outside(
 
 @wp.func
 def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
-    """Return the velocity change at a face due to forces on particles in the face's two cells."""
+    """Return the velocity change at a face that forces on particles in its two cells cause."""
     total = gains[n] + gains[n - step]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k] + gains[k - step]

@@ -87,7 +87,7 @@ def make_layers(real: Any):
 
 @wp.func
 def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=Any)):
-    """Return the hydrostatic value of q at a point, up to a constant.
+    """Return the hydrostatic part of the pressure solution q at a point, up to a constant.
 
     `heads` contains the weight of the liquid below each layer, relative to the mean density.
     `heads` is empty if all liquids have the same density.
@@ -167,7 +167,9 @@ def make_head(real: Any):
 
 @wp.func
 def share_of(rim: wp.vec3d, opposite: wp.vec3d):
-    """Return the fraction of a contact on which a film acts; `make_head` computes the rows.
+    """Return the fraction of a body's contact with a wall on which a film acts.
+
+    `make_head` computes the arguments.
 
     A film exists only if there is liquid along at least half of the contact's perimeter. The
     contact is assumed to be square. If a body fills the space between two walls, films on both

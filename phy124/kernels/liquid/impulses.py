@@ -68,7 +68,9 @@ def take_row(sums: Sums, wall: int):
 
 @wp.func
 def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
-    """Return the mean velocity change of the particles around one of `count` cells."""
+    """Return the mean velocity change by forces of the particles around a cell; `count` cells
+    exist.
+    """
     total = gains[n]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k]
@@ -89,8 +91,9 @@ def head_along(
     dense: wp.array(dtype=Any),
     dx: Any,
 ):
-    """Return the difference of q between a cell's centre and the point at the distance `way` [m]
-    along an axis.
+    """Return the change of the pressure solution q from a cell's centre to a point in the cell.
+
+    The point is at the distance `way` [m] from the centre along an axis.
     """
     change = kick * way * a[axis] / dx * dense[n][CENTRE]
     if gains.shape[0] > 0:

@@ -15,7 +15,7 @@ Table = wp.array2d(dtype=wp.float64)
 
 @wp.func
 def share(count: int, part: int, parts: int):
-    """Return the index of a part's first item, and the index after its last item."""
+    """Return the index of the first item of a part of a list, and the index after its last item."""
     return wp.vec2i(
         int(wp.int64(count) * wp.int64(part) / wp.int64(parts)),
         int(wp.int64(count) * wp.int64(part + 1) / wp.int64(parts)),
@@ -24,7 +24,7 @@ def share(count: int, part: int, parts: int):
 
 @wp.func
 def total(sums: Table, row: int):
-    """Return a sum over all parts."""
+    """Return the sum of a row of the solver's table over all parts of the list of cells."""
     result = wp.float64(0.0)
     for k in range(sums.shape[1]):
         result += sums[row, k]
@@ -33,7 +33,7 @@ def total(sums: Table, row: int):
 
 @wp.func
 def count_of(counts: Ints):
-    """Return the number of listed cells."""
+    """Return the number of cells of liquid in the list."""
     result = int(0)
     for k in range(counts.shape[0]):
         result += counts[k]

@@ -33,8 +33,9 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 
 @wp.func
 def leads_behind(step: int, low: int, high: int):
-    """Return whether a step along an axis stays in a cell or leads into a wall; `low` and `high`
-    are 1 if the neighbours on the two sides are walls.
+    """Return whether a step from a cell along an axis leads into a wall, or stays in the cell.
+
+    `low` and `high` are 1 if the neighbours on the two sides are walls.
     """
     return step == 0 or (step < 0 and low > 0) or (step > 0 and high > 0)
 

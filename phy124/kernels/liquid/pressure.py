@@ -26,8 +26,8 @@ COMPRESSIBLE = wp.constant(1.0e-6)
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return the distance of the first of two cells from the surface, divided by the cells'
-    distance.
+    """Return how far a cell is from the surface of the liquid, divided by the distance of two
+    cells.
     """
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
@@ -153,7 +153,10 @@ def rise_to(
     liquid: wp.array(dtype=int),
     pressure: wp.array(dtype=wp.float64),
 ):
-    """Return the increase of q from cell m to the next cell n; one of the two may be empty."""
+    """Return the increase of the pressure solution q from a cell m to the next cell n.
+
+    One of the two cells may be empty.
+    """
     rise = type(item(phi, n))(item(pressure, n) - item(pressure, m))
     if item(liquid, n) == 0:
         rise = -type(item(phi, n))(item(pressure, m)) / beyond(item(phi, m), item(phi, n))

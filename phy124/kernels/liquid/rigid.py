@@ -14,7 +14,7 @@ has six rows in this table of sums: the force and the moment J^T s (`solids`).
 
 @wp.func
 def rigid_sums(sums: Table, solid: int):
-    """Return the force and the moment on a solid due to a vector of pressures."""
+    """Return the force and the moment on a solid that a vector of pressures exerts."""
     row = RIGID + 6 * solid
     return (
         wp.vec3d(total(sums, row), total(sums, row + 1), total(sums, row + 2)),
@@ -24,14 +24,14 @@ def rigid_sums(sums: Table, solid: int):
 
 @wp.func
 def clear_rigid(sums: Table, solids: int, p: int):
-    """Set the forces and moments of part `p` of the cells on all solids to zero."""
+    """Set the forces and moments that part `p` of the list of cells exerts on solids to zero."""
     for k in range(6 * solids):
         sums[RIGID + k, p] = wp.float64(0.0)
 
 
 @wp.func
 def add_rigid(sums: Table, solid: int, p: int, force: wp.vec3d, turn: wp.vec3d):
-    """Add a force and a moment on a solid to the sums of part `p` of the cells."""
+    """Add a force and a moment on a solid to the sums of part `p` of the list of cells."""
     row = RIGID + 6 * solid
     for axis in range(3):
         sums[row + axis, p] += force[axis]
@@ -50,7 +50,7 @@ def rotation_of(mobility: Table, solid: int, turn: wp.vec3d):
 
 @wp.func
 def respond(sums: Table, mobility: Table, p: int, responses: wp.array2d(dtype=wp.vec3d)):
-    """Write the velocity and angular velocity of each solid due to a vector of pressures.
+    """Write the velocity and the angular velocity that a vector of pressures gives to each solid.
 
     Returns the sum, over all solids, of velocity times force and angular velocity times moment.
     """
@@ -74,7 +74,7 @@ def rigid_flux(
     turns: Vectors,
     responses: wp.array2d(dtype=wp.vec3d),
 ):
-    """Return the flux out of a cell due to the response of a solid."""
+    """Return the flux out of a cell that the motion of a solid in response to pressures causes."""
     V = wp.dot(jumps[n], responses[p, 2 * solid])
     return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
 
@@ -91,7 +91,10 @@ def project(
     x: Doubles,
     sums_out: Table,
 ):
-    """Sum J^T x over a part of the listed cells; `jumps` and `turns` contain the rows of J."""
+    """Sum the forces and moments J^T x on solids over a part of the list of cells.
+
+    `jumps` and `turns` contain the rows of J.
+    """
     p = part + wp.tid()
     span = share(count_of(counts), p, counts.shape[0])
     clear_rigid(sums_out, solids, p)

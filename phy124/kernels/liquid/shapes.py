@@ -24,7 +24,7 @@ fraction of the cell.
 
 @wp.func
 def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
-    """Return the value, at a point, of the B-spline of the cell `cell` + (a, b, c) - 1."""
+    """Return the value at a point of the B-spline of a cell, the cell `cell` + (a, b, c) - 1."""
     weight = type(s[0])(1.0)
     at = wp.vec3i(a, b, c)
     for axis in range(3):
@@ -84,7 +84,7 @@ def make_body_scatter(real: Any):
 
 @wp.func
 def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
-    """Return the centre of one eighth of a cell, in cells from the window's corner."""
+    """Return the centre of an octant (an eighth) of a cell, in cells from the window's corner."""
     half = type(like)(0.5)
     quarter = type(like)(0.25)
     return wp.vector(
@@ -96,7 +96,9 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
 
 @wp.func
 def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx: Any):
-    """Compute the distance of a cell's centre from a body [cells] from the fill outside walls."""
+    """Return the distance from a body's surface to a cell's centre [cells], from the cell's filled
+    fraction.
+    """
     level = type(dx)(EMPTY)
     if full[n] > type(dx)(0.0):
         level = -depth(filled_share(full[n], shares[n][1], dx))
@@ -105,8 +107,10 @@ def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx
 
 @wp.func
 def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the step from a cell inside walls to one of its 26 neighbours, in the direction out of
-    the walls.
+    """Return the step from a cell inside walls to the neighbour that is in the direction out of the
+    walls.
+
+    The neighbour is one of 26.
     """
     slopes = wp.vector(type(shares[n][1])(0.0), type(shares[n][1])(0.0), type(shares[n][1])(0.0))
     for axis in range(3):

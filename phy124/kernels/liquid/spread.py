@@ -30,7 +30,9 @@ def in_body(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return whether a face is inside a freely moving body; `body` is the first such wall."""
+    """Return whether a face is inside a freely moving solid or body; `body` is the first of these
+    walls.
+    """
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     shut = item(open, n)[axis] == type(item(open, n)[axis])(0.0)
@@ -46,7 +48,8 @@ def around(
     row: int,
     layer: int,
 ):
-    """Sum over the known neighbours of a cell's low faces; one column per face.
+    """Sum over the neighbours, with known velocities, of each low face of a cell; one column per
+    face.
 
     Returns rows: the sum of the velocities; the number of neighbours; the momentum that neighbours
     with mass gained in the step; and the mass. `cells` contains the momenta before the step and
@@ -87,7 +90,7 @@ def around_rows(
     row: int,
     layer: int,
 ) -> wp.mat44:
-    """Sum over neighbours with the vector instructions of a CPU, as `around` does."""
+    """Sum over neighbouring faces as `around` does, with vector instructions of a CPU."""
     ...
 
 
@@ -169,7 +172,9 @@ def make_spread(real: Any, form: str):
 
 @wp.func
 def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
-    """Return the velocity at a cell's low face; tangential components are means over four faces."""
+    """Return the velocity vector at a low face of a cell; tangential components are means of four
+    faces.
+    """
     q = item(velocity, n)
     v = wp.vector(q[0], q[1], q[2])
     back = stride(axis, size)

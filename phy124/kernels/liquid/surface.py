@@ -23,8 +23,7 @@ are drops in flight.
 
 @wp.func
 def depth(fill: Any):
-    """Compute the depth [cells] of a quadratic B-spline below a flat surface from its filled
-    fraction.
+    """Return how deep a B-spline of which a fraction is filled lies below a flat surface [cells].
 
     The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
     1/2, and 1 - (3/2 - T)^3 / 6 above.
@@ -48,7 +47,7 @@ def depth(fill: Any):
 
 @wp.func
 def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the sum of the open fractions of the six faces of a cell."""
+    """Return the sum of the open fractions of a cell's six faces."""
     q = item(open, n)
     total = q[0] + q[1] + q[2]
     for axis in range(3):
@@ -58,7 +57,9 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 
 @wp.func
 def filled_share(volume: Any, solid: Any, dx: Any):
-    """Return the filled fraction of a B-spline's part outside walls; `solid` is the part inside."""
+    """Return which fraction of a B-spline's part outside walls is filled; `solid` is the part
+    inside.
+    """
     open = wp.max(type(dx)(1.0) - solid, type(dx)(0.1))
     return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
 
@@ -106,8 +107,9 @@ def level(
     size: wp.vec3i,
     dx: Any,
 ):
-    """Return a cell's fill, the distance of its centre from the surface, and 1 if the cell is
-    liquid.
+    """Return whether a cell is liquid, its filled fraction, and its distance from the surface.
+
+    The results are the fill, the distance of the cell's centre, and 1 if the cell is liquid.
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
     cells. Particles in a very thin layer count as drops instead. For a cell inside a wall, only the

@@ -23,14 +23,19 @@ vec8 = wp.types.vector(8, wp.float32)
 
 @wp.func
 def at_centres(t: Any):
-    """Return quadratic weights of the centres of four cells; t is the offset in the second cell."""
+    """Return quadratic weights for the centres of four cells in a row around a particle.
+
+    `t` is the offset of the particle in the second cell.
+    """
     w = spline(t + type(t)(0.5))
     return wp.vector(w[0], w[1], w[2], type(t)(0.0))
 
 
 @wp.func
 def at_faces(t: Any):
-    """Return quadratic weights of the low faces of four cells; t is as in `at_centres`."""
+    """Return quadratic weights for the low faces of four cells in a row; `t` is as in
+    `at_centres`.
+    """
     zero = type(t)(0.0)
     if t < type(t)(0.5):
         w = spline(t + type(t)(1.0))
@@ -41,7 +46,7 @@ def at_faces(t: Any):
 
 @wp.func
 def at_hats(t: Any):
-    """Return linear weights of the centres of four cells; t is the offset in the second cell."""
+    """Return linear weights for the centres of four cells in a row; `t` is as in `at_centres`."""
     zero = type(t)(0.0)
     half = type(t)(0.5)
     if t < half:
@@ -51,7 +56,7 @@ def at_hats(t: Any):
 
 @wp.func
 def weights(t: Any, axis: int):
-    """Return the weights of four cells along an axis: one row per cell, one column per face or
+    """Return weights of four cells in a row around a particle: a row per cell, a column per face or
     centre.
     """
     c = at_centres(t)
@@ -70,8 +75,10 @@ def weights(t: Any, axis: int):
 
 @wp.func
 def offset(s: Any, low: wp.vec3i, axis: int):
-    """Return distances along an axis from a particle to the first cell's three low faces and
-    centre.
+    """Return the distances, along an axis, from a particle to the low faces and the centre of a
+    cell.
+
+    The cell is the first of the cells around the particle.
     """
     half = type(s[0])(0.5)
     d = type(s[0])(low[axis]) - s[axis] + half
@@ -249,7 +256,7 @@ def lowest(here: wp.vec3i, size: wp.vec3i):
 
 @wp.func
 def within(s: Any, here: wp.vec3i):
-    """Return the offset of a point in its cell."""
+    """Return the offset of a point from the lowest corner of its cell."""
     return wp.vector(
         s[0] - type(s[0])(here[0]), s[1] - type(s[0])(here[1]), s[2] - type(s[0])(here[2])
     )

@@ -37,8 +37,9 @@ def wall_link(
     frictions: wp.array(dtype=Any),
     motions: wp.array2d(dtype=Any),
 ):
-    """Return the index of the wall next to a face, sum g, and the sum of g times the wall's
-    velocity.
+    """Return the wall next to a face, and sums over walls for the viscous drag on the face.
+
+    The results are the index of the wall, the sum of g, and the sum of g times the wall's velocity.
 
     Every wall stops the normal velocity component. Only a sticky wall stops the tangential
     components.

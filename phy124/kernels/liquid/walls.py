@@ -28,13 +28,17 @@ DISTANT = wp.constant(2.0)
 
 @wp.func
 def halves(size: wp.vec3i):
-    """Return the number of points, along each axis, at which distances are stored."""
+    """Return the number of points along each axis, half a cell apart, at which distances are
+    stored.
+    """
     return wp.vec3i(2 * size[0] + 1, 2 * size[1] + 1, 2 * size[2] + 1)
 
 
 @wp.func
 def point(cell: wp.vec3i, a: int, b: int, c: int, size: wp.vec3i):
-    """Return the index of the point at (a, b, c) half spacings from a cell's low corner."""
+    """Return the index of the point that is (a, b, c) half cells away from a cell's lowest
+    corner.
+    """
     return number(wp.vec3i(2 * cell[0] + a, 2 * cell[1] + b, 2 * cell[2] + c), halves(size))
 
 
@@ -72,7 +76,7 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 
 @wp.func
 def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
-    """Return a position in the frame of a shape, and whether the shape is active.
+    """Return a position in the frame of a wall's shape, and whether the wall is active.
 
     A wall whose slot is above 0 is displaced by the value of its track. A freely moving solid has
     the position and orientation in its array (phy124/kernels/free/numbers.py).
@@ -91,7 +95,7 @@ def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dty
 
 @wp.func
 def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
-    """Rotate a direction from the frame of a shape to world axes."""
+    """Rotate a direction from the frame of a wall's shape to world axes."""
     if frame.shape[0] == 0:
         return n
     w = axes(frame) @ wide(n)
@@ -172,7 +176,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the midpoint of the less open of two opposite cell faces."""
+    """Return the midpoint of the face, of two opposite faces of a cell, that is less open."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):
@@ -238,8 +242,9 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance from a wall at a point of a face; a and b [m] are measured from the
-        face's middle.
+        """Return the distance from a wall to a point of a face.
+
+        The coordinates a and b of the point [m] are measured from the middle of the face.
         """
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a

@@ -175,7 +175,9 @@ class Shape:
 
 @wp.func
 def smoothstep(x: float, ends: wp.vec2) -> float:
-    """Return a smooth cubic step that rises from 0 at the first end to 1 at the second."""
+    """Return a smooth cubic step: 0 up to the first of two values, and 1 from the second
+    value on.
+    """
     t = wp.clamp((x - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -211,7 +213,7 @@ def measure_lengths(
 
 @wp.func
 def thickness(lengths: wp.vec3, normal: wp.vec3) -> float:
-    """Return the thickness of the liquid along a normal.
+    """Return the thickness of the liquid at a disc, along the normal of the disc.
 
     The thickness is interpolated between the lengths along the three axes. The interpolated
     thickness is limited, so that the edge of a film is as pale as the rest of the film.
@@ -326,14 +328,17 @@ def find_surface(
 
 @wp.func
 def chance(n: int) -> float:
-    """Return the number between 0 and 1 that distinguishes a Gaussian from the others."""
+    """Return a number between 0 and 1 that depends on the index of a Gaussian, like a random
+    number.
+    """
     multiple = GOLDEN * wp.float64(n)
     return float(multiple - wp.floor(multiple))
 
 
 @wp.func
 def row_distance(means: wp.array(dtype=wp.vec3), rows: wp.array3d(dtype=int), n: int) -> float:
-    """Return the largest distance from a Gaussian to its neighbours in `rows`, m.
+    """Return the distance from a Gaussian to its farthest neighbour in the rows of Gaussians at
+    rest, m.
 
     Neighbours count only while the Gaussian is between them, because only then has the liquid been
     stretched evenly.

@@ -60,7 +60,10 @@ def lowest(cells: Grid, at: wp.vec3) -> wp.vec3i:
 
 @wp.func
 def weight(corner: int, upper: wp.vec3) -> float:
-    """Return the weight of one of eight cells; `upper` has the weights of the upper cells."""
+    """Return the weight of one of the eight cells around a position.
+
+    `upper` contains the weights of the upper cell along each axis.
+    """
     w = float(1.0)
     for axis in range(3):
         if (corner >> axis) & 1 == 1:

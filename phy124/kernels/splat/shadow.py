@@ -27,7 +27,7 @@ def thickness(opacity: float) -> float:
 
 @wp.func
 def put(layers: wp.array3d(dtype=float), i: int, j: int, layer: int, upper: float, amount: float):
-    """Distribute a value over two neighbouring layers of one cell."""
+    """Distribute a value over two neighbouring layers of a cell of the shadow map."""
     if i >= 0 and j >= 0 and i < layers.shape[1] and j < layers.shape[2]:
         wp.atomic_add(layers, layer, i, j, (1.0 - upper) * amount)
         wp.atomic_add(layers, layer + 1, i, j, upper * amount)
