@@ -263,12 +263,12 @@ def _rasterise(gaussians: Gaussians, voxel: float, extent: NDArray) -> _Voxels:
     points, owner = _sample(gaussians, voxel)
     cells = np.floor(points.min(axis=0)).astype(np.int64)
     first = cells - _margin(across)
-    points -= first
+    points = (points - first).astype(np.float32)
     shape = np.floor(points.max(axis=0)).astype(np.int64) + 1 + _margin(across)
     occupied = np.zeros(shape, bool)
     occupied[tuple(points.astype(np.int32).T)] = True
-    thickness = 2 * gaussians.scales.min(axis=1)[owner].astype(np.float64) / voxel
-    samples = Samples(points, shortest_axes(gaussians)[owner], thickness)
+    thickness = 2 * gaussians.scales.min(axis=1).astype(np.float64) / voxel
+    samples = Samples(points, owner, shortest_axes(gaussians), thickness)
     return _Voxels(first, voxel, across, samples, occupied)
 
 

@@ -58,6 +58,8 @@ the thickness in the voxel.
 """
 PARTS = 2
 """Number of parts along each axis into which a voxel at an edge is divided."""
+AT_ONCE = 100_000
+"""Number of Gaussians whose rotation matrices are in memory at one time."""
 UP = (0.0, 0.0, 1.0)
 """Normal of a sample at the centre of the material around it, for example of a single sample."""
 AROUND = [step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]
@@ -71,10 +73,12 @@ class Samples(NamedTuple):
 
     points: Array
     """Positions of the samples, measured from the lower corner of the grid [S,3]."""
+    owner: Array
+    """Index of the Gaussian of each sample [S]."""
     normals: Array
-    """Shortest axes of the samples' Gaussians [S,3]; zero for Gaussians that are not flat."""
+    """Shortest axes of the Gaussians [N,3]; zero for Gaussians that are not flat."""
     thickness: Array
-    """Twice the shortest standard deviations of the samples' Gaussians [S]."""
+    """Twice the shortest standard deviations of the Gaussians [N]."""
 
 
 class Cubes(NamedTuple):
@@ -160,11 +164,15 @@ class _Near(NamedTuple):
 
 def shortest_axes(gaussians: Gaussians) -> Array:
     """Return unit vectors along the shortest axes of flat Gaussians [N,3]; zero for others."""
-    order = np.argsort(gaussians.scales, axis=1)
-    shortest, second = np.take_along_axis(gaussians.scales, order[:, :2], axis=1).T
-    axes = rotation_matrices(gaussians.quats)
-    shortest_axis = np.take_along_axis(axes, order[:, None, :1], axis=2)[:, :, 0]
-    return np.where((shortest < FLAT * second)[:, None], shortest_axis, 0)
+    result = np.zeros((len(gaussians), 3), np.float32)
+    for start in range(0, len(gaussians), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        order = np.argsort(gaussians.scales[part], axis=1)
+        shortest, second = np.take_along_axis(gaussians.scales[part], order[:, :2], axis=1).T
+        axes = rotation_matrices(gaussians.quats[part])
+        axis = np.take_along_axis(axes, order[:, None, :1], axis=2)[:, :, 0]
+        result[part] = np.where((shortest < FLAT * second)[:, None], axis, 0)
+    return result
 
 
 def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
@@ -186,15 +194,19 @@ def find_surface(region: Mask, border: Mask, samples: Samples) -> Surface:
 
 def _find_faces(region: Mask, border: Mask, samples: Samples) -> _Faces:
     """Divide the samples at the border of a region into faces."""
-    points, normal, thickness = samples
-    voxel = np.asarray(np.ravel_multi_index(tuple(points.astype(np.int64).T), region.shape))
-    out = points - _centres_around(region, points, voxel)[voxel]
-    is_flat = np.asarray(normal.any(axis=1))
+    points, owner = samples.points, samples.owner
+    voxel = np.asarray(np.ravel_multi_index(tuple(points.astype(np.int32).T), region.shape))
+    centres = _centres_around(region, points, voxel)
+    is_flat = np.asarray(samples.normals.any(axis=1))[owner]
     # In a voxel with flat Gaussians, only these determine the faces.
     flat_samples = np.bincount(voxel, is_flat, region.size)
-    chosen = border.ravel()[voxel] & (is_flat | (flat_samples[voxel] == 0))
-    points, voxel, normal, out = points[chosen], voxel[chosen], normal[chosen], out[chosen]
-    thickness, is_flat = thickness[chosen], is_flat[chosen]
+    chosen = np.flatnonzero(border.ravel()[voxel] & (is_flat | (flat_samples[voxel] == 0)))
+    points, voxel, is_flat, owner = points[chosen], voxel[chosen], is_flat[chosen], owner[chosen]
+    normal, thickness, out = (
+        samples.normals[owner],
+        samples.thickness[owner],
+        points - centres[voxel],
+    )
     normal = np.where(is_flat[:, None], normal, _directions(voxel, out, region.size))
     normal *= np.where((out * normal).sum(axis=1) < 0, -1, 1)[:, None]
     axis = np.abs(normal).argmax(axis=1)
@@ -222,7 +234,8 @@ def _directions(voxel: Array, out: Array, size: int) -> Array:
         out: Positions relative to the centre of the material around [S,3].
         size: Number of voxels of the grid.
     """
-    total = np.stack([np.bincount(voxel, column, size) for column in out.T], axis=1)[voxel]
+    sums = [np.bincount(voxel, column, size).astype(np.float32) for column in out.T]
+    total = np.stack(sums, axis=1)[voxel]
     length = np.bincount(voxel, np.linalg.norm(out, axis=1), size)[voxel]
     is_single = np.linalg.norm(total, axis=1) > 0.5 * length
     normal = _normalise(np.where(is_single[:, None], total, out))
@@ -240,7 +253,7 @@ def _centres_around(region: Mask, points: Array, voxel: Array) -> Array:
     empty = weight == 0
     weight[empty] = np.where(region.ravel()[empty], weight[~empty].mean(), 0)
     total = _blur(weight, region.shape)
-    centres = np.empty((region.size, 3))
+    centres = np.empty((region.size, 3), np.float32)
     for axis, middle in enumerate(np.indices(region.shape, sparse=True)):
         moment = np.bincount(voxel, points[:, axis], region.size)
         place = np.broadcast_to(middle + 0.5, region.shape).ravel()
