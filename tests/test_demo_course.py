@@ -12,6 +12,7 @@ from demo.progress import Progress, Step
 from demo.settings import Settings
 from demo.source import Choice, Cutout
 from demo.visitors import Visitors
+from phy124.accuracy.load import QUIET
 from phy124.budget.cost import Rates
 from phy124.scene import Scene
 
@@ -76,6 +77,7 @@ def test_the_forecast_warns_of_the_limit(tmp_path, monkeypatch):
     studio.settings = Settings(max_seconds=1.1 * least)
     slow = replace(rates, particle=4 * rates.particle, substep=4 * rates.substep)
     monkeypatch.setattr(studio.forecaster.learned, "now", slow)
+    monkeypatch.setattr(studio.forecaster, "load", lambda: QUIET)
     estimate = studio.forecast(Choice("a", Cutout("/gone", "/gone"), scene.data()))
     assert estimate.course is not None and estimate.course.ended
     html = show_estimate(estimate)

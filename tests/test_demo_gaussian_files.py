@@ -188,4 +188,7 @@ def test_the_forecast_is_that_of_the_file(studio):
         for item in (file, small)
     ]
     assert both[0].seconds > both[1].seconds
-    assert studio.forecast(Choice("a", file, scene)).sentence == both[0].sentence
+    # The seconds depend on the load of the machine and on kernels that are not compiled yet.
+    ours = studio.forecast(Choice("a", file, scene))
+    assert (ours.particles, ours.substeps) == (both[0].particles, both[0].substeps)
+    assert ours.particles > both[1].particles
