@@ -75,7 +75,7 @@ def test_the_forecast_warns_of_the_limit(tmp_path, monkeypatch):
     studio = Studio(Settings(), Visitors(tmp_path))
     least, rates = studio.forecaster.minimum(scene), Rates()
     studio.settings = Settings(max_seconds=1.1 * least)
-    slow = replace(rates, particle=4 * rates.particle, substep=4 * rates.substep)
+    slow = replace(rates, particle=8 * rates.particle, substep=8 * rates.substep)
     monkeypatch.setattr(studio.forecaster.learned, "now", slow)
     monkeypatch.setattr(studio.forecaster, "load", lambda: QUIET)
     estimate = studio.forecast(Choice("a", Cutout("/gone", "/gone"), scene.data()))
