@@ -119,7 +119,7 @@ def corners(values, faces="3 0 1 2"):
         ("a.ply", corners(["0 0 0", "1 0 0", "2 0 0"]), "no surface area"),
         ("a.ply", corners(["0 0 0"] * 3), "no surface area"),
         ("a.ply", corners(["0 0 0", "1 0 0", "0 1 0"], ""), "only 3 of 4 rows"),
-        ("a.ply", corners(["0 0 0", "1 0 0", "0 1e-9 0"]), "A vertex may be far"),
+        ("a.ply", corners(["0 0 0", "1 0 0", "0 1e-9 0"]), "One vertex may be far"),
         ("a.stl", b"solid a\nfacet normal 0 0 1\nouter loop\n", "no triangles. Copy"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\n", "no triangles|cannot be read"),
         ("a.obj", b"", "0 bytes"),
