@@ -30,13 +30,9 @@ FORMAT = "phy124-clip"
 VERSION = "1"
 """Version of a clip's file that stores the Gaussians of every frame."""
 MOTION = "2"
-"""Version of a clip's file that stores a motion, from which the Gaussians of each frame are
-computed.
-"""
+"""Version of a clip's file that stores a motion, which determines the Gaussians of each frame."""
 SPARE = " " * 8192
-"""Spaces that are added to the header of a clip's file, so that a longer report can later replace
-the first report.
-"""
+"""Spaces in the header of a clip's file; a longer report can later take their place."""
 SMALL = 64e6
 """Files up to this size [bytes] are read into memory; larger files are memory-mapped."""
 REQUIRED = ("means", "quats", "scales", "opacities", "sh", "times")
@@ -70,8 +66,7 @@ class Clip:
     rotations: Array | None = None
     """Rotations of the material relative to its rest state [T,N,4], wxyz.
 
-    The clip has no rotations (None) if its colours do not depend on the view direction. The
-    rotations come from the polar decomposition of F.
+    None if colours do not depend on the view. Computed by the polar decomposition of F.
     """
     velocities: Array | None = None
     """Velocities of the centres [T,N,3], m/s; None if the scene did not request velocities."""
@@ -86,9 +81,8 @@ class Clip:
     """
     wrenches: NDArray[np.float64] | None = None
     """Mean wrench that the object exerts on each of W walls since the previous frame [T,W,2,3]: the
-    force [N], and the torque about the object's centre of mass [N m]. The clip has no wrenches
-    (None) if the scene does not ask for them.
-    """
+    force [N], and the torque about the object's centre of mass [N m]. None if the
+    scene does not ask for them."""
     walls: tuple[str, ...] = ()
     """Names of the walls [W]."""
     object_id: NDArray[np.int32] | None = None
@@ -98,8 +92,7 @@ class Clip:
     motion: Motion | None = None
     """The motion that the clip's file stores, and from which the Gaussians are computed.
 
-    The clip has no motion (None) if its file stores the Gaussians of every frame, or if an array
-    that is computed from the motion was replaced.
+    None if the file stores the Gaussians of every frame, or if an array of the motion was replaced.
     """
 
     def __post_init__(self) -> None:
@@ -189,10 +182,7 @@ class Clip:
 
     @property
     def surface(self) -> Clip:
-        """A copy of the clip without the grains that were added inside materials such as sand.
-
-        The number of these grains depends on the accuracy.
-        """
+        """A copy of the clip without grains, whose number depends on the accuracy."""
         grains = self.report.get("grains", 0)
         if not grains:
             return self
@@ -269,10 +259,7 @@ class Clip:
         return sentences
 
     def with_motion(self, motion: Motion) -> Clip:
-        """Return a copy of the clip whose file will store a motion instead of all frames.
-
-        The arrays that `DESCRIBED` names are then computed from the motion.
-        """
+        """Return a copy whose file stores a motion instead of the arrays in `DESCRIBED`."""
         return replace(self, motion=replace(motion, describes=self._arrays_of_motion()))
 
     def _arrays_of_motion(self) -> tuple[Any, ...]:

@@ -192,9 +192,7 @@ class Phases:
             yield "displace", launches(records)
 
     def _before_pressure(self, worker: int) -> Iterator[tuple[str, list[Named]]]:
-        """Yield a worker's phases from the scatter to the pressure, each with the name of its
-        group.
-        """
+        """Yield a worker's phases from the scatter to the pressure, with the names of groups."""
         for records in self._activate(worker):
             yield "scatter", launches(records)
         yield "scatter", launches([self._sum_copies(worker)])
@@ -458,9 +456,7 @@ class Phases:
         return [*out, *walls.push_out(cells, run, s, sums, stops=stops)]
 
     def _fill(self, worker: int, volume: wp.array) -> list[Named]:
-        """Return a worker's kernel launches that sum the volumes of the worker's particles in each
-        cell [m^3].
-        """
+        """Return a worker's kernel launches that sum its particles' volumes in cells [m^3]."""
         model, run, cells = self._model, self._run(worker), self._cells
         fills = self._copy(cells.fills, worker)
         inputs = [volume[run], cells.lattice, cells.window, self._state.x[run]]

@@ -331,18 +331,14 @@ class Simulation:
 
     @cached_property
     def _smoothing(self) -> Smoothing | None:
-        """Object that smooths the motion of solids that keep dents; None if there are no such
-        solids.
-        """
+        """Object that smooths the motion of solids that keep dents; None without such solids."""
         setup = self.setup
         dents = np.array([section.dents for section in setup.materials])[setup.particles.material]
         smooth = dents.any() and self.scene.binding == "lattice"
         return Smoothing(setup.particles, dents, self.scene.dx) if smooth else None
 
     def carrying(self) -> tuple[Any, Any]:
-        """Return the positions and deformation gradients of the particles, from which the Gaussians
-        follow.
-        """
+        """Return the particles' positions and deformation gradients, which move the Gaussians."""
         x, F = self.solver.state.x, self.solver.state.deformation
         return self._smoothing(host(x), host(F)) if self._smoothing else (x, F)
 
@@ -461,9 +457,7 @@ class Simulation:
         return next(filter(None, (o.after_attempt() for o in self.observers)), None)
 
     def checkpoint(self) -> dict[str, Any]:
-        """Return the state to which `roll_back` can return: of the solver, and the observers'
-        sums.
-        """
+        """Return what `roll_back` restores: the solver's state and the observers' sums."""
         return {"solver": self.solver.snapshot(), "observers": snapshots(self._summing)}
 
     def roll_back(self, checkpoint: dict[str, Any]) -> None:
