@@ -65,6 +65,14 @@ def test_film_and_lone_particle_come_to_rest_on_the_floor():
         assert x[:, 2].min() > 0 and x[:, 2].max() < 0.04
 
 
+@pytest.mark.parametrize(("contact", "speed"), [("sticky", 0.0), ("slip", 1.0)])
+def test_drop_sticks_to_a_sticky_floor(contact, speed):
+    solver = liquid(np.array([[0.5, 0.5, 0.01]]), 8, [HalfSpace(contact=contact)])
+    solver.state.v.assign(np.array([[1.0, 0.0, 0.0]]))
+    run(solver, 3)
+    assert solver.state.v.numpy()[0, 0] == pytest.approx(speed, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     ("height", "tilt", "fall"), [(0.001, 0.0, 0.0), (0.3, 0.0, 0.28), (0.001, 20.0, 0.0)]
 )

@@ -22,6 +22,7 @@ def make_push_out(shape: str, real: Any):
     `walls` contains the indices of the shape's walls in `slots` and `frictions`, which are tables
     of all walls; `geometries` contains their dimensions. A wall stops the normal velocity, and
     reduces the tangential velocity by up to the coefficient of friction times the normal velocity.
+    A sticky wall also stops the tangential velocity.
     The impulse on the particles and its work are added to `sums_out`. The work on a single drop is
     computed with the drop's mean velocity in the step, so a floor does no work on drops that lie on
     the floor. Pressure does not act on drops; their velocity gradient `C` is zero.
@@ -30,16 +31,18 @@ def make_push_out(shape: str, real: Any):
     distance = SHAPES[shape]
 
     @wp.func
-    def stop(v: t.vec3, u: t.vec3, normal: t.vec3, friction: real):
-        """Return a particle's velocity after frictional contact with a wall of velocity u."""
+    def stop(v: t.vec3, u: t.vec3, normal: t.vec3, rough: t.vec2):
+        """Return a particle's velocity after contact with a wall of velocity u; `rough` contains
+        the coefficient of friction, and 1 if the liquid sticks to the wall.
+        """
         along = wp.dot(v - u, normal)
         if along >= real(0.0):
             return v
         slide = v - u - along * normal
         speed = wp.length(slide)
         kept = real(0.0)
-        if speed > real(0.0):
-            kept = wp.max(real(0.0), real(1.0) + friction * along / speed)
+        if speed > real(0.0) and rough[1] == real(0.0):
+            kept = wp.max(real(0.0), real(1.0) + rough[0] * along / speed)
         return u + kept * slide
 
     @kernel(f"phy124_liquid_push_out_{shape}_{real.__name__}", real, seconds=0.4)
@@ -83,7 +86,7 @@ def make_push_out(shape: str, real: Any):
                     if stops > 0:
                         u = speed_of(motions, wall, x)
                         before = v_out[p]
-                        after = stop(before, u, normal, frictions[wall][0])
+                        after = stop(before, u, normal, frictions[wall])
                         v_out[p] = after
                         start = before
                         if C[p] == t.mat33():
