@@ -1,7 +1,4 @@
-"""Limits of the numbers in a scene, chosen for the ranges of float32 and of the grid.
-
-The limits are wider than any scene needs, but the product of two numbers never overflows.
-"""
+"""Limits of the numbers in a scene, chosen for the ranges of float32 and of the grid."""
 
 import difflib
 from pathlib import Path
@@ -14,7 +11,6 @@ LONGEST = 1e5
 SHORTEST = 1e-6
 """Smallest duration [s]; it is shorter than any substep of a visible object."""
 FARTHEST = 1e5
-"""Largest coordinate [m]."""
 
 _Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 _Rate = Annotated[float, Field(ge=-1e5, le=1e5)]
@@ -30,17 +26,15 @@ Velocity = tuple[_Rate, _Rate, _Rate]
 Push = tuple[_Push, _Push, _Push]
 """An acceleration [m/s^2], a force [N] or a momentum [N s]."""
 Direction = tuple[_Direction, _Direction, _Direction]
-"""A vector whose length does not matter, only its direction."""
 Factor = Annotated[float, Field(ge=-1e6, le=1e6)]
 """A value of a time profile, by which the strength of a force or motion is multiplied."""
 Instant = Annotated[float, Field(ge=0, le=LONGEST)]
 """A time since the start [s]."""
 Colour = Annotated[float, Field(ge=0, le=1)]
-"""A channel of a colour (red, green or blue)."""
+"""A channel of a colour."""
 
 
 def _named_colour(value: Any) -> Any:
-    """Convert a CSS name or #rrggbb to red, green and blue; return other values unchanged."""
     if not isinstance(value, str):
         return value
     from PIL import ImageColor
@@ -69,11 +63,9 @@ def _check_text(text: str) -> str:
 
 
 Text = Annotated[str, AfterValidator(_check_text)]
-"""Text that UTF-8 can encode."""
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 """Name of an object, also used in files and topics: a letter, then letters, digits, - and _."""
 NAME_LENGTH = 4096
-"""Largest length of a file name [characters]."""
 
 
 def _check_file_name(path: Path) -> Path:

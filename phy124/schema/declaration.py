@@ -1,4 +1,4 @@
-"""Describe in words the fields that a section declares, based on the section's JSON schema."""
+"""Describes in words the values that the fields of a section accept."""
 
 from functools import cache
 from typing import Any
@@ -6,7 +6,6 @@ from typing import Any
 from pydantic import BaseModel
 
 Node = dict[str, Any]
-"""A part of a JSON schema."""
 COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
@@ -17,10 +16,7 @@ class Declaration:
         self.schema: Node = root.model_json_schema()
 
     def resolve(self, node: Node) -> Node:
-        """Return the schema to which a node of the schema refers.
-
-        For an optional field, return the schema of the field's value.
-        """
+        """Return the schema to which a node refers; for an optional field, that of the value."""
         while True:
             options = [option for option in node.get("anyOf", []) if option != {"type": "null"}]
             if "$ref" in node:
@@ -66,10 +62,7 @@ class Declaration:
 
 @cache
 def read_declaration(root: type[BaseModel]) -> Declaration:
-    """Return the declaration of a section class.
-
-    The declaration is cached, because it takes 0.2 s to make.
-    """
+    """Return the declaration of a section class; it is cached, because it takes 0.2 s to make."""
     return Declaration(root)
 
 

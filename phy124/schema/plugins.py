@@ -1,8 +1,4 @@
-"""Plugins: classes and functions of users, used as instances or by name.
-
-In Python, an instance of a user's material, force or boundary can be used directly. In scene files
-and on the command line, a class has the name of its entry point in one of the `GROUPS`.
-"""
+"""Plugins: classes and functions of users, registered as entry points of packages."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,19 +19,15 @@ GROUPS = ("materials", "forces", "boundaries", "generators", "formats", "sinks")
 def entry_points_of(group: str) -> dict[str, EntryPoint]:
     """Return the entry points of one of the `GROUPS`, by name.
 
-    The result is cached, because reading the metadata of packages takes milliseconds, and a scene
-    may name thousands of kinds.
+    Cached, because reading the metadata of packages takes milliseconds, and a scene may name
+    thousands of kinds.
     """
     points = entry_points(group=f"phy124.{group}")
     return {point.name: point for point in reversed(list(points))}
 
 
 def load_plugin(group: str, name: str) -> Any:
-    """Load the class or function that a package registers under a name; None if there is none.
-
-    Args:
-        group: One of the `GROUPS`.
-        name: Name of the entry point.
+    """Load the class or function with this entry point; None if there is none.
 
     Raises:
         InputError: The class or function cannot be loaded.
@@ -57,10 +49,7 @@ def list_plugins(group: str) -> list[str]:
 
 
 def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
-    """Load all classes that packages register; skip classes that cannot be loaded.
-
-    A scene that names a class that cannot be loaded is refused. Other scenes are not affected.
-    """
+    """Load all classes that packages register; skip classes that cannot be loaded."""
     kinds = {}
     for name in list_plugins(group):
         try:
@@ -76,22 +65,20 @@ def load_kinds(group: str, base: type[Section]) -> dict[str, type[Section]]:
 class Kinds:
     """The kinds of section that a field of a scene accepts, including registered plugins.
 
-    If a field is annotated with an instance, pydantic validates registered kinds and includes them
-    in the JSON schema.
+    Annotate the field with an instance of this class.
     """
 
     base: type[Section]
-    """Base class of all classes of section that the field accepts."""
     tag: str
-    """Name of the field that states the class of a section in files, "law" or "kind"."""
+    """Name of the field that names the class in files: "law" or "kind"."""
     group: str
-    """Entry-point group in which packages register classes of section, one of the `GROUPS`."""
+    """One of the `GROUPS`."""
     union: Any
-    """Union of the classes of section that phy124 defines. Plugins cannot replace these classes."""
+    """Union of the classes that phy124 defines. Plugins cannot replace these classes."""
 
     @cached_property
     def by_name(self) -> dict[str, type[Any]]:
-        """The classes that phy124 defines, by name, in the order of the union."""
+        """The classes that phy124 defines, by name."""
         return {kind.model_fields[self.tag].default: kind for kind in get_args(self.union)}
 
     def is_foreign(self, section: Section) -> bool:

@@ -12,21 +12,19 @@ from phy124.schema.declaration import Declaration, Node, format_number, read_dec
 from phy124.schema.section import Section
 
 FEW = 3
-"""Largest number of keys of similar meaning that a message suggests."""
 Options = TypeVar("Options", bound=Section)
 LONGEST = 60
-"""Largest number of characters of a value in a message."""
 
 
 def explain(error: ValidationError, source: str, root: type[BaseModel]) -> InputError:
-    """Return the most deeply nested validation error as a sentence with a remedy.
+    """Convert pydantic's error at the most deeply nested field to an error with a remedy.
 
-    An `InputError` of a validator, which names its field, is returned unchanged.
+    An `InputError` that a validator raised is returned unchanged.
 
     Args:
         error: The error that pydantic raised.
-        source: Name of the data, used if the error does not concern a single field.
-        root: The class of the section that was validated.
+        source: Name of the data, for errors that concern no single field.
+        root: The class of the validated section.
     """
     details: dict[str, Any] = {**max(error.errors(), key=lambda detail: len(detail["loc"]))}
     cause = details.get("ctx", {}).get("error")
@@ -50,7 +48,7 @@ def explain(error: ValidationError, source: str, root: type[BaseModel]) -> Input
 
 
 def explain_options(error: ValidationError) -> InputError:
-    """Return the error of a section of options; its title identifies the section's class."""
+    """Convert pydantic's error in a section of options; its title names the section's class."""
     kinds, sections = [Section], {}
     while kinds:
         kind = kinds.pop()
@@ -62,9 +60,9 @@ def explain_options(error: ValidationError) -> InputError:
 def validate(
     kind: type[Options], data: Options | Mapping[str, Any], source: str = "options"
 ) -> Options:
-    """Return options as an object of their class; options may be passed as plain data.
+    """Return options, which may be plain data, as an object of their class.
 
-    An error that does not concern a single field names the data by `source`.
+    `source` names the data in errors that concern no single field.
 
     Raises:
         InputError: A value is invalid, or there is no such option.
@@ -76,10 +74,7 @@ def validate(
 
 
 def shorten(value: Any) -> str:
-    """Return a value as text for a message, shortened to `LONGEST` characters.
-
-    For a section, the text lists the names of its values.
-    """
+    """Return a value as text for a message, of at most `LONGEST` characters."""
     try:
         section = isinstance(value, dict) and value
         text = f"a section with {', '.join(map(str, section))}" if section else str(value)
@@ -89,16 +84,12 @@ def shorten(value: Any) -> str:
 
 
 class _Place(NamedTuple):
-    """The field of the scene that an error concerns."""
-
     keys: list[int | str]
     """Path of the field as a user writes it, without the names of laws and kinds."""
     node: Node
     """Schema of the field or, if the field does not exist, of the section."""
     around: Node
-    """Schema of the section that contains the field."""
     description: str
-    """Description of the field, or of the nearest enclosing field that has a description."""
 
 
 def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Place:
@@ -121,7 +112,6 @@ def _find_place(declared: Declaration, location: tuple[int | str, ...]) -> _Plac
 
 
 def _find_inner(declared: Declaration, node: Node, part: int | str) -> Node | None:
-    """Return the schema under a key, {} if there is no schema, or None if the key names a type."""
     choices = declared.choices(node)
     if isinstance(part, int):
         for choice in choices:
@@ -161,7 +151,6 @@ def _limit_and_remedy(declared: Declaration, place: _Place, details: Any) -> tup
 
 
 def _suggest(declared: Declaration, node: Node, value: Any) -> str:
-    """Suggest a valid value; return an empty text if no value is obvious."""
     known = [str(name) for choice in declared.choices(node) for name in choice.get("enum", [])]
     if known:
         return did_you_mean(str(value), known)
@@ -175,7 +164,6 @@ def _suggest(declared: Declaration, node: Node, value: Any) -> str:
 
 
 def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str]:
-    """Return the limit and the remedy for a key that does not exist."""
     key = str(place.keys[-1])
     choices = declared.choices(place.around)
     known = sorted({name for choice in choices for name in choice.get("properties", ())})
@@ -196,9 +184,6 @@ def _explain_unknown_key(declared: Declaration, place: _Place) -> tuple[str, str
 
 
 def _list_keys_about(declared: Declaration, choices: list[Node], key: str) -> list[str]:
-    """Return the keys whose description contains all words of `key` in its first sentence; return
-    an empty list if there are more than `FEW` such keys.
-    """
     words, keys = _split_words(key), []
     for name, node in (
         (k, n) for choice in choices for k, n in choice.get("properties", {}).items()
@@ -210,15 +195,11 @@ def _list_keys_about(declared: Declaration, choices: list[Node], key: str) -> li
 
 
 def _split_words(text: str) -> set[str]:
-    """Return the words of a text or name that have at least three letters, without the endings of
-    plural and genitive.
-    """
     words = re.findall("[a-z]{3,}", text.lower().replace("'s", "").replace("_", " "))
     return {word.removesuffix("s") for word in words}
 
 
 def _list_sections_with(declared: Declaration, key: str) -> list[str]:
-    """Return the paths of a key in all sections that have this key, such as "view.size"."""
     paths = []
     for name, node in declared.schema["properties"].items():
         inner = [*declared.choices(node), *map(declared.resolve, declared.kinds(node).values())]

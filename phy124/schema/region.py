@@ -13,8 +13,7 @@ from phy124.schema.section import Section
 
 Vector = tuple[float, float, float]
 EVERYWHERE = 1e9
-"""Coordinate that is outside any scene [m]. This coordinate is finite, because JSON has no
-infinity."""
+"""Coordinate outside any scene [m]; finite, because JSON has no infinity."""
 _Side = Annotated[float, Field(ge=-EVERYWHERE, le=EVERYWHERE)]
 _Fraction = Annotated[float, Field(ge=-1, le=1)]
 _Corner = tuple[_Side, _Side, _Side]

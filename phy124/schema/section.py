@@ -14,7 +14,6 @@ LINES = re.compile(
     r'^(?P<top>class|def) (?P<name>\w+)|^    (?:(?P<field>\w+): |def |@|"""(?P<text>.+?)"""$)',
     re.MULTILINE | re.DOTALL,
 )
-"""Matches classes, functions, fields and docstrings in a source file."""
 OTHER = PydanticCustomError("another_type", "it is of another type")
 
 
@@ -31,10 +30,7 @@ class Section(BaseModel):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **options: Any) -> None:
-        """Set the fields' descriptions.
-
-        The option `use_attribute_docstrings` of pydantic would take 0.2 s whenever phy124 starts.
-        """
+        """Set the fields' descriptions; pydantic's `use_attribute_docstrings` would take 0.2 s."""
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
         for name, text in _read_docstrings(file).get(cls.__name__, {}).items():
             if name in cls.model_fields:
@@ -58,13 +54,12 @@ class Section(BaseModel):
 
 
 def omit_default(default: Any, **limits: Any) -> Any:
-    """Return a `pydantic.Field` with limits. Files omit the field if its value is the default."""
+    """Return a `pydantic.Field` with limits; files omit a field that has the default value."""
     return Field(default=default, exclude_if=lambda value: value == default, **limits)
 
 
 @cache
 def _read_docstrings(file: str | None) -> dict[str, dict[str, str]]:
-    """Return the docstrings below the fields of the classes in a file; empty if it is missing."""
     texts: dict[str, dict[str, str]] = {}
     if file is None or not file.endswith(".py") or not Path(file).is_file():
         return texts
@@ -82,7 +77,6 @@ def _read_docstrings(file: str | None) -> dict[str, dict[str, str]]:
 
 @cache
 def _list_types(section: type[Section], field: str) -> frozenset[Any]:
-    """Return the types of plain values that a field accepts; empty if it accepts any type."""
     types, annotations = set(), [section.model_fields[field].annotation]
     while annotations:
         annotation = annotations.pop()
@@ -94,7 +88,6 @@ def _list_types(section: type[Section], field: str) -> frozenset[Any]:
 
 
 def _is_other(value: Any, types: frozenset[Any]) -> bool:
-    """Return whether a plain value has a type that is not in `types`."""
     if not types:
         return False
     if bool not in types:

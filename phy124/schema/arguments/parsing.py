@@ -1,8 +1,4 @@
-"""Parse a command line into a command, and convert the parser's errors to `InputError`s.
-
-The parser (tyro) passes errors to a hook. If the installed version of tyro has no such hook, the
-parser prints its message itself.
-"""
+"""Parse a command line into a command, and tyro's errors to `InputError`s."""
 
 import itertools
 import os
@@ -29,9 +25,7 @@ from phy124.schema.arguments.words import (
 NARROWEST = 40
 """Smallest width for which help texts are laid out [characters]."""
 SIMILAR = 0.75
-"""A known option is suggested instead of an unknown option if their similarity (0 to 1) is at least
-this value.
-"""
+"""Smallest similarity (0 to 1) at which a known option is suggested for an unknown option."""
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 Commands = Mapping[str, type]
 
@@ -94,7 +88,6 @@ def asks_for_commands(arguments: Sequence[str]) -> bool:
 
 
 def _registry() -> Any:
-    """Return the parser's rules; an optional value is described like a required value."""
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
     registry = ConstructorRegistry()
@@ -120,7 +113,6 @@ def _registry() -> Any:
 
 @contextmanager
 def _translate_errors(arguments: Sequence[str], commands: Commands, program: str) -> Iterator[None]:
-    """Raise errors of the parser as InputError within this context."""
     try:
         from tyro._errors import on_parse_error
     except ImportError:  # other versions of tyro print their message themselves
@@ -156,7 +148,7 @@ def _no_help_texts() -> Iterator[None]:
 
 @contextmanager
 def _no_empty_defaults() -> Iterator[None]:
-    """Omit uninformative defaults from help texts: False for flags, None, and empty lists."""
+    """Omit uninformative defaults from help texts: False, None and empty lists."""
 
     def wrap(describe: Callable[..., Any]) -> Callable[..., Any]:
         def describe_briefly(argument: Any, *rest: Any, **options: Any) -> Any:
@@ -175,10 +167,7 @@ def _no_empty_defaults() -> Iterator[None]:
 
 @contextmanager
 def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -> Iterator[None]:
-    """Within this context, replace functions of a tyro module, if this version has them.
-
-    `wrappers` return the replacements, by the names of the functions.
-    """
+    """Within this context, replace functions of a tyro module, if this version of tyro has them."""
     try:
         place = import_module(f"tyro.{module}")
     except ImportError:
@@ -217,7 +206,6 @@ class _Refused(Exception):
 def _refuse_empty(
     arguments: Sequence[str], commands: Commands, program: str, empty: Container[str]
 ) -> None:
-    """Raise InputError if the first argument is not a command, or if an argument is empty."""
     name = arguments[0]
     if name not in commands and not name.startswith(("-h", "--help", "--tyro-")):
         if name.startswith("-"):
@@ -239,7 +227,6 @@ def _refuse_empty(
 
 
 def _refuse_named_positionals(options: Sequence[str], commands: Commands, program: str) -> None:
-    """Raise InputError if a positional argument is given by its name, such as `--output X`."""
     name = options[0]
     unnamed = list_positionals(commands[name]) if name in commands else []
     named = option_names(commands[name]) if unnamed else []
@@ -267,7 +254,6 @@ def option_names(command: Any) -> list[str]:
 def _explain(
     event: Any, arguments: Sequence[str], commands: Commands, program: str
 ) -> InputError | None:
-    """Return the error for an event of the parser; None for an unknown event."""
     name, command = type(event).__name__, arguments[0]
     if name == "UnrecognizedArgs":
         options = option_names(commands[command])
@@ -314,7 +300,6 @@ def _explain_type(event: Any) -> InputError:
 
 
 def _explain_unknown(tokens: Sequence[str], command: str, options: Sequence[str]) -> InputError:
-    """Return the error for unknown options, or for too many values."""
     strange = [token for token in tokens if token.startswith("-")]
     if not strange:
         limit = f"`{command}` takes no more values."

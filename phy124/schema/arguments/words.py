@@ -1,4 +1,4 @@
-"""Prepares a command line for the parser: expands `~`, splits at `--`, merges options."""
+"""Prepares the words of a command line for the parser."""
 
 import os
 import re
@@ -36,11 +36,10 @@ def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
-    """Return the arguments with each option only once; join the values of repeated list options.
+    """Join the values of list options that are repeated.
 
-    Without this step, the parser would silently use only the last value of a repeated option.
-    Operands that look like options are rewritten (`-x.png` becomes `./-x.png`), because the parser
-    (tyro) ignores `--` after a positional value.
+    The parser (tyro) would silently use only the last value. Operands that look like options are
+    rewritten (`-x.png` becomes `./-x.png`), because tyro ignores `--` after a positional value.
 
     Raises:
         InputError: An option has two different values.
@@ -101,17 +100,12 @@ def list_fields(kind: Any) -> dict[str, Any]:
 
 
 def _strip_annotated(annotation: Any) -> Any:
-    """Return the type inside `Annotated`."""
     while get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     return annotation
 
 
 def _group_by_option(arguments: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return pairs of an option and its arguments.
-
-    Arguments before the first option are paired with an empty text.
-    """
     groups: list[tuple[str, list[str]]] = [("", [])]
     for word in arguments:
         if not word.startswith("--"):
