@@ -1,9 +1,8 @@
 """Reads material properties per point, voxel or Gaussian from a file.
 
-The properties are E, nu, density, damping and law, or a fraction of the material's E. Properties
-that are missing in the file are taken from the scene's material. Networks that predict materials
-write such files: VoMP (arXiv 2510.22975) writes voxels as .npz, Pixie (arXiv 2508.17437) writes
-points as .ply.
+Properties that are missing in the file are taken from the scene's material. Networks that predict
+materials write such files: VoMP (arXiv 2510.22975) writes voxels as .npz, Pixie (arXiv 2508.17437)
+writes points as .ply.
 """
 
 from phy124.properties.declaration import Properties

@@ -81,7 +81,6 @@ class Properties(Section):
         return trilinear(x, points, table.columns)
 
     def _fit_points(self, table: Table, means: NDArray) -> NDArray[np.float64]:
-        """Return the file's points [K,3], m, fitted to the object's bounding box."""
         if table.points is None:
             raise InputError(
                 "properties.file",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from phy124.errors import InputError
 
 REGULAR = 0.05
-"""Largest distance of a point from the centre of the point's voxel [voxels]."""
+"""Largest distance of a point from the centre of its voxel [voxels]."""
 FINEST = 512
 """Largest number of voxels along an axis."""
 
@@ -17,16 +17,7 @@ FINEST = 512
 def nearest(
     x: NDArray, points: NDArray, columns: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """Return, for each position, the values of the nearest point.
-
-    Args:
-        x: Positions [P,3].
-        points: Points [K,3].
-        columns: One value per point [K], keyed by column name.
-
-    Returns:
-        One value per position [P], keyed by column name.
-    """
+    """Return the values [P] of the point [K,3] that is nearest to each position [P,3]."""
     at = scipy.spatial.KDTree(points).query(x)[1]
     return {name: column[at] for name, column in columns.items()}
 
@@ -36,8 +27,7 @@ def trilinear(
 ) -> dict[str, NDArray[Any]]:
     """Interpolate values trilinearly between the centres of voxels.
 
-    Empty voxels are ignored. A position without an adjacent full voxel gets the value of the
-    nearest full voxel. Names of laws are taken from the nearest voxel.
+    Names of laws, and all values far from any full voxel, are taken from the nearest full voxel.
 
     Args:
         x: Positions [P,3].
@@ -74,7 +64,7 @@ def _between(values: NDArray, index: NDArray, shape: tuple[int, ...], at: NDArra
 
 
 def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points' grid indices [K,3], the spacing [3] and the first voxel's centre [3]."""
+    """Return the grid indices [K,3], the spacing [3] and the first voxel's centre [3]."""
     low = points.min(axis=0)
     spacing = np.array([_step(points[:, axis]) for axis in range(3)])
     index = np.rint((points - low) / spacing).astype(int)
@@ -89,7 +79,6 @@ def _lattice(points: NDArray) -> tuple[NDArray[np.int_], NDArray[np.float64], ND
 
 
 def _step(along: NDArray) -> float:
-    """Return the median distance between neighbouring centres along an axis."""
     apart = np.diff(np.unique(along))
     apart = apart[apart > 1e-4 * max(np.ptp(along), 1e-12)]
     return float(np.median(apart)) if len(apart) else 1.0

@@ -1,9 +1,7 @@
-"""Stiffness fields: a Young's modulus that varies continuously inside one object.
+"""Stiffness fields: a Young's modulus that varies continuously inside an object.
 
-A field multiplies Young's modulus E of the material at each particle by a fraction: `fraction(x)
-E`. The first parameters of every law are proportional to E. With a field, kernels read one row of
-parameters per particle; without a field, all particles use one row. A properties file can also
-contain a fraction for each Gaussian (phy124/properties).
+A field multiplies the material's Young's modulus E at each particle by a fraction. The first
+parameters of every law are proportional to E.
 """
 
 from typing import Annotated, Literal
@@ -18,8 +16,7 @@ from phy124.schema.bounds import FileName
 from phy124.schema.section import Section
 
 MINIMUM = 1e-4
-"""Smallest factor by which E may be multiplied; with this factor, waves are a hundred times slower.
-"""
+"""Smallest factor on E; with this factor, waves are a hundred times slower."""
 Fraction = Annotated[float, Field(ge=MINIMUM, le=1)]
 
 
@@ -80,7 +77,7 @@ class Picture(_Field):
 
 AnyStiffness = Annotated[Gradient | Picture, Field(discriminator="kind")]
 SOFTEST, STIFFEST = 0.01, 100.0
-"""Smallest and largest factor by which E may be multiplied in a profile over time."""
+"""Smallest and largest factor on E in a profile over time."""
 
 
 def check_profile(profile: Table) -> None:

@@ -13,11 +13,10 @@ from phy124.io.ply import read_rows
 from phy124.properties.stiffness import MINIMUM
 
 COLUMNS = ("E", "nu", "density", "damping")
-"""Names of the numeric columns, which are fields of a material [Pa, 1, kg/m^3, Pa s]."""
+"""Names of the numeric columns [Pa, 1, kg/m^3, Pa s]."""
 FRACTION = "fraction"
-"""Name of the column with a factor on E. All files except .npy files may also contain E."""
+"""Name of the column with a factor on E."""
 EVERY = (*COLUMNS, FRACTION, "law")
-"""Names of all columns."""
 NAMES = {
     "youngs_modulus": "E",
     "poissons_ratio": "nu",
@@ -27,7 +26,7 @@ NAMES = {
     "voxel_coords_world": "points",
     "query_coords_world": "points",
 }
-"""Maps the column names of VoMP, Pixie and others to the column names of phy124."""
+"""Column names of VoMP, Pixie and others, with the names that phy124 uses."""
 LAWS = {
     0: "neo_hookean",
     1: "metal",
@@ -46,13 +45,12 @@ FORMS = (
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Properties of K points, or of K voxels that are not empty."""
+    """Properties of K points or voxels."""
 
     columns: dict[str, NDArray[Any]]
-    """Columns [K] of the file by their names in `EVERY`: numbers as float64, laws as names."""
+    """Columns [K] by their names in `EVERY`."""
     points: NDArray[np.float64] | None
-    """Positions [K,3] in the axes and the unit of the file; None: there is one value per Gaussian,
-    in the order of the Gaussians.
+    """Positions [K,3] in the axes and the unit of the file; None: one value per Gaussian, in order.
     """
     whole: bool = False
     """Whether positions are relative to the object's bounding box, as for voxels without bounds."""
@@ -115,7 +113,6 @@ def _columns_of(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64] | None:
-    """Return the positions [K,3] from columns x, y, z or from one array; None without positions."""
     if "points" in columns:
         points = columns["points"]
     elif {"x", "y", "z"} <= columns.keys():
@@ -132,10 +129,8 @@ def _places(path: Path, columns: dict[str, NDArray[Any]]) -> NDArray[np.float64]
 def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArray[np.float64]]:
     """Return the columns and the centres of all voxels that contain values.
 
-    Arrays [X,Y,Z] have NaN in empty voxels.
-
-    `lower` and `upper` are the centres of the first and last voxel. Without `lower` and `upper`,
-    the voxels fill a box of side 1.
+    Arrays [X,Y,Z] have NaN in empty voxels. `lower` and `upper` are the centres of the first and
+    last voxel; without them, the voxels fill a box of side 1.
     """
     dense = {name: columns[name] for name in EVERY if name in columns}
     shape = next(iter(dense.values())).shape
@@ -156,7 +151,6 @@ def _voxels(path: Path, columns: dict[str, Any]) -> tuple[dict[str, Any], NDArra
 
 
 def _bounds(path: Path, *ends: Any) -> list[NDArray[np.float64]]:
-    """Return the centres of the first voxel [3] and of the last voxel [3]."""
     if any(np.shape(end) != (3,) for end in ends):
         raise _refusal(
             path, "its `lower` or `upper` is not a point.", "Write three numbers for each."
@@ -176,18 +170,12 @@ def _numbers(path: Path, name: str, values: NDArray[Any]) -> NDArray[np.float64]
 
 
 def _check_fractions(path: Path, fractions: NDArray[np.float64]) -> None:
-    """Check that all fractions are in the range from `MINIMUM` to 1.
-
-    Raises:
-        InputError: If a fraction is outside this range.
-    """
     if not ((fractions >= MINIMUM) & (fractions <= 1)).all():
         remedy = "Divide the fractions by their largest value, and multiply the material's E by it."
         raise _refusal(path, f"a fraction is outside {MINIMUM:g} to 1.", remedy)
 
 
 def _laws(path: Path, values: NDArray[Any]) -> NDArray[np.str_]:
-    """Return the names of the laws; in the file, laws are stored as names or as numbers."""
     if values.dtype.kind in "US":
         return values.astype(str)
     numbers = np.unique(values)
