@@ -15,14 +15,12 @@ class WeightFile:
 
     repo: str
     path: str
-    """Path of the file inside the repository."""
     licence: str
     size: int | None = None
-    """Size of the file in bytes; None if the size is unknown."""
+    """Size [bytes]; None if unknown."""
     sha256: str | None = None
-    """Published checksum of the file; if None, `fetch` uses the checksum from the server."""
+    """Published checksum; if None, `fetch` uses the checksum from the server."""
     shipped: bool = False
-    """Whether the file is a part of the package phy124."""
 
     @property
     def command(self) -> str:
@@ -31,7 +29,7 @@ class WeightFile:
 
     @property
     def expected(self) -> str:
-        """Expected size and checksum of the file, as text."""
+        """Expected size and checksum, as text."""
         size = "size unknown" if self.size is None else f"{self.size:,} bytes"
         return f"{size}, sha256 {self.sha256 or 'not known'}"
 
@@ -139,29 +137,23 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
         WeightFile("onnx-community/depth-anything-v2-small", "onnx/model.onnx", "Apache-2.0"),
     ),
 }
-"""Sets of weight files, by the name of the network that needs them."""
+"""Files by the name of the set."""
 
 
 @dataclass(frozen=True)
 class About:
-    """Description of what a set of weights is used for."""
+    """What a set of weights is used for."""
 
     brings: str
-    """Use of the weights in phy124."""
     megabytes: int
     """Approximate size of the download [MB]."""
     extra: str | None = None
-    """Optional extra of phy124 that is needed to run the network."""
+    """Optional extra of phy124 that runs the network."""
     use: str = ANYWHERE
-    """Statement of where the licence allows the weights to be used."""
     memory: float = 0.0
-    """Measured memory of a process that runs the network [bytes]; 0 if it was not measured."""
+    """Measured memory of a process that runs the network [bytes]; 0: not measured."""
     work: float = 0.0
-    """Measured work of the network for one picture; 0 if it was not measured.
-
-    The value is the number of operations of a float32 matrix product that takes as long as the
-    network.
-    """
+    """Measured work for one picture, in operations of a float32 matrix product; 0: not measured."""
 
 
 ABOUT: dict[str, About] = {
@@ -225,4 +217,3 @@ ABOUT: dict[str, About] = {
     "zero123": About("guides --generator dreamgaussian", 3400, "dreamgaussian"),
     "clip": About("the measures of similarity of `phy124 evaluate`", 605, "eval"),
 }
-"""Description of each set of weights, in the order in which the sets are listed."""

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 StateDict = Mapping[str, "Tensor"]
 SHOWN = 3
-"""Largest number of differing tensors that an error message lists."""
 
 
 def read_tensors(path: str | os.PathLike[str]) -> dict[str, Tensor]:
@@ -75,7 +74,7 @@ def _refusal(path: Path, error: Exception) -> InputError:
 
 
 def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
-    """Remove `prefix` from the names, and remove tensors whose names do not start with `prefix`.
+    """Select the tensors whose names start with `prefix`, and remove `prefix` from the names.
 
     If no name starts with `prefix`, return all tensors.
     """
@@ -84,16 +83,10 @@ def strip_prefix(tensors: StateDict, prefix: str) -> dict[str, Tensor]:
 
 
 def fill(module: nn.Module, tensors: StateDict, name: str) -> None:
-    """Load tensors into `module`, which may be on the meta device; names and shapes must be equal.
-
-    Args:
-        module: The network that receives the tensors.
-        tensors: Tensors by their names in the network's state dict.
-        name: Name of the network in messages.
+    """Load tensors into a network, which may be on the meta device; names and shapes must be equal.
 
     Raises:
-        InputError: If tensors are missing, unknown or of a wrong shape; the message lists up to
-            `SHOWN` tensors of each kind.
+        InputError: If tensors are missing, unknown or of a wrong shape.
     """
     wanted = {k: tuple(v.shape) for k, v in module.state_dict().items()}
     shapes_in_file = {k: tuple(v.shape) for k, v in tensors.items()}

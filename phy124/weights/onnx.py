@@ -1,8 +1,4 @@
-"""Runs ONNX networks with onnxruntime on the CPU, and predicts their run time.
-
-Callers may state the names of the inputs and outputs of a network. A file without these inputs and
-outputs is refused before it runs. This module downloads nothing.
-"""
+"""Runs ONNX networks with onnxruntime on the CPU, and predicts their run time."""
 
 from __future__ import annotations
 
@@ -32,12 +28,11 @@ class OnnxNetwork:
     """An ONNX network that runs in float32 on the CPU.
 
     Args:
-        path: The .onnx file; a file of external data to which it refers must be in its folder.
-        inputs: Names of the network's inputs, in the order in which they are passed; if None, the
-            order of the file.
-        outputs: Names of the outputs that are returned; None: the first output.
-        folds: Whether onnxruntime computes constant expressions when it opens the file. Weights of
-            8 bits are then unpacked to float32, which takes more memory.
+        path: The .onnx file; its external data must be in the same folder.
+        inputs: Names of the inputs, in the order in which they are passed; None: as in the file.
+        outputs: Names of the returned outputs; None: the first output.
+        folds: Whether constants are computed on opening; weights of 8 bits are then unpacked to
+            float32, which takes more memory.
 
     Raises:
         InputError: onnxruntime is not installed, or the file is unreadable or of another network.
@@ -66,7 +61,7 @@ class OnnxNetwork:
             raise InputError("weights", self.path, limit, remedy)
 
     def __call__(self, *arrays: NDArray[Any]) -> list[NDArray[np.float32]]:
-        """Run the network on arrays in the order of the network's inputs; return the outputs.
+        """Return the outputs for arrays in the order of `inputs`.
 
         Raises:
             InputError: If the shapes of the arrays do not fit the network.
@@ -81,11 +76,6 @@ class OnnxNetwork:
 
 
 def _open(path: Path, folds: bool) -> InferenceSession:
-    """Open a file in onnxruntime; `folds` is explained in `OnnxNetwork`.
-
-    Raises:
-        InputError: If onnxruntime is not installed or the file is unreadable.
-    """
     if hindrance := obstacle(path):
         raise InputError("weights", path, hindrance[0], "Run `phy124 weights` to list all weights.")
     try:
@@ -116,15 +106,12 @@ def _open(path: Path, folds: bool) -> InferenceSession:
 
 
 def predict_seconds(about: About) -> float | None:
-    """Predict the time [s] for one picture under the current load; None if it is unknown."""
+    """Predict the time [s] for one picture at the present load; None if unknown."""
     return about.work / multiply_rate() if about.work else None
 
 
 def multiply_rate() -> float:
-    """Measure the operations per second in products of float32 matrices.
-
-    The measurement takes a fraction of a second, and depends on the current load of the machine.
-    """
+    """Measure the operations per second in products of float32 matrices, at the present load."""
     a = np.ones((SIDE, SIDE), np.float32)
     np.matmul(a, a)
     start = time.perf_counter()

@@ -1,8 +1,7 @@
 """Finds, checks and downloads files of trained weights.
 
-Nothing is downloaded unless `fetch` is called. Files are searched in four places, in this order:
-the user's folder (`--weights`), the folder PHY124_WEIGHTS, the Hugging Face cache, and the package
-phy124.
+Four places are searched in this order: the user's folder (`--weights`), the folder PHY124_WEIGHTS,
+the Hugging Face cache, and the package phy124.
 """
 
 import hashlib
@@ -21,10 +20,8 @@ from phy124.runtime.installation import install_command
 from phy124.weights.catalogue import ABOUT, KNOWN, WeightFile
 
 Verdict = Literal["match", "differs", "unknown", "unchecked", "missing"]
-"""Result of comparing a file's size and sha256 with the published values; "unknown" if no sha256 is
-published."""
+"""Result of the comparison with the published file; "unknown": no sha256 is published."""
 BLOCK = 1 << 22
-"""Number of bytes that are hashed at once."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +29,11 @@ class WeightStatus:
     """State of a weight file on this machine."""
 
     weights: str
-    """Name of the set of weights, as in `phy124 weights fetch NAME`."""
     file: WeightFile
     found: Path | None
     looked: tuple[Path, ...]
-    """Paths at which the file was searched, in order."""
     size: int | None
-    """Size of the file on disk [bytes]."""
+    """Size on disk [bytes]."""
     verdict: Verdict
 
 
@@ -56,16 +51,16 @@ def search_first(folder: str | os.PathLike[str] | None) -> Iterator[None]:
 
 
 def hub_cache() -> Path:
-    """Return the folder of the Hugging Face cache; environment variables may change this folder."""
+    """Return the folder of the Hugging Face cache."""
     home = os.environ.get("HF_HOME", "~/.cache/huggingface")
     return Path(os.path.expanduser(os.environ.get("HF_HUB_CACHE", os.path.join(home, "hub"))))
 
 
 def list_places(file: WeightFile, folder: str | os.PathLike[str] | None = None) -> Iterator[Path]:
-    """Yield the paths at which `file` may be stored, in the order of preference.
+    """Yield the paths at which `file` may be stored, best first.
 
-    In a plain folder, both `NAME` and `REPOSITORY/PATH` are searched. A folder can therefore
-    contain files of the same name from several repositories.
+    A plain folder is searched for `NAME` and for `REPOSITORY/PATH`, because two repositories may
+    contain files of the same name.
     """
     for root in (folder or _named.get(), os.environ.get("PHY124_WEIGHTS")):
         if root:
@@ -110,9 +105,7 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
     """Return the path of each file of a set, by the name of the file in its repository.
 
     Raises:
-        InputError: If a file is missing, or its size differs from the published size. The message
-            states the expected file, the command that downloads it, and a generator that needs no
-            weights.
+        InputError: If a file is missing, or its size differs from the published size.
     """
     paths = {}
     for file in list_files(name):
@@ -132,7 +125,6 @@ def require(name: str, folder: str | os.PathLike[str] | None = None) -> dict[str
 
 
 def _alternative(name: str) -> str:
-    """Return the remedy for a missing set of weights, for use at the end of a sentence."""
     if name == "clip":
         return "use --clip-model none"
     about = ABOUT.get(name)
@@ -164,9 +156,9 @@ def compute_sha256(path: str | os.PathLike[str]) -> str:
 def check_all(
     folder: str | os.PathLike[str] | None = None, *, check: bool = True
 ) -> list[WeightStatus]:
-    """Return the state of every known file, for `phy124 doctor`.
+    """Return the state of every known file.
 
-    If `check` is true, the checksum of each file present is computed (about 1 s per gigabyte).
+    With `check`, checksums are computed, which takes about 1 s per gigabyte.
     """
     return [
         _status(name, file, folder, check=check) for name, files in KNOWN.items() for file in files
@@ -201,7 +193,7 @@ def fetch(
     progress: Progress = silent,
     endpoint: str | None = None,
 ) -> list[Path]:
-    """Download a set of weights with huggingface_hub and check it; resume interrupted downloads.
+    """Download a set of weights and check it; an interrupted download is resumed.
 
     Args:
         name: Name of the set of weights.
@@ -243,7 +235,7 @@ def _fetch(name: str, file: WeightFile, folder: Path | None, endpoint: str | Non
 def _download(
     file: WeightFile, folder: Path | None, endpoint: str | None
 ) -> tuple[Path, str | None]:
-    """Return the path of the downloaded file, and the sha256 if the server states it."""
+    """Return the path of the file, and the sha256 if the server states it."""
     try:
         from huggingface_hub import get_hf_file_metadata, hf_hub_download, hf_hub_url
         from huggingface_hub.utils import HfHubHTTPError
