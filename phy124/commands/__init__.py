@@ -1,6 +1,5 @@
-"""Declares one class per command of the command line. The fields of a class are the command's
-options, and the method `run` does the work. A command's module is imported only when the command is
-run.
+"""Declares one class per command. The fields of a class are the command's options, and `run` does
+the work. Modules are imported only when their command is run.
 """
 
 import ast
@@ -30,7 +29,6 @@ MODULES = {
     "warm": ("effects", "Warm"),
     "doctor": ("doctor", "Doctor"),
 }
-"""Module and class of each command."""
 
 
 class Commands(Mapping[str, type]):
@@ -51,9 +49,7 @@ COMMANDS = Commands()
 
 
 def outline() -> dict[str, type]:
-    """Return, for each command, a class with only the command's docstring; used to list the
-    commands.
-    """
+    """Return, for each command, a class that has only the command's docstring."""
     return {
         name: type(kind, (), {"__doc__": _docstrings(module)[kind]})
         for name, (module, kind) in MODULES.items()
@@ -62,7 +58,7 @@ def outline() -> dict[str, type]:
 
 @cache
 def _docstrings(module: str) -> dict[str, str | None]:
-    """Return the docstrings of a module's classes, by name, without importing the module."""
+    """Read the docstrings without importing the module, because the import takes time."""
     code = Path(__file__).with_name(f"{module}.py").read_text("utf-8")
     classes = [node for node in ast.parse(code).body if isinstance(node, ast.ClassDef)]
     return {node.name: ast.get_docstring(node) for node in classes}

@@ -130,7 +130,6 @@ class ShowAccuracy:
         return bars.status(KEPT) or _status(report)
 
     def _sorted_levels(self, scene: Scene) -> tuple[int, ...]:
-        """Return the grids from coarse to fine; raise InputError if the scene rejects a grid."""
         for cells in self.levels:
             try:
                 scene.replaced({"accuracy": {"cells": cells}})
@@ -147,7 +146,6 @@ class ShowAccuracy:
         return levels
 
     def _advice(self, levels: tuple[int, ...], report: Report, per_axis: float) -> str:
-        """Return a line with a command that may yield an error estimate; empty if there is none."""
         from phy124.accuracy.choose import DENSEST
         from phy124.studies.validation.accuracy.report import COARSEST
 
@@ -169,7 +167,6 @@ class ShowAccuracy:
         return with_program(f"Try `{command}`.\n")
 
     def _object(self, scene: Scene, context: RunContext) -> tuple[Gaussians, Scene, Crop]:
-        """Return the Gaussians to study, their scene, and their position in the picture."""
         if self.image is None:
             if self.more:
                 limit = "they are for further objects, but there is no picture of the first."
@@ -199,15 +196,10 @@ class ShowAccuracy:
 
 
 def _status(report: Report) -> int:
-    """Return the exit status of a study: 0 if at least one grid was run, otherwise 3.
-
-    A simulation that was stopped has the status 3, too.
-    """
     return 0 if any(row.level for row in report.rows) else 3
 
 
 def _verdict_line(row: dict[str, Any]) -> str:
-    """Format the result of a check as a line of text."""
     order = ""
     if row["expected_order"]:
         low, high = row["expected_order"]
@@ -251,7 +243,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def _split(lost: dict[str, float] | None) -> str:
-    """Format the energy lost to each cause, as a percentage of the supplied energy."""
+    """Format the energy lost to each cause, in per cent of the supplied energy."""
     if lost is None:
         return "-"
     return "/".join(f"{round(100 * part, 1) + 0.0:.1f}" for part in lost.values())

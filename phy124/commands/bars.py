@@ -1,4 +1,4 @@
-"""Shows the progress on standard error, and lets Ctrl-C stop the work safely."""
+"""Shows the progress on standard error, and lets Ctrl-C end the work safely."""
 
 from __future__ import annotations
 
@@ -17,11 +17,9 @@ from phy124.runtime.signals import handling, interrupt
 
 _silent: ContextVar[bool] = ContextVar("_silent", default=False)
 BETWEEN_LINES = 10.0
-"""Interval between printed progress lines [s]; lines replace the bar if there is no terminal."""
+"""Interval between progress lines [s] where there is no terminal."""
 LEFT = "{l_bar}{bar}| {n_fmt}/{total_fmt}{postfix}"
-"""Format of a progress bar that shows the predicted remaining time."""
 TITLES = {"compile": "compile kernels, once"}
-"""Titles of stages whose title differs from their name."""
 
 
 @contextmanager
@@ -35,12 +33,11 @@ def silence() -> Iterator[None]:
 
 
 class Bars:
-    """A `Progress` that shows the current stage; use it as a context manager. On a terminal, a
-    progress bar is drawn. Elsewhere, for example in a log file, a line is printed at regular
-    intervals. Within the context, Ctrl-C ends the work at the next report of progress, because
-    stopping inside a kernel could crash the process. A second Ctrl-C interrupts at once. If `keeps`
-    is true, a message says that the results so far are saved; the caller must save them. `left`
-    predicts the remaining time [s]; without `left`, all steps are assumed to take the same time.
+    """A `Progress` that shows the current stage; use it as a context manager.
+
+    Ctrl-C ends the work at the next report of progress, because stopping inside a kernel could
+    crash the process. A second Ctrl-C interrupts at once. If `keeps` is true, a message says that
+    the results so far are saved; the caller must save them. `left` predicts the remaining time [s].
     """
 
     def __init__(
@@ -59,7 +56,6 @@ class Bars:
         """The exception that ended the work early, including Ctrl-C."""
         self._stage, self._next_line = "", 0.0
         self._lines: dict[str, str] = {}
-        """The last line that was printed for each stage."""
         self._signals = handling(self._remember)
 
     def __enter__(self) -> Bars:
@@ -95,9 +91,7 @@ class Bars:
 
     @contextmanager
     def keeping(self) -> Iterator[None]:
-        """Within this context, errors and Ctrl-C end the work but are not raised. The caller can
-        then save the results so far, and `status` reports the error.
-        """
+        """Within this context, errors and Ctrl-C end the work, but `status` reports them."""
         try:
             yield
         except Exception as problem:
@@ -129,7 +123,6 @@ class Bars:
         self.bar.update(done - self.bar.n)
 
     def _report(self, stage: str, done: int, total: int) -> None:
-        """Print a line when a stage begins, at intervals while it runs, and when it ends."""
         now, line = time.monotonic(), f"{stage}: {done} of {total}{self._left()}"
         due = stage != self._stage or done == total or now >= self._next_line
         if due and line != self._lines.get(stage):
@@ -138,7 +131,6 @@ class Bars:
             self._say(line)
 
     def _left(self) -> str:
-        """Return the remaining time as text; the text is empty if the time is not predicted."""
         seconds = self.left() if self.left is not None else None
         if not seconds:
             return ""

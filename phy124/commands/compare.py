@@ -73,17 +73,12 @@ class Compare:
 
 
 def _name(path: Path) -> str:
-    """Return the name of a clip.
-
-    This is the name of its folder if the file is clip.*, and otherwise the name of the file.
-    """
     return path.resolve().parent.name if path.stem == "clip" else path.stem
 
 
 def _film(
     a: Clip, b: Clip, view: View, side: str, folder: Path, device: str, progress: Progress
 ) -> Likeness:
-    """Film both clips side by side with the same camera, and measure their difference."""
     measured, seen = Pictures(), cameras(a, view, side)
 
     def images(clip: Clip) -> Iterator[Picture]:

@@ -139,7 +139,6 @@ class Export:
         return _show(files, len(first), chosen, notes, as_json=self.json)
 
     def _find_format(self) -> Format:
-        """Return the file format to write."""
         if self.to in get_args(Filmed) and self.to not in written_formats():
             limit = "This is a format of videos, which `export` does not write."
             remedy = f"Use `phy124 render {self.clip} --format {self.to}`."
@@ -147,7 +146,6 @@ class Export:
         return find_written_format(Path(), self.to, others=("frames",))
 
     def _write_values(self) -> int:
-        """Write a clip that contains all values of each frame; print the name of the file."""
         for name in ("frame", "merge", "surface"):
             if (value := getattr(self, name)) is not None:
                 limit = "--to frames writes all frames and all Gaussians."
@@ -161,7 +159,6 @@ class Export:
         return 0
 
     def _refuse_replacing(self, path: Path) -> None:
-        """Refuse to overwrite a file that the export reads."""
         read = [each for each in (self.clip, self.surface) if each is not None]
         if resolve_links(path) in [resolve_links(each) for each in read]:
             limit = "It is the name of a file that the export reads."
@@ -191,7 +188,6 @@ class Export:
 
 
 def _refuse_other_ending(path: Path, chosen: Format) -> None:
-    """Refuse a file name whose ending belongs to another format or to another file of a run."""
     ending, known = path.suffix.lower(), written_formats().values()
     endings = {each.name: (each.suffix, *each.other_suffixes) for each in known}
     others = [name for name, each in endings.items() if ending in each]
@@ -202,7 +198,7 @@ def _refuse_other_ending(path: Path, chosen: Format) -> None:
 
 
 def note_lost(gaussians: Gaussians, chosen: Format) -> list[str]:
-    """Return notes about data of the clip that the chosen format cannot store."""
+    """Return notes about data that the chosen format cannot store."""
     if gaussians.sh_degree <= chosen.degree:
         return []
     return [
@@ -216,7 +212,6 @@ def _note_dropped(count: int) -> list[str]:
 
 
 def _note_far(content: Content) -> list[str]:
-    """Return a note if the export has shifted the positions towards the origin."""
     if not any(content.origin):
         return []
     place = ", ".join(f"{x:.10g}" for x in content.origin)
@@ -227,7 +222,6 @@ def _note_far(content: Content) -> list[str]:
 
 
 def _show(files: list[Path], count: int, chosen: Format, notes: list[str], *, as_json: bool) -> int:
-    """Print the names of the written files; return the exit status."""
     size = sum(path.stat().st_size for path in files)
     if as_json:
         data = {"files": [str(path) for path in files], "gaussians": count, "bytes": size}

@@ -1,7 +1,4 @@
-"""`phy124 cutout` cuts an object out of a picture.
-
-This module also declares the picture options of other commands.
-"""
+"""`phy124 cutout` cuts an object out of a picture; other commands use its picture options."""
 
 import json
 import sys
@@ -104,9 +101,7 @@ class CutOut:
 
 
 def describe(cutout: dict[str, Any]) -> str:
-    """Describe how the object was cut out and how much of the picture it covers
-    (`Cutout.data()`).
-    """
+    """Describe how the object was cut out (`Cutout.data()`)."""
     return f"cut out by {title_of(cutout['method'])}: {cutout['coverage']:.1%} of the picture"
 
 
@@ -150,7 +145,7 @@ class PictureOptions:
         }
 
     def list_changes(self) -> dict[str, Any]:
-        """Return the values, by name, of the options that differ from their defaults."""
+        """Return the options that differ from their defaults, by name."""
         usual, changed = PictureOptions(), dict[str, Any]()
         for name, value in vars(self).items():
             if isinstance(value, Section):
@@ -160,7 +155,7 @@ class PictureOptions:
         return changed
 
     def refuse_without_picture(self) -> None:
-        """Refuse options that need a picture if the command has no picture.
+        """Refuse options that need a picture.
 
         Raises:
             InputError: An option that needs a picture is set.
@@ -172,10 +167,10 @@ class PictureOptions:
 
 
 def announce_generator(generator: str, effort: Effort) -> str:
-    """Format a generator's settings and expected duration as a line of text."""
+    """Format a generator's settings and expected duration as a line."""
     return f"generator: {generator}, {effort.words}; likely {format_span(span(effort))}"
 
 
 def span(effort: Effort) -> tuple[float, float]:
-    """Return the shortest and longest expected time [s]; `effort` includes the machine's load."""
+    """Return the shortest and longest expected time [s] at the present load."""
     return Load().span(effort.seconds)

@@ -37,7 +37,6 @@ EXTRAS = {
     "fit": ("cma",),
     "fourdgs": ("fourdgs",),
 }
-"""Modules that each optional extra needs."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +94,12 @@ def examine() -> dict[str, Any]:
 
 
 def _encoder() -> str | None:
-    """Return the path of a working ffmpeg program, or None."""
     import imageio_ffmpeg
 
     return None if encoder_problem() else imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def _faults() -> list[str]:
-    """List the requirements of a run that are missing, each with a remedy."""
     try:
         refuse_missing_encoder()
     except InputError as fault:

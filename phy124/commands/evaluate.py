@@ -77,9 +77,7 @@ class Evaluate:
             return None, str(error)
 
     def _videos(self, clip: Clip, progress: Progress) -> dict[str, np.ndarray]:
-        """Render the clip from the four sides that the Phy124 paper uses; return pictures
-        [T,S,S,3].
-        """
+        """Render the clip from the four sides that the Phy124 paper uses: pictures [T,S,S,3]."""
         view = Scene.of_clip(clip.scene, str(self.clip)).view
         usual = {
             "size": (self.size, self.size),

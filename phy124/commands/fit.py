@@ -85,7 +85,6 @@ class Fit:
         return 0
 
     def _declare(self) -> Declared:
-        """Build the declaration of the fit from the options, and from the target if it is TOML."""
         from_file = Path(self.target).suffix.lower() == ".toml"
         data: dict[str, Any] = Declared.from_toml(self.target) if from_file else {}
         if not from_file:

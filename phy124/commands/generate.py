@@ -107,11 +107,9 @@ class Generate:
         return show(result, self._study(), as_json=self.options.json)
 
     def _study(self) -> str:
-        """Return the command that measures the error of this scene."""
         return self.options.study_command([self.image, *self.more], self.making.list_changes())
 
     def _compose(self, result: pipeline.Result, context: RunContext) -> pipeline.Result:
-        """Render the object inside the photograph; return the result with the additional video."""
         clip = Clip.load(result.folder / "clip.safetensors")
         view = Scene.of_clip(clip.scene).view
         try:
@@ -131,7 +129,6 @@ class Generate:
         return replace(result, files=files, report=report)
 
     def _refuse_compose(self) -> None:
-        """Refuse --compose if no picture is used, or if it cannot be read a second time."""
         if not self.compose:
             return
         refuse_missing_encoder()
@@ -149,7 +146,6 @@ class Generate:
             )
 
     def _predict(self, scene: Scene) -> int:
-        """Make the Gaussians from the picture; print the predicted time of the other stages."""
         with Bars(quiet=self.options.json) as bars:
             context, pictures = self.options.context(bars), [self.image, *self.more]
             options = self._options(bars)
@@ -168,7 +164,6 @@ class Generate:
         )
 
     def _options(self, bars: Bars) -> dict[str, Any]:
-        """Return the options for making Gaussians, including callbacks that print messages."""
         calls = {"on_cutout": self._look, "on_estimate": self._announce}
         bound = {name: partial(call, bars) for name, call in calls.items()}
         return {**self.making.arguments(), **bound}
@@ -179,7 +174,6 @@ class Generate:
             print(announce_generator(self.making.generator, effort), flush=True)
 
     def _look(self, bars: Bars, cutout: Cutout) -> None:
-        """Print warnings about the cut-out before the slow stages start."""
         if not self.options.json:
             bars.close()  # the warning must not share a line with the progress bar
             doubt(cutout, f"Look at it with `phy124 cutout {cutout.file}`; {IF_WRONG}")
@@ -245,7 +239,6 @@ class Simulate:
         return show(result, study, as_json=self.options.json)
 
     def _study(self) -> str:
-        """Return the command that measures the error of this scene."""
         making = {"gaussians": self.gaussians, **self.reading.model_dump(exclude_defaults=True)}
         return self.options.study_command([self.file, *self.more], making)
 
@@ -259,7 +252,6 @@ class Simulate:
         return replace(read, gaussians=every.gaussians, scene=every.scene, about=about)
 
     def _predict(self, file: PlyFile, scene: Scene, study: str) -> int:
-        """Read the Gaussians from the file; print the predicted time of the other stages."""
         with Bars(quiet=self.options.json) as bars:
             context = self.options.context(bars)
             with context.watch.stage("read"):
@@ -276,7 +268,7 @@ class Simulate:
 
 
 def get_ready() -> None:
-    """Test the video encoder and store the result; meanwhile, import SciPy."""
+    """Test the video encoder and import SciPy at the same time."""
     with ThreadPoolExecutor(1) as pool:
         pool.submit(encoder_problem)
         import_lightly(*SCIPY)
@@ -290,9 +282,9 @@ def continue_run(
     Args:
         out: The folder of the interrupted run.
         options: The options of the command.
-        scene: The scene that the interrupted run must have; another scene is refused.
+        scene: The scene of the interrupted run; another scene is refused.
         study: The command that measures the error of this scene.
-        plan: The goal of the interrupted run, and whether the run's error is estimated.
+        plan: The options for accuracy and time.
     """
     with Bars(quiet=options.json, keeps=True) as bars:
         result = pipeline.go_on(
@@ -309,10 +301,8 @@ def continue_run(
 def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
     """Print the results of a run; return the exit status.
 
-    Args:
-        result: The written files and the report of the run.
-        study: The command that measures the error of this scene.
-        as_json: Print only the report, as JSON.
+    `study` is the command that measures the scene's error. With `as_json`, only the report is
+    printed.
     """
     report = result.report
     if as_json:
@@ -344,7 +334,7 @@ def show(result: pipeline.Result, study: str, *, as_json: bool) -> int:
 
 
 def print_files(result: pipeline.Result) -> None:
-    """Print the names of the files. For a video inside the photograph, print the PSNR first."""
+    """Print the names of the files, and the PSNR of a video inside the photograph."""
     if composed := result.report.get("compose"):
         print(f"in the picture: {composed['psnr']:.1f} dB inside the object in the first frame")
     for path in result.files:

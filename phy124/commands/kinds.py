@@ -20,7 +20,6 @@ PICTURES = (
     ".heif",
 )
 KINDS = {**dict.fromkeys(PICTURES, "a picture"), ".safetensors": "a clip", ".toml": "a scene"}
-"""Kind of a file by the ending of its name."""
 SIGNS = {
     b"ply\n": "a file of Gaussians",
     b"ply\r": "a file of Gaussians",
@@ -32,7 +31,6 @@ SIGNS = {
 }
 """Kind of a file by its first bytes, which take precedence over the name."""
 HEAD = 4096
-"""Number of bytes read from the beginning of a file to detect its kind."""
 TAKES = {
     "generate": ("image", "a picture"),
     "cutout": ("image", "a picture"),
@@ -43,11 +41,8 @@ TAKES = {
     "export": ("clip", "a clip"),
     "evaluate": ("clip", "a clip"),
 }
-"""For each command, the name of the option that takes the command's file, and the kind of this
-file.
-"""
+"""For each command, the option that takes its file, and the kind of this file."""
 TAKES_MESHES = ("generate", "simulate", "orient")
-"""Names of the commands that also take a mesh."""
 USES = {
     "a picture": "Use `phy124 generate {}`.",
     "a file of Gaussians": "Use `phy124 simulate {}`.",
@@ -55,7 +50,6 @@ USES = {
     "a clip": "Use `phy124 render {}` or `phy124 export {}`.",
     "a scene": "Give it after --scene.",
 }
-"""Remedies that name the command for each kind of file."""
 
 
 def refuse_other_kind(name: str, command: Any) -> None:
@@ -75,7 +69,6 @@ def refuse_other_kind(name: str, command: Any) -> None:
 
 
 def _kind(path: Path) -> str | None:
-    """Return the kind of a file from its first bytes or from its name; None if it is unknown."""
     # Imported only here, because some commands do not need the file formats.
     from phy124.io.formats import MESH_ENDINGS, endings
     from phy124.io.formats.spz import begins

@@ -1,4 +1,4 @@
-"""Declares the options that several commands share; the classes of a scene give the help texts."""
+"""Declares the options that several commands share."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -45,8 +45,7 @@ def help_of(model: Any, name: str, *, example: str = "") -> Any:
 
 
 Listed = tuple[str, ...] | None
-"""Several values, separated by spaces or commas. These values are checked when the scene is made.
-"""
+"""Values separated by spaces or commas; they are checked when the scene is made."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ class ViewOptions(CameraOptions):
 
 
 def _items(texts: Listed) -> list[Any] | None:
-    """Split texts at commas and parse values: ("front,left", "45") -> ["front", "left", 45]."""
+    """("front,left", "45") -> ["front", "left", 45]."""
     if texts is None:
         return None
     return [parse_value(item) for text in texts for item in text.split(",") if item]
@@ -159,10 +158,7 @@ class SceneOptions:
     def study_command(self, sources: Sequence[Path], making: Mapping[str, Any]) -> str:
         """Return the command that measures the error of this scene.
 
-        Args:
-            sources: Pictures or files of the scene's objects.
-            making: Options for making the Gaussians, by name; only options that differ from their
-                defaults.
+        `making` contains the options for making the Gaussians that differ from their defaults.
         """
         timed = self.frames is not None or self.seconds is not None
         changes = [*self.set, *([f"time.fps={self.fps:g}"] if timed and self.fps else [])]
@@ -187,9 +183,9 @@ def accuracy_command(
 
     Args:
         scene: Preset or file.
-        sources: Pictures or files of the scene's objects, if there are any.
-        options: Values of further options by name; None: the option is not set.
-        changes: Changes to the scene, in the form that --set takes.
+        sources: Pictures or files of the scene's objects.
+        options: Further options by name; None: not set.
+        changes: Changes to the scene, as --set takes them.
     """
     words = [PACKAGE, "accuracy", scene]
     inputs = {"image": sources[:1] or None, "more": sources[1:] or None}
@@ -203,7 +199,7 @@ def accuracy_command(
 
 
 def refuse_workers(workers: int | None) -> None:
-    """Check a number of worker processes; None means one per core.
+    """Refuse a wrong number of worker processes.
 
     Raises:
         InputError: The number is below 0 or above 1024.

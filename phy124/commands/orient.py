@@ -20,7 +20,6 @@ from phy124.rendering.render import Renderer
 from phy124.runtime.device import pick_device
 
 SIZE = 320
-"""Width and height of each picture on the contact sheet [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,6 @@ class Orient:
 
 
 def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray[np.uint8]:
-    """Draw the object from its front [H,W,3], and write the options for its axes below."""
     tile = Image.fromarray(draw_oriented(renderer, gaussians, reading, SIZE))
     words = f"--up={reading.up} --front={reading.front}"
     ImageDraw.Draw(tile).text((8, SIZE - 20), words, fill=(60, 60, 60))
@@ -74,7 +72,6 @@ def _tile(renderer: Renderer, gaussians: Gaussians, reading: Reading) -> NDArray
 
 
 def _sheet(tiles: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Arrange the pictures in two rows."""
     half = (len(tiles) + 1) // 2
     rows = [np.concatenate(tiles[i : i + half], axis=1) for i in range(0, len(tiles), half)]
     return np.concatenate(rows)

@@ -1,4 +1,4 @@
-"""Declares the options for a run's accuracy and time, and prints the forecast before the run."""
+"""Options for a run's accuracy and time, and the forecast before the run."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -69,7 +69,7 @@ class PlanOptions:
         return None if self.max_seconds is None else Goal.time(self.max_seconds)
 
     def forecaster(self, context: RunContext) -> Forecaster | None:
-        """Return the forecaster if the report must contain a forecast; otherwise None."""
+        """Return the forecaster if the report must contain a forecast."""
         return Forecaster(context, self.error) if self.forecast else None
 
 
@@ -77,10 +77,10 @@ def announce(scene: Scene, goal: Goal | None, device: str, *, as_json: bool) -> 
     """Print a summary of the scene, and a note if one material makes the run slow.
 
     Args:
-        scene: The scene.
-        goal: The goal that determines the grid; if None, the grid of the scene is used.
+        scene: The scene that will run.
+        goal: The goal that determines the grid; None: the scene's grid is used.
         device: Name of the device, as `pick_device` takes it.
-        as_json: Whether the command prints only JSON; this function then prints nothing.
+        as_json: Print nothing, because the command prints only JSON.
     """
     if as_json:
         return
@@ -109,10 +109,10 @@ def predict(
         scene: The scene.
         plan: The options of the command.
         context: Device, threads, and the durations of the finished stages.
-        crop: Position of the object in the picture on which the masks of parts were painted.
+        crop: Position of the object in the picture.
         study: The command that measures the error of this scene.
         as_json: Print JSON and nothing else.
-        effort: Predicted time of the slow generator that `relief` replaces in this forecast.
+        effort: Predicted time of the slow generator that `relief` replaces in the forecast.
     """
     forecaster, goal = Forecaster(context, plan.error), plan.goal()
     spent = dict(context.watch.seconds)

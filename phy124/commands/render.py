@@ -85,7 +85,6 @@ class Render:
         return bars.status("the listed files are complete, and the others were not written")
 
     def _photograph(self) -> Photograph | None:
-        """Open the photograph for --compose, if there is one, before any video is rendered."""
         if self.compose is None:
             return None
         from phy124.rendering.compose import photograph_of
@@ -95,11 +94,6 @@ class Render:
 
 
 def _view_changes(changes: dict[str, Any]) -> dict[str, Any]:
-    """Convert changes of a view to changes of a scene; their keys begin with "view.".
-
-    Raises:
-        InputError: A key names a setting of the simulation.
-    """
     for key, value in changes.items():
         field_name = key.partition(".")[0]
         if field_name in Scene.model_fields and field_name not in {"view", *View.model_fields}:

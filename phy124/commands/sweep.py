@@ -86,7 +86,6 @@ class Sweep:
         return 3 if counts.ended["failed"] else 0
 
     def _report(self) -> int:
-        """Print the table of finished clips, and write the page with pictures."""
         if self.folder is None:
             limit = "report needs the folder of a sweep."
             raise InputError("folder", None, limit, "Write phy124 sweep report DIR.")
@@ -96,7 +95,6 @@ class Sweep:
         return 0
 
     def _predict(self, plan: Plan, device: str) -> int:
-        """Print the expected cost of the sweep."""
         with Bars(quiet=self.json) as bars:
             bad = list(list_refused(plan, bars))
             cost = forecast_sweep(plan, RunContext(device=device, progress=bars))
@@ -111,7 +109,6 @@ class Sweep:
         return 0
 
     def _refuse(self) -> None:
-        """Check the options before any clip is made."""
         parts_of(self.shard)
         refuse_workers(self.workers)
         if self.folder is not None:
@@ -122,7 +119,7 @@ class Sweep:
 
 
 def parts_of(shard: str) -> tuple[int, int]:
-    """Parse a text such as 3/8: return the number of the shard and the total number of shards.
+    """Return the number of the shard and the number of shards from a text such as 3/8.
 
     Raises:
         InputError: The text does not have the form of 3/8.

@@ -28,7 +28,6 @@ from phy124.studies.validation.experiments.page import (
 from phy124.studies.validation.experiments.running import run_all
 
 DOCS = Path("docs/lab/experiments.md"), Path("docs/images/experiments")
-"""The page about the experiments and the folder of its plots, in a clone of the repository."""
 
 
 @dataclass(frozen=True)
@@ -91,17 +90,11 @@ class Validate:
         return bars.status(f"{len(done)} experiments were made") or (0 if good else 1)
 
     def _chosen(self) -> Sequence[Experiment]:
-        """Return the selected experiments."""
         if self.name is None:
             return [each for each in EXPERIMENTS if each.quick or not self.quick]
         return [find_experiment(self.name)]
 
     def _refuse_docs(self) -> None:
-        """Refuse --docs unless all experiments are run, since the page shows all of them.
-
-        Raises:
-            InputError: The current folder is not a clone, or only some experiments are run.
-        """
         if not self.docs:
             return
         if self.name or self.quick:
@@ -120,11 +113,7 @@ class Validate:
             )
 
     def _refuse_out(self) -> None:
-        """Refuse an unusable output folder before the experiments, which take hours.
-
-        Raises:
-            InputError: The folder cannot be written, or the plotting package is missing.
-        """
+        """Refuse an unusable folder before the experiments, which take hours."""
         if self.docs or self.out is not None:
             refuse_missing_plots()
         if self.out is not None:
@@ -132,7 +121,6 @@ class Validate:
                 pass
 
     def _write(self, done: Sequence[Outcome], *, whole: bool) -> None:
-        """Write the requested files; write the documentation only if every experiment has run."""
         if self.docs and whole:
             save_page(done, *DOCS, machine=_machine())
         if self.out is not None and done:
@@ -144,7 +132,6 @@ class Validate:
 
 
 def _summary(done: Sequence[Outcome]) -> str:
-    """Summarise the results of all experiments in a sentence."""
     inside, total = (sum(map(f, done)) for f in (lambda o: o.inside, lambda o: len(o.estimates)))
     held = sum(outcome.control_holds for outcome in done)
     seconds = sum(outcome.seconds for outcome in done)
@@ -157,7 +144,6 @@ def _summary(done: Sequence[Outcome]) -> str:
 
 
 def _machine() -> str:
-    """Describe the machine in a sentence, and say whether other work kept it busy."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     busy = f" while other programs were running (load {load:.0f})" if load > 1.5 * cores() else ""
     return (
@@ -167,7 +153,6 @@ def _machine() -> str:
 
 
 def _processor() -> str:
-    """Return the name of the processor or, if it is unknown, the architecture."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
             if line.startswith("model name"):

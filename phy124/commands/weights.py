@@ -21,7 +21,6 @@ SENTENCES = {
     "unchecked": "found; not checked",
     "missing": "missing",
 }
-"""Descriptions of the results of checking a weight file."""
 OLDER = "(with huggingface_hub before 1.0 the command is `huggingface-cli download ...`)"
 
 
@@ -63,7 +62,7 @@ class Weights:
 
 
 def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
-    """Return the state of each file of weights as plain data."""
+    """Return the state of each weight file as plain data."""
     return [
         {
             "weights": s.weights,
@@ -83,7 +82,7 @@ def data(statuses: list[WeightStatus]) -> list[dict[str, Any]]:
 
 
 def summary(statuses: list[WeightStatus]) -> str:
-    """Summarise in one line which sets of weights are complete, damaged or missing."""
+    """Summarise in one line which sets are complete, damaged or missing."""
     sets: dict[str, list[WeightStatus]] = {}
     for s in statuses:
         sets.setdefault(s.weights, []).append(s)
@@ -97,7 +96,7 @@ def summary(statuses: list[WeightStatus]) -> str:
 
 
 def describe(name: str) -> dict[str, Any]:
-    """Return a set's purpose, permitted use, and predicted time and memory, as plain data."""
+    """Return a set's purpose, permitted use and size, as plain data."""
     about = ABOUT.get(name)
     if about is None:
         return {}
@@ -111,7 +110,7 @@ def describe(name: str) -> dict[str, Any]:
 
 
 def lines(statuses: list[WeightStatus]) -> list[str]:
-    """Format the state of all weights, with a heading per set and a paragraph per file."""
+    """Format the state of all weights, with a heading per set."""
     text: list[str] = []
     for i, s in enumerate(statuses):
         if i == 0 or statuses[i - 1].weights != s.weights:
@@ -130,7 +129,7 @@ def lines(statuses: list[WeightStatus]) -> list[str]:
 
 
 def heading(status: WeightStatus) -> list[str]:
-    """Format a set's purpose, size and permitted use, and the predicted time and memory."""
+    """Format a set's purpose, size, permitted use and predicted time."""
     name, about = status.weights, ABOUT.get(status.weights)
     if about is None:
         return [f"{name}:"]
