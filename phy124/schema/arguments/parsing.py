@@ -1,4 +1,4 @@
-"""Parse a command line into a command, and tyro's errors to `InputError`s."""
+"""Parse a command line into a command; tyro's errors become `InputError`s."""
 
 import itertools
 import os

@@ -1,4 +1,4 @@
-"""Fits an object's material and initial motion to observations of its motion.
+"""Fits an object's material and initial motion to an observed motion.
 
 `fit(Fit.from_data(Fit.from_toml("fit.toml")), Path("out/fit"))` returns the fitted scene and the
 report of the fit.

@@ -27,7 +27,7 @@ STARTING = 3.0
 
 @dataclass
 class Budget:
-    """The time budget of a fit [s], and the time already used [s]."""
+    """The time budget of a fit [s]."""
 
     seconds: float
     expected: int = 0
@@ -40,17 +40,17 @@ class Budget:
 
     @property
     def spent(self) -> float:
-        """Time that has passed since the fit's time budget was created [s]."""
+        """Time since the budget was created [s]."""
         return self.clock() - self._begun
 
     def late(self, part: float) -> bool:
-        """Return whether more than the fraction `part` of the fit's time budget has been used."""
+        """Return whether more than the fraction `part` of the budget has been used."""
         return self.spent > part * self.seconds
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """Forecast of a fit: the number of workers, and the time of one simulation on each grid."""
+    """Forecast of a fit."""
 
     grids: tuple[int, ...]
     each: tuple[float, ...]
@@ -60,7 +60,7 @@ class Outlook:
     workers: int
 
     def runs(self, generations: int = USUAL) -> list[int]:
-        """Return the number of simulations on each grid, for this number of search generations."""
+        """Return the number of simulations on each grid."""
         steps, slopes = len(HALVES) * ROUNDS + 1, 2 * self.values
         first = 2 ** log2_screened(self.values) + generations * generation_size(self.values)
         counts = [first + 2 * slopes + 2 * steps] + [steps] * (len(self.grids) - 1)
@@ -73,7 +73,7 @@ class Outlook:
         return float(work) / self.workers + (STARTING if self.workers > 1 else 0.0)
 
     def refuse(self, seconds: float) -> None:
-        """Refuse a time budget [s] that is too small for the fit.
+        """Refuse a time budget [s] that is too short.
 
         Raises:
             InputError: The budget is shorter than a fit with the fewest useful generations.
@@ -85,7 +85,7 @@ class Outlook:
             raise InputError("seconds", f"{seconds:g}", limit, remedy)
 
     def data(self) -> dict[str, Any]:
-        """Return the forecast as plain data for scripts."""
+        """Return the forecast as plain data."""
         times = {"seconds": self.wall(USUAL), "least": self.wall(FEWEST)}
         runs = {"grids": self.grids, "each": self.each, "runs": self.runs()}
         return {**runs, "workers": self.workers, **times}
@@ -105,7 +105,7 @@ def make_outlook(
 
     Args:
         gaussians: The object.
-        scenes: One scene per grid; all values are in the middle of their ranges.
+        scenes: One scene per grid, with all values in the middle of their ranges.
         values: Number of values to fit.
         workers: Number of worker processes.
         crop: Rectangle of the picture that contains the object.

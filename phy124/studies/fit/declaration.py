@@ -14,13 +14,11 @@ from phy124.schema.section import Section
 from phy124.studies.sweep.declaration import LogUniform, Uniform
 
 DECADE = 10.0
-"""A range of values is sampled logarithmically if the ratio of its ends is at least this value."""
+"""Smallest ratio of a range's ends at which the range is sampled logarithmically."""
 
 
 def parse_range(data: Any) -> Any:
-    """Convert text such as 1e4..1e6 to the plain data of a range.
-
-    Data of other types, such as a table from a sweep, is returned unchanged.
+    """Convert text such as 1e4..1e6 to the plain data of a range; return other data unchanged.
 
     Raises:
         ValueError: The text does not describe a range.
@@ -38,10 +36,7 @@ def parse_range(data: Any) -> Any:
 
 
 def _kind(data: Any) -> str:
-    """Return the name of the kind of range: "log" or "even".
-
-    For invalid data, the tag is "even", and the type with this tag refuses the data.
-    """
+    """Data of other kinds get the tag "even", whose type refuses them."""
     log = isinstance(data, LogUniform) or (isinstance(data, dict) and "log_uniform" in data)
     return "log" if log else "even"
 
@@ -113,7 +108,7 @@ class Fit(Section):
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> dict[str, Any]:
-        """Read the plain data of a fit from a file; options of the command line are applied later.
+        """Read the plain data of a fit from a file.
 
         Raises:
             InputError: The file is missing or is not valid TOML.
@@ -122,7 +117,7 @@ class Fit(Section):
 
 
 def parse_ranges(texts: tuple[str, ...]) -> dict[str, str]:
-    """Convert texts such as material.E=1e4..1e6 to a mapping from paths to ranges.
+    """Split texts such as material.E=1e4..1e6 into paths and ranges.
 
     Raises:
         InputError: A text does not have this form, or a path occurs twice.

@@ -1,9 +1,4 @@
-"""Estimates the fitted values and their intervals.
-
-First, the best values are searched on the coarsest grid. If the measurements cannot determine some
-of the values, the fit is refused. Otherwise, the values are refined on each finer grid, and the
-intervals are computed.
-"""
+"""Estimates the fitted values and their intervals."""
 
 from dataclasses import dataclass
 
@@ -24,15 +19,12 @@ from phy124.studies.fit.search import Refined, refine, screen, search
 STEP = 0.05
 """Step of central differences, as a fraction of a value's range.
 
-Runs of a fit whose values are almost equal differ at random by some tenths of a pixel. With a
-shorter step, random differences between runs would be larger than the effect of the step. For
-example, when a pressed duck was fitted with a step of 0.01, the derivatives of its motion with
-respect to nu were up to nine times too large.
+With a shorter step, random differences between runs (some tenths of a pixel) would be larger than
+the effect of the step. For example, with a step of 0.01, derivatives of a pressed duck's motion
+with respect to nu were up to nine times too large.
 """
 END = 0.005
-"""A fitted value causes a warning if its distance from an end of its range is below this fraction
-of the range.
-"""
+"""A value closer than this to an end of its range causes a warning, as a fraction of the range."""
 
 
 @dataclass(frozen=True)
@@ -40,37 +32,32 @@ class Estimate:
     """The fitted values and their intervals, as fractions of the values' ranges."""
 
     places: tuple[Values, ...]
-    """The best values on each grid [P], as fractions of the values' ranges."""
+    """The best values on each grid [P]."""
     misfits: tuple[list[float], ...]
     """RMS misfit of each kind of measurement on each grid, in the unit of the kind."""
     grids: tuple[int, ...]
-    """Number of cells across the object on each grid."""
+    """Numbers of cells across the object."""
     sampling: Values
-    """Half-width of each value's 95 % interval [P] if only the errors of the measurements count."""
+    """Half-width of each 95 % interval [P] that is due to errors of the measurements."""
     model: Values
-    """Largest shift [P] of each value that the error of the finest grid, which is estimated, can
-    cause.
-    """
+    """Largest shift of each value [P] that the finest grid's error can cause."""
     correlation: Values
     """Correlation matrix of the fitted values [P,P]."""
     notes: tuple[str, ...]
 
     def on(self, cells: float) -> tuple[Values, Values]:
-        """Return the best values on a grid [P] and the half-widths of their intervals [P].
+        """Return the values on a grid [P] and the half-widths of their intervals [P].
 
-        Both are fractions of the values' ranges.
-
-        The values are extrapolated to a grid with `cells` cells across the object; infinity means a
-        grid without error. The uncertainty of an extrapolated value is assumed to equal the shift
-        by the extrapolation, but to be at least `model`. This systematic error is added to the
-        error from the measurements.
+        The values are extrapolated to `cells` cells across the object; infinity means a grid
+        without error. The uncertainty of the extrapolation is the larger of `model` and the shift
+        by the extrapolation. It is added to `sampling`.
         """
         place, shift = extrapolate(self.grids, self.places, cells)
         return place, self.sampling + np.maximum(self.model, shift)
 
 
 def estimate(problem: Problem, *, seed: int = 0) -> Estimate:
-    """Fit the values to the measurements; `seed` is the seed of all random numbers.
+    """Fit the values to the measurements.
 
     Raises:
         InputError: Some values cannot be determined, or runs of the simulation fail.
@@ -100,7 +87,6 @@ def estimate(problem: Problem, *, seed: int = 0) -> Estimate:
 
 
 def _conclude(problem: Problem, distance: Distance, levels: list[Refined], seed: int) -> Estimate:
-    """Return the estimate with its intervals; refuse values that remain undetermined."""
     fit = levels[-1]
     distance = _rescale(problem, distance, fit)
     slopes, residual = distance.weigh(fit.jacobian), distance.residual(fit.predicted)
@@ -120,7 +106,6 @@ def _conclude(problem: Problem, distance: Distance, levels: list[Refined], seed:
 
 
 def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
-    """Return sentences about the limitations of the estimate."""
     notes = []
     for name, part in zip(problem.names, places[-1], strict=True):
         if not END < part < 1 - END:
@@ -141,7 +126,6 @@ def _notes(problem: Problem, places: tuple[Values, ...]) -> list[str]:
 
 
 def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None:
-    """Refuse values that cannot be determined even from exact measurements."""
     spread = distance.residual(np.zeros_like(problem.measured))
     blind = find_unseen(problem.names, distance.weigh(slopes), float(np.linalg.norm(spread)))
     if blind is not None:
@@ -149,8 +133,5 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a `Distance` that divides each kind of measurement by its misfit after the fit.
-
-    The divisor is at least 1e-12.
-    """
+    """Return a `Distance` in which each kind of measurement is divided by its misfit after the fit."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

@@ -1,15 +1,12 @@
 """Computes intervals of the fitted values, and finds values that remain undetermined.
 
-J is the Jacobian of the measurements in units of their errors. The Fisher matrix J^T J shows how
-precisely each direction in the space of values is determined. Along an eigenvector with eigenvalue
-l, the standard error is 1 / sqrt(l). The half-width of an interval is the sum of two parts. The
-first part is the error from a bootstrap over groups of measurements. The second part is the effect
-of the grid's error.
+J is the Jacobian of the measurements in units of their errors. Along an eigenvector of the Fisher
+matrix J^T J with eigenvalue l, the standard error is 1 / sqrt(l). The half-width of an interval is
+the error from a bootstrap over groups of measurements plus the effect of the grid's error.
 
 Each bootstrap draw selects G of the G groups with replacement, and makes one Gauss-Newton step from
-the fitted point. This step needs no simulation. All measurements of a group may have the same
-error, for example if a point is badly tracked. Since groups are drawn as a whole, such errors widen
-the interval.
+the fitted point, which needs no simulation. Groups are drawn as a whole, because a badly tracked
+point shifts all its measurements.
 """
 
 import re
@@ -27,10 +24,10 @@ PROBABILITY = 0.95
 
 
 class Spread(NamedTuple):
-    """Uncertainty of the fitted values that is due to the errors of the measurements."""
+    """Uncertainty of the values that is due to the errors of the measurements."""
 
     errors: Values
-    """Half-width of each value's 95 % interval [P], as a fraction of the value's range."""
+    """Half-width of each 95 % interval [P], as a fraction of the value's range."""
     covariance: Values
     """Covariance of the fitted values [P,P], as fractions of their ranges."""
 
@@ -38,7 +35,7 @@ class Spread(NamedTuple):
 def bootstrap(
     jacobian: Values, residual: Values, groups: Groups, kinds: Sequence[Kind], seed: int
 ) -> Spread:
-    """Estimate the uncertainty of the fitted values by a bootstrap over groups of measurements.
+    """Estimate the uncertainty of the values by a bootstrap over groups of measurements.
 
     Args:
         jacobian: Derivatives of the weighted prediction with respect to the values [M,P].
@@ -65,7 +62,7 @@ def bootstrap(
 
 
 def _draw(groups: Groups, kinds: Sequence[Kind], count: int, random: np.random.Generator) -> Values:
-    """Return the number of times that each bootstrap sample contains each group [DRAWS,G]."""
+    """Return how often each bootstrap sample contains each group [DRAWS,G]."""
     taken = np.zeros((DRAWS, count))
     for kind in kinds:
         members = np.unique(groups[kind.place])
@@ -79,17 +76,15 @@ def extrapolate(
 ) -> tuple[Values, Values]:
     """Extrapolate the fitted values to another grid by Richardson's method.
 
-    The error of a surface's position is a fraction of a cell. The extrapolation therefore assumes
-    that the error is proportional to the grid spacing. If there is only one grid, the result is the
-    point on this grid.
+    The error is assumed to be proportional to the grid spacing, because a surface's position is off
+    by a fraction of a cell.
 
     Args:
         grids: Numbers of cells across the object, from coarse to fine.
         places: The fitted point on each grid [P].
         cells: Number of cells across the object on the new grid; infinity means no error.
 
-    Returns: The extrapolated point [P], and the distance of each value from its fit on the finest
-        grid [P].
+    Returns the extrapolated point [P] and its distance from the finest grid's point [P].
     """
     finest = places[-1]
     if len(places) < 2:
@@ -102,14 +97,12 @@ def extrapolate(
 def find_unexplained(
     grids: Sequence[int], coarse: Sequence[float], fine: Sequence[float]
 ) -> Values:
-    """Return the error that the finest grid causes in each kind of measurement.
+    """Return the error that the finest grid causes in each kind of measurement, relative to the
+    misfit.
 
-    The errors are relative to the misfit.
-
-    The model of a misfit m is `m^2 = a^2 + (c h)^2`. The error of the measurements, `a`, is the
-    same on all grids. The error of the grid, `c h`, is proportional to the spacing `h`. For each
-    kind, `c` follows from the RMS misfits on the two finest `grids`. `coarse` and `fine` contain
-    these misfits, one value per kind.
+    The model of a misfit m is `m^2 = a^2 + (c h)^2` with the error of the measurements `a`, the
+    grid spacing `h` and an unknown `c`. `coarse` and `fine` are the RMS misfits of each kind on the
+    two finest `grids`.
     """
     more = (np.asarray(coarse) / np.maximum(fine, 1e-12)) ** 2 - 1
     return np.sqrt(np.maximum(more, 0) / ((grids[-1] / grids[-2]) ** 2 - 1))
@@ -118,17 +111,15 @@ def find_unexplained(
 def shift_values(
     jacobian: Values, parts: Values, groups: Groups, kinds: Sequence[Kind]
 ) -> NDArray[np.float64]:
-    """Return, for each value, the largest shift that grid errors of known size can cause [P].
+    """Return the largest shift of each value [P] that grid errors of known size can cause.
 
-    The pattern of a grid's errors over the measurements is unknown, but has few degrees of freedom
-    (two to four singular values in synthetic tests). In the worst case, which is assumed here, the
-    errors have the same effect on the measurements as a change of a value. In a least-squares fit,
-    errors of norm e then shift value i by `e sqrt(((J^T J)^-1)_ii)`.
+    In the worst case, which is assumed, grid errors look like a change of a value. Errors of norm e
+    then shift value i of a least-squares fit by `e sqrt(((J^T J)^-1)_ii)`. In synthetic tests, grid
+    errors had two to four singular values.
 
     Args:
         jacobian: Derivatives of the weighted prediction [M,P], in units of the misfit.
-        parts: For each kind of measurement, the size of the grid errors as a fraction of the
-            misfit.
+        parts: Size of the grid errors for each kind, as a fraction of the misfit.
         groups: Index of each measurement's group [M], from 0; errors in a group are correlated.
         kinds: Kinds of measurements.
     """
@@ -140,41 +131,27 @@ def shift_values(
 
 
 DEAD = 1e-3
-"""A value is undetermined if its relative effect on the measurements is below this limit.
-
-A value's relative effect is the change of the measurements over the value's range, divided by the
-norm of the measurements.
+"""Smallest effect of a value that can be determined: the change of the measurements over the
+value's range, divided by the norm of the measurements.
 """
 ALIKE = 0.12
-"""Smallest singular value for which two values can be separated. The columns of its matrix are the
-effects of the values on the measurements, each normalised to length 1.
+"""Smallest singular value at which two values can be separated; 0.12 means a correlation of 0.986.
 
-The singular value is 0 if two values have effects in the same direction, and 1 if their effects are
-orthogonal; 0.12 means a correlation of 0.986. At a smaller singular value, the effects of two
-values differ by no more than the errors of the model, such as grid errors.
-
-For example, if no force on a pressed duck is known, the effects of E and density on its motion
-differ only by damping. In this case, the smallest singular value for E and density is 0.04 to 0.08
-on grids of 16 and 20 cells. If E and nu are fitted to the pressed duck, the smallest singular value
-is 0.93.
+The columns of the matrix are the effects of the values on the measurements, normalised to length 1.
+Below this limit, the effects of two values differ by no more than grid errors. For a pressed duck
+without known forces, E and density have a singular value of 0.04 to 0.08 (16 and 20 cells), and E
+and nu have 0.93.
 """
 SHARE = 0.3
-"""A value is undetermined if its component is at least this large in the direction that the
-measurements determine least.
-"""
+"""A value is undetermined if it has at least this component in the least determined direction."""
 VAGUE = 1 / 3
-"""A value may be undetermined only if the half-width of its 95 % interval is at least this fraction
-of the range.
-
-The interval of such a value covers two thirds of its range or more.
-"""
+"""Smallest half-width of an undetermined value's 95 % interval, as a fraction of the range."""
 MODULI = ("E", "mu", "lambda", "bulk", "yield_stress", "hardening")
 FORCE = "measure the force on a wall, or load the object with a known force in newtons"
 HOW = (
     " (--forces plate.csv, or a clip of a scene with wrenches = true; "
     '[[forces]] kind = "force" is a load)'
 )
-"""Part of a message: how to provide a measured force on the command line."""
 EXPERIMENTS = {
     "material.density": f"weigh it, or {FORCE}",
     "material.E": f"let it oscillate freely after the load, or {FORCE}",
@@ -186,25 +163,21 @@ EXPERIMENTS = {
     "object.spin": "watch it fly for some frames before it touches anything",
     "stiffness": "load the stiff and the soft end one after the other",
 }
-"""Descriptions of experiments that determine a value, by the value's path or a part of the path."""
+"""Experiments that determine a value, by the value's path or a part of the path."""
 
 
 class Undecided(InputError):
-    """An error: the measurements do not determine some values; `limit` states the reason."""
+    """The measurements do not determine some values; `limit` states the reason."""
 
     def __init__(self, names: Sequence[str], why: str) -> None:
-        """Suggest an experiment that determines the values; `why` is the reason of the error."""
         self.names, self.tell = tuple(names), suggest_experiment(names)
-        """Names of the undetermined values, and description of an experiment that would determine
-        them.
-        """
+        """Names of the undetermined values, and an experiment that would determine them."""
         how = HOW if FORCE in self.tell else ""
         other = f"or fix {names[-1]} by --set and fit the others."
         remedy = f"To determine them: {self.tell}{how}; {other}"
         super().__init__("find", ", ".join(names), why, remedy)
 
     def __reduce__(self) -> tuple[type, tuple[object, ...]]:
-        """Return the class and its arguments, from which pickle can restore the error."""
         return type(self), (self.names, self.limit)
 
 
@@ -223,7 +196,7 @@ def find_unseen(names: Sequence[str], jacobian: Values, spread: float) -> Undeci
     """Return an error if exact measurements cannot determine all values, otherwise None.
 
     The weighted Jacobian [M,P] refers to fractions of the values' ranges. `spread` is the norm of
-    the vector of weighted measurements.
+    the weighted measurements.
     """
     effects = np.linalg.norm(jacobian, axis=0)
     for name, effect in zip(names, effects, strict=True):
@@ -244,10 +217,9 @@ def find_undetermined(
 
     Args:
         names: Names of the values [P].
-        errors: For each value, the half-width of its interval due to measurement errors, as a
-            fraction of the range [P].
-        model: For each value, the half-width of its interval due to the error of the finest grid,
-            as a fraction of the range [P].
+        errors: Half-widths of the intervals due to measurement errors, as fractions of the ranges
+            [P].
+        model: Half-widths of the intervals due to the finest grid's error [P].
         directions: Covariance matrix of the values [P,P].
     """
     worst = int(np.argmax(errors + model))

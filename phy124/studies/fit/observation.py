@@ -18,13 +18,12 @@ class Table(NamedTuple):
     """A table of measurements."""
 
     times: Values
-    """Time of each row of the table [R], s."""
+    """Time of each row [R], s."""
     names: NDArray[np.str_]
-    """Name of the point or wall that each row describes [R]."""
+    """Name of the point or wall [R]."""
     values: Values
     """Measured values [R,C]."""
     columns: tuple[str, ...]
-    """Names of the columns of `values` [C]."""
 
 
 def read_table(
@@ -33,9 +32,9 @@ def read_table(
     """Read a table of measurements from a file.
 
     Args:
-        path: The file of measurements.
+        path: The .csv file.
         field: The option that names the file, for messages.
-        name: Name of the column that contains the names of points or walls.
+        name: The column that contains the names of points or walls.
         kinds: Allowed sets of names for the columns of values.
 
     Raises:
@@ -65,7 +64,6 @@ def read_table(
 def _numbers(
     path: object, field: str, index: int, line: list[str], places: list[int]
 ) -> list[float]:
-    """Return the numbers in a row of the file, from the columns with indices `places`."""
     try:
         numbers = [float(line[place]) for place in places]
     except (ValueError, IndexError):
@@ -78,20 +76,19 @@ def _numbers(
 
 Groups = NDArray[np.int64]
 ROUNDED = 1e-3
-"""Largest rounding error that is assumed for times in files [s]."""
+"""Largest assumed rounding error of times in files [s]."""
 
 
 class Observation(Protocol):
     """Measurements of one kind, such as heights, and their prediction from a clip."""
 
     name: str
-    """Name of the kind of measurement, in the plural."""
+    """Name of the kind, in the plural."""
     unit: str
     measured: Values
     """Measured values [M]."""
     groups: Groups
-    """Index of each measurement's group [M], counted from 0; errors within a group are correlated.
-    """
+    """Index of each measurement's group [M], from 0; errors within a group are correlated."""
     last: float
     """Time of the last measurement [s]."""
 
@@ -134,10 +131,9 @@ class Observations:
 
 
 def at_times(times: Values, values: Values, wanted: Values) -> Values:
-    """Interpolate values [T,...] at the times [T] to the times of measurements [R]; return [R,...].
+    """Interpolate values [T,...] at the times [T] to other times [R]; return [R,...].
 
-    If all wanted times coincide with frames, the values of these frames are returned; otherwise a
-    spline is used.
+    A spline is used unless all times [R] coincide with frames.
     """
     nearest = np.abs(times[None] - wanted[:, None]).argmin(1)
     if np.allclose(times[nearest], wanted, atol=ROUNDED / 10):
@@ -148,16 +144,16 @@ def at_times(times: Values, values: Values, wanted: Values) -> Values:
 
 
 def refuse_outside(field: str, source: object, times: Values, length: float) -> None:
-    """Refuse measurements before the first frame or after the last frame of a scene.
+    """Refuse measurements outside the time range of a scene.
 
     Args:
-        field: The option that names the measurements, for messages.
+        field: The option that names the file, for messages.
         source: The file that contains the measurements.
         times: Times of the measurements [s].
         length: Time of the scene's last frame [s].
 
     Raises:
-        InputError: A measurement is outside the time range of the scene.
+        InputError: A measurement is before the first frame or after the last frame.
     """
     if times.min() < -ROUNDED:
         limit = f"it begins at {times.min():.3g} s, before the scene, which begins at 0."
@@ -171,15 +167,12 @@ def refuse_outside(field: str, source: object, times: Values, length: float) -> 
 
 
 class Forces:
-    """Measured forces on the walls of a scene.
-
-    Each force is the mean over the time since the previous frame.
-    """
+    """Measured forces on walls; each is the mean over the time since the previous frame."""
 
     name, unit = "forces", "N"
 
     def __init__(self, table: Table, walls: tuple[str, ...]) -> None:
-        """Match the names in a table of forces with the names of the scene's walls.
+        """Match the names in a table of forces with the scene's walls.
 
         Raises:
             InputError: The table names a wall that the scene does not have.

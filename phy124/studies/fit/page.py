@@ -1,8 +1,4 @@
-"""Compares a video with the fitted scene in three files: an HTML page, a video, and an image.
-
-The result of `figure` is also shown on phy124's web page. The script and the style sheet are in
-phy124/io/viewer.
-"""
+"""Compares a video with the fitted scene in three files: an HTML page, a video, and an image."""
 
 import base64
 import math
@@ -36,8 +32,7 @@ COLOURS = ("#d55e00", "#0072b2")
 def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
     """Write an HTML file that contains the comparison video, for browsers without a network.
 
-    The target of the reported fit must be a video. `film` is an MP4 of the video, the fitted scene
-    and their difference.
+    `film` is an MP4 of the video, the fitted scene and their difference.
     """
     data = base64.b64encode(film.read_bytes()).decode()
     template, style, script = (
@@ -56,7 +51,7 @@ def write_page(path: Path, report: dict[str, Any], film: Path) -> None:
 def figure(report: dict[str, Any], film: str) -> str:
     """Return HTML with the comparison video, its slider, and the curves; all text is escaped.
 
-    The target of the reported fit must be a video; `film` is the address of the comparison video.
+    The web page shows this HTML, too. `film` is the address of the comparison video.
     """
     shown = report["pictures"]
     times = " ".join(f"{time:g}" for time in shown["times"])
@@ -132,7 +127,6 @@ def _plot(label: str, drawn: Sequence[str], first: str, last: str) -> str:
 def _scale(
     values: Sequence[float], start: float, end: float, *, log: bool = False
 ) -> Callable[[float], float]:
-    """Return a function that maps values to positions on an axis."""
     turn = math.log if log else float
     low, high = turn(min(values)), turn(max(values))
     span = (high - low) or 1.0
@@ -140,22 +134,20 @@ def _scale(
 
 
 ROWS = 8
-"""Maximum number of rows in the image that compares video and fitted scene."""
 PICTURE_HEIGHT = 192
 """Height of each frame in the comparison image [pixels]."""
 BOTH, ONLY_SEEN, ONLY_FITTED = (225, 225, 225), (213, 94, 0), (0, 114, 178)
-"""Colours of the image of the difference, which colour-blind people can distinguish."""
+"""Colours of the difference that colour-blind people can distinguish."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A video and the clip of the scene that was fitted to the video, seen from one camera."""
+    """A video and the clip of the scene that was fitted to it, seen from one camera."""
 
     film: Film
     times: Values
     """Times of the video's frames [T], s."""
     clip: Clip
-    """The clip of the fitted scene."""
     cameras: Sequence[Camera]
     """Camera of each frame of the clip."""
 
@@ -170,7 +162,6 @@ class Comparison:
         write_mp4(path, self._rows(range(len(self.times))), fps=fps)
 
     def _rows(self, shown: Iterable[int]) -> Iterator[NDArray[np.uint8]]:
-        """Yield an image of target, fitted scene and difference for each index in `shown`."""
         draw = Renderer(device="cpu")
         for number in shown:
             frame = int(np.abs(self.clip.times - self.times[number]).argmin())
@@ -186,7 +177,7 @@ class Comparison:
 
 
 def difference(seen: NDArray[np.bool_], fitted: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return an image [H,W,3] whose colours show which pixels are in both masks or in only one."""
+    """Return an image [H,W,3] that shows which pixels are in both masks or in only one."""
     picture = np.full((*seen.shape, 3), 255, np.uint8)
     picture[seen & fitted] = BOTH
     picture[seen & ~fitted] = ONLY_SEEN

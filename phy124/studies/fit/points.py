@@ -1,4 +1,4 @@
-"""Compares tracked points, whose positions over time are measured in m or pixels, with a clip."""
+"""Compares tracked points (positions over time in m or pixels) with a clip."""
 
 from collections.abc import Sequence
 
@@ -11,20 +11,18 @@ from phy124.io.clip import Clip
 from phy124.studies.fit.observation import Groups, Table, Values, at_times
 
 NEIGHBOURS = 4
-"""Number of Gaussians whose weighted mean position predicts the position of a point."""
+"""Number of Gaussians whose weighted mean predicts the position of a point."""
 FAR = 0.2
 """Maximum distance between a point and the object, as a fraction of the object's size."""
 FEW = 8
-"""If fewer points than this are tracked, errors at different times are treated as independent."""
+"""Below this number of points, errors at different times are treated as independent."""
 
 
 class Points:
     """Measured positions of tracked points over time.
 
-    Each point is attached to the Gaussians that are nearest to it in the first frame.
-
-    An error in a point's first measurement would shift its whole predicted track. Therefore, the
-    mean of each measured and predicted track is subtracted before the comparison.
+    Each point is attached to the nearest Gaussians in the first frame. The mean of each track is
+    subtracted, because an error in the first measurement would shift the whole predicted track.
     """
 
     def __init__(self, table: Table, rest: Values, cameras: Sequence[Camera] | None = None) -> None:
@@ -62,14 +60,13 @@ class Points:
         return self._shape(at_times(clip.times, tracks, instants)[row, self._track])
 
     def _shape(self, values: Values) -> Values:
-        """Subtract from each tracked point's positions [R,C] their mean; return a vector [M]."""
+        """Subtract the mean of each point's positions [R,C]; return a vector [M]."""
         counts = np.bincount(self._track)[:, None]
         sums = np.stack([np.bincount(self._track, column) for column in values.T], axis=1)
         return (values - (sums / counts)[self._track]).ravel()
 
 
 def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
-    """Return the position of each point at the first measured time [K,C]."""
     start = np.flatnonzero(table.times <= table.times.min() + 1e-9)
     places = {int(track[row]): table.values[row] for row in start}
     missing = [name for number, name in enumerate(names) if number not in places]
@@ -87,7 +84,7 @@ def _first(table: Table, names: NDArray[np.str_], track: NDArray) -> Values:
 
 
 def _nearest(first: Values, rest: Values) -> tuple[NDArray[np.int64], Values]:
-    """Return the Gaussians nearest to each of K points in space, and weights [K,NEIGHBOURS]."""
+    """Return the Gaussians nearest to each of K points, and weights [K,NEIGHBOURS]."""
     distance, chosen, size = _query(rest, first, NEIGHBOURS, "of the object's size")
     weights = 1 / (distance + 1e-6 * size)
     return chosen, weights / weights.sum(1, keepdims=True)
@@ -109,13 +106,7 @@ def _seen(first: Values, rest: Values, camera: Camera) -> tuple[NDArray[np.int64
 def _query(
     rest: Values, first: Values, count: int, of_what: str
 ) -> tuple[Values, NDArray[np.int64], float]:
-    """Return distances and indices of the Gaussians nearest to K points [K,count].
-
-    Also return the object's size.
-
-    Raises:
-        InputError: A point is farther from the object than the fraction `FAR` of its size.
-    """
+    """Return distances and indices of the Gaussians nearest to K points [K,count], and the size."""
     from scipy.spatial import KDTree
 
     count = min(count, len(rest))

@@ -1,8 +1,4 @@
-"""Defines the minimisation problem that a fit solves.
-
-A point of the unit cube represents a set of values, one on each axis of the cube. A problem
-predicts the measurements for each point of the cube.
-"""
+"""Defines the minimisation problem of a fit. A point of the unit cube represents a set of values."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -14,11 +10,11 @@ from phy124.errors import InputError
 from phy124.studies.fit.observation import Groups, Kind, Values
 
 Places = Sequence[Values]
-"""Points in the space of the values to fit: each value is a fraction of its range [P]."""
+"""Points in the unit cube: each value is a fraction of its range [P]."""
 
 
 class Problem(Protocol):
-    """Measurements, and their prediction by simulations of a scene or by a formula."""
+    """Measurements, and their prediction by simulations or by a formula."""
 
     measured: Values
     """Measured values [M]."""
@@ -32,19 +28,16 @@ class Problem(Protocol):
 
     @property
     def kinds(self) -> Sequence[Kind]:
-        """Kinds of measurements that the fit uses."""
+        """Kinds of measurements."""
         ...
 
     @property
     def grids(self) -> Sequence[int]:
-        """Number of cells across the object on each grid, from coarse to fine."""
+        """Numbers of cells across the object, from coarse to fine."""
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for points of values, on the grid with index `level`.
-
-        A prediction is None if its run stopped early.
-        """
+        """Predict the measurements [M] at each point on grid `level`; None if a run stopped early."""
         ...
 
     def late(self, part: float) -> bool:
@@ -53,17 +46,14 @@ class Problem(Protocol):
 
 
 class Distance:
-    """Computes the weighted differences between predicted and actual measurements.
+    """Weighted differences between predicted and actual measurements.
 
-    The measurements of each kind are divided by the scale of this kind. A group of correlated
+    The measurements of each kind are divided by the kind's scale. A group of correlated
     measurements has the same total weight as a single measurement.
     """
 
     def __init__(self, problem: Problem, scales: Sequence[float] | None = None) -> None:
-        """Compute the weights of the measurements from a scale for each kind of measurement.
-
-        By default, the scale is the RMS of the measured values of the kind.
-        """
+        """By default, the scale of a kind is the RMS of its measured values."""
         self.measured, self.kinds = problem.measured, tuple(problem.kinds)
         spreads = [float(np.sqrt(np.mean(self.measured[kind.place] ** 2))) for kind in self.kinds]
         self.scales = tuple(scales or [spread or 1.0 for spread in spreads])
@@ -78,17 +68,17 @@ class Distance:
         return self._weights * (predicted - self.measured)
 
     def weigh(self, jacobian: Values) -> Values:
-        """Return the Jacobian [M,P] multiplied by the measurements' weights, as in `residual`."""
+        """Return the Jacobian [M,P] multiplied by the measurements' weights."""
         return self._weights[:, None] * jacobian
 
     def cost(self, predicted: Values | None) -> float:
-        """Return half the sum of squared weighted differences; 1e12 for a failed run (None)."""
+        """Return half the sum of squared weighted differences; 1e12 for a failed run."""
         if predicted is None:
             return 1e12
         return 0.5 * float(np.sum(self.residual(predicted) ** 2))
 
     def misfits(self, predicted: Values) -> list[float]:
-        """Return the RMS difference for each kind of measurement, in the unit of this kind."""
+        """Return the RMS difference of each kind, in its unit."""
         apart = predicted - self.measured
         return [float(np.sqrt(np.mean(apart[kind.place] ** 2))) for kind in self.kinds]
 
@@ -111,12 +101,12 @@ def differentiate(problem: Problem, place: Values, level: int, step: float) -> N
 
     Args:
         problem: The problem.
-        place: Point in the unit cube at which to differentiate [P].
-        level: Index of the grid on which to simulate.
-        step: Step of the central differences, as a fraction of each value's range.
+        place: Point in the unit cube [P].
+        level: Index of the grid.
+        step: Step, as a fraction of each value's range.
 
     Raises:
-        InputError: A run of the simulation stopped early.
+        InputError: A run stopped early.
     """
     centre = np.clip(place, step, 1 - step)
     sides = [centre + sign * step * axis for axis in np.eye(len(place)) for sign in (1, -1)]

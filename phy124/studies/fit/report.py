@@ -24,7 +24,7 @@ def make_report(
         target: The inputs of the fit.
         runs: The runs of the fit.
         estimate: The fitted values and their intervals.
-        clip: The clip of the fitted scene, simulated on the scene's grid.
+        clip: The clip of the fitted scene.
         seconds: Time since the fit began [s].
     """
     cells = target.scene.resolution.cells
@@ -61,9 +61,9 @@ def make_report(
 
 
 def report_pictures(target: Target, runs: Runs, clip: Clip) -> dict[str, Any]:
-    """Return the misfit of the silhouette in each frame of a video, before and after the fit.
+    """Return the silhouette's misfit in each frame of a video, before and after the fit.
 
-    `clip` is the clip of the fitted scene, simulated on the scene's grid.
+    `clip` is the clip of the fitted scene.
     """
     (seen,) = (part for part in target.observations.parts if isinstance(part, Silhouettes))
     assert target.film is not None
@@ -107,7 +107,6 @@ def format_table(report: dict[str, Any]) -> str:
 
 
 def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
-    """Return each value with its intervals."""
     here, limit = _around(runs, *estimate.on(cells)), _around(runs, *estimate.on(math.inf))
     sampled = _around(runs, estimate.on(cells)[0], estimate.sampling)
     return {
@@ -117,15 +116,10 @@ def _values(runs: Runs, estimate: Estimate, cells: int) -> dict[str, Any]:
 
 
 def _around(runs: Runs, place: Values, errors: Values) -> dict[str, Any]:
-    """Return the values at `place`, with intervals whose half-widths are `errors`.
-
-    Both are fractions of the values' ranges.
-    """
     value, low, high = map(runs.values, (place, place - errors, place + errors))
     return {n: {"value": value[n], "interval": [low[n], high[n]]} for n in runs.names}
 
 
 def _format(value: dict[str, Any]) -> tuple[str, str]:
-    """Format a value together with its interval."""
     low, high = value["interval"]
     return f"{value['value']:.4g}", f"{low:.4g} to {high:.4g}"

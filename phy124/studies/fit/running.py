@@ -1,4 +1,4 @@
-"""Runs a fit from the declaration of its options, and writes the result files."""
+"""Runs a fit, and writes the result files."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -48,18 +48,18 @@ def fit(
     on_forecast: Callable[[Outlook], object] = lambda forecast: None,
     progress: Progress = silent,
 ) -> Fitted:
-    """Run a fit and write its files; if called again, continue an interrupted fit.
+    """Run a fit and write its files, or continue an interrupted fit.
 
     Args:
         declared: The options of the fit.
-        out: Folder for the results; the results of the single runs are also stored there.
-        workers: Number of worker processes; if 0, all runs are made in this process.
-        on_forecast: Function that is called with the forecast before the first run.
+        out: Folder for the results, also of the single runs.
+        workers: Number of worker processes; 0: this process makes all runs.
+        on_forecast: Function called with the forecast before the first run.
         progress: Function called with ("fit", runs made, runs expected); it may raise Cancelled.
 
     Raises:
-        InputError: An input is invalid, a value cannot be determined, the time budget is too
-            short, or the folder cannot be written.
+        InputError: An input is invalid, a value cannot be determined, the time budget is too short,
+            or the folder cannot be written.
     """
     with staging(out):  # An unusable folder is refused before any run.
         pass
@@ -94,7 +94,6 @@ def _outlook(runs: Runs, target: Target, workers: int) -> Outlook:
 
 
 def _write(target: Target, runs: Runs, budget: Budget, estimated: Estimate, out: Path) -> Fitted:
-    """Simulate the fitted scene, and write the scene, the report and the comparison."""
     values = runs.values(estimated.on(target.scene.resolution.cells)[0])
     scene = target.scene.replaced(values)
     clip = runs.player.clip(target.played.replaced(values).data())
@@ -111,7 +110,6 @@ def _write(target: Target, runs: Runs, budget: Budget, estimated: Estimate, out:
 
 
 def _compare(target: Target, film: Film, clip: Clip, report: dict[str, Any], folder: Path) -> None:
-    """Write an image, a video and an HTML page that compare the video with the fitted scene."""
     both = Comparison(film, target.times_of(film), clip, target.seen_by())
     both.write_sheet(folder / SHEET)
     both.write_film(folder / FILM, report["pictures"]["fps"])

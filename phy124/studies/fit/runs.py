@@ -1,4 +1,4 @@
-"""Runs a scene with different values in several processes, and stores the result of each run."""
+"""Runs a scene with different values in several processes, and stores each result."""
 
 import hashlib
 import json
@@ -29,22 +29,20 @@ from phy124.studies.fit.target import Target
 from phy124.studies.sweep.keys import code
 
 FOLDER = "runs"
-"""Name of the folder in which predictions are stored."""
 DIGITS = 6
-"""Number of significant digits to which values of a scene are rounded."""
 
 Played = tuple[Values | None, float]
-"""Predicted measurements (None if the run stopped early), and CPU time of the run [s]."""
+"""Predicted measurements (None if the run stopped early), and CPU time [s]."""
 
 
 class Tried(NamedTuple):
-    """A run with trial values, and the misfit of this run."""
+    """A run with trial values."""
 
     level: int
     """Index of the grid."""
     values: dict[str, float]
     misfits: list[float] | None
-    """RMS misfit of each kind of measurement; None if the run stopped early."""
+    """RMS misfit of each kind; None if the run stopped early."""
 
 
 @dataclass(frozen=True)
@@ -56,17 +54,14 @@ class Player:
     observations: Observations
 
     def __call__(self, scene: dict[str, Any]) -> Played:
-        """Simulate a scene (plain data); return the predicted measurements and the CPU time [s]."""
+        """Return the predicted measurements and the CPU time [s]."""
         begun = time.process_time()
         clip = self.clip(scene)
         predicted = self.observations.predict(clip) if clip.report["complete"] else None
         return predicted, time.process_time() - begun
 
     def clip(self, scene: dict[str, Any]) -> Clip:
-        """Simulate a scene, which is passed as plain data, and return its clip.
-
-        The simulation uses a single thread, so that the result is deterministic.
-        """
+        """Simulate a scene with a single thread, so that the clip is deterministic."""
         run = Simulation(
             prepare(self.gaussians, Scene.from_data(scene), RunContext(threads=1), crop=self.crop)
         )
@@ -74,12 +69,12 @@ class Player:
 
 
 class Runs:
-    """The `Problem` that a fit solves; it predicts measurements by simulating the scene."""
+    """The `Problem` that a fit solves by simulations."""
 
     def __init__(
         self, target: Target, folder: Path, budget: Budget, progress: Progress = silent
     ) -> None:
-        """Prepare the runs of a fit; predictions are stored in the subfolder `FOLDER`.
+        """Store predictions in the subfolder `FOLDER`.
 
         `progress` is called with ("fit", runs made, runs expected) and may raise Cancelled.
 
@@ -95,29 +90,22 @@ class Runs:
         self.made, self.kept, self.seconds = [0] * len(self.grids), 0, 0.0
         """Number of runs on each grid, number of reused results, and CPU time [s]."""
         self.tried: list[Tried] = []
-        """All trial runs in the order in which they were made."""
         self._folder, self._pool = folder / FOLDER, None
         for end in (0.0, 1.0):
             self.scene_at(np.full(len(self.names), end), 0)
         self._known = _digest(self.player, target.declared)
 
     def values(self, place: Values) -> dict[str, float]:
-        """Return the fitted values at `place`, which contains fractions of their ranges."""
+        """Return the values at `place`, which contains fractions of their ranges."""
         pairs = zip(self.names, self._ranges, place, strict=True)
         return {name: float(f"{axis.draw(float(part)):.{DIGITS}g}") for name, axis, part in pairs}
 
     def scene_at(self, place: Values, level: int) -> Scene:
-        """Return the scene with the values at `place`, on the grid with index `level`.
-
-        `place` contains fractions of the values' ranges.
-        """
+        """Return the scene with the values at `place`, on the grid with index `level`."""
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] for points of values, on the grid with index `level`.
-
-        A prediction is None if its run stopped early.
-        """
+        """Predict the measurements [M] at each point on grid `level`; None if a run stopped early."""
         scenes = [self.scene_at(place, level).data() for place in places]
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
         missing = {f: s for f, s in zip(files, scenes, strict=True) if not f.is_file()}
@@ -161,7 +149,7 @@ class Runs:
 
 
 def _digest(player: Player, declared: Fit) -> str:
-    """Return a digest of the inputs of a prediction: the code and all data, but not the scene."""
+    """Return a digest of all inputs of a prediction except the scene."""
     seen = player.gaussians
     arrays = (seen.means, seen.quats, seen.scales, player.observations.measured)
     whole = hashlib.sha256(code().encode())
@@ -172,5 +160,4 @@ def _digest(player: Player, declared: Fit) -> str:
 
 
 def _play(player: Player, kept: tuple[Path, dict[str, Any]]) -> Played:
-    """Predict the measurements for a scene; `kept` is the file for the results, and the scene."""
     return player(kept[1])

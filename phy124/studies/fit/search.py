@@ -1,8 +1,4 @@
-"""Minimises the misfit: Sobol points first, then CMA-ES (Hansen 2016), then Gauss-Newton steps.
-
-CMA-ES searches on the coarsest grid. On finer grids, the Gauss-Newton steps may start with the
-derivatives from a coarser grid.
-"""
+"""Minimises the misfit: Sobol points, then CMA-ES (Hansen 2016), then Gauss-Newton steps."""
 
 import warnings
 from typing import NamedTuple
@@ -17,15 +13,15 @@ from phy124.studies.fit.problem import Distance, Problem, predict_near
 PART = 0.6
 """Maximum fraction of the time budget that the search may use."""
 START = 0.2
-"""Standard deviation of the first generation of CMA-ES, as a fraction of the range."""
+"""Initial standard deviation of CMA-ES, as a fraction of the range."""
 SETTLED = 3e-3
 """The search ends when the standard deviation of CMA-ES is below this fraction of the range."""
 GENERATIONS = 60
-"""Maximum number of generations."""
+"""Maximum number of generations of CMA-ES."""
 
 
 def screen(problem: Problem, distance: Distance, seed: int) -> Values:
-    """Evaluate points that are distributed evenly over the values' ranges; return the best point.
+    """Evaluate points that fill the ranges evenly; return the best point.
 
     Raises:
         InputError: The run fails at all points.
@@ -44,27 +40,21 @@ def screen(problem: Problem, distance: Distance, seed: int) -> Values:
 
 
 def log2_screened(count: int) -> int:
-    """Return the base-2 logarithm of the number of points that are evaluated before the search.
-
-    `count` is the number of fitted values.
-    """
+    """Return the base-2 logarithm of the number of evaluated points, for `count` values."""
     return 3 + (count > 1) + (count > 3)
 
 
 def generation_size(count: int) -> int:
-    """Return the number of runs in a generation of CMA-ES for `count` fitted values.
-
-    The number is even, so that two cores have the same amount of work.
-    """
+    """Return the number of runs in a generation of CMA-ES for `count` values; even, for two cores."""
     return 2 * ((5 + int(3 * np.log(count))) // 2)
 
 
 def search(problem: Problem, distance: Distance, start: Values, seed: int) -> Values:
-    """Search for the point of values with the smallest cost, on the coarsest grid.
+    """Search for the point with the smallest cost on the coarsest grid.
 
     Args:
         problem: The problem.
-        distance: The distance between prediction and measurements, which is minimised.
+        distance: The cost function.
         start: The initial point [P].
         seed: Seed of the random generations.
 
@@ -107,28 +97,22 @@ LONGEST = 0.15
 SHORTEST = 1e-3
 """The refinement ends when a Gauss-Newton step is shorter than this fraction of the range."""
 INFORMATIVE = 0.01
-"""A Gauss-Newton step corrects the derivatives if its length is at least this fraction of the
-range.
+"""Shortest Gauss-Newton step that corrects the derivatives, as a fraction of the range.
 
-The effect of shorter steps on the predictions is no larger than the random differences between
-runs.
+The effect of shorter steps is no larger than the random differences between runs.
 """
 ROUNDS = 6
 HALVES = (1.0, 0.5)
-"""Fractions of a Gauss-Newton step that are tried in parallel; the step with the smallest cost is
-taken.
-"""
+"""Fractions of a Gauss-Newton step that are tried in parallel."""
 
 
 class Refined(NamedTuple):
-    """The result of a refinement: a point, its prediction and its derivatives."""
+    """The result of a refinement."""
 
     place: Values
     predicted: Values
     jacobian: Values
-    """Derivatives of the prediction [M,P]. After each Gauss-Newton step, the derivatives are
-    corrected (Broyden 1965).
-    """
+    """Derivatives of the prediction [M,P], corrected after each step (Broyden 1965)."""
 
 
 def refine(
@@ -138,10 +122,10 @@ def refine(
 
     Args:
         problem: The problem.
-        distance: The distance between prediction and measurements, which is minimised.
+        distance: The cost function.
         place: The initial point [P].
-        jacobian: Derivatives of the prediction, on this or a coarser grid [M,P].
-        level: Index of the grid on which to simulate.
+        jacobian: Derivatives of the prediction [M,P], on this or a coarser grid.
+        level: Index of the grid.
 
     Raises:
         InputError: The run at the initial point stops early.
@@ -172,7 +156,7 @@ def refine(
 
 
 def _step(distance: Distance, place: Values, predicted: Values, jacobian: Values) -> Values:
-    """Return the least-squares step of the linear model; the step does not leave the ranges."""
+    """Return the least-squares step of the linear model within the ranges."""
     from scipy.optimize import lsq_linear
 
     matrix, residual = distance.weigh(jacobian), distance.residual(predicted)

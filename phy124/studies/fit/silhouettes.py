@@ -1,8 +1,4 @@
-"""Measures silhouettes (the fraction of each pixel that the object covers), and aligns videos.
-
-If a video's camera is unknown, its first frame is aligned with the scene's view of the object at
-rest. The alignment is a scale and a shift, which are applied to all frames.
-"""
+"""Measures silhouettes (the covered fraction of each pixel), and aligns videos."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,12 +17,11 @@ from phy124.studies.fit.observation import Groups, Values, at_times
 from phy124.studies.fit.video import SIDE, Film, shrunk
 
 LONGEST = 64
-"""Longest side of the silhouettes that are compared [pixels]; at accuracy `draft`, a grid cell is
-about 2 pixels wide."""
+"""Longest side of the compared silhouettes [pixels]; a cell of a `draft` is about 2 pixels."""
 BLUR = 1.0
-"""Standard deviation of the filter that blurs silhouettes [pixels].
+"""Standard deviation of the blur [pixels].
 
-With blur, the difference between silhouettes has a gradient even if their edges do not overlap.
+With blur, the difference has a gradient even if the silhouettes' edges do not overlap.
 """
 BLOCK = 16
 """Side of a block of pixels [pixels]; errors in a block are assumed to be correlated."""
@@ -38,10 +33,9 @@ class Silhouettes:
     name, unit = "silhouettes", "of a pixel"
 
     def __init__(self, film: Film, times: Values, cameras: Sequence[Camera]) -> None:
-        """Compute the silhouettes of a video at a reduced resolution.
+        """Reduce the silhouettes of a video to `LONGEST` pixels.
 
-        `times` [T] are the times of the video's frames [s]. `cameras` contains one camera for each
-        frame of the scene.
+        `times` [T] are the times of the video's frames [s]. Each frame of the scene has a camera.
 
         Raises:
             InputError: The aspect ratio of the video differs from that of the camera.
@@ -71,7 +65,7 @@ class Silhouettes:
         return _blur(at_times(clip.times, np.stack(alphas).astype(float), self._times)).ravel()
 
     def apart(self, predicted: Values) -> Values:
-        """Return, for each frame [T], the RMS difference of the coverage of pixels, 0..1."""
+        """Return the RMS difference of the coverage, 0..1, for each frame [T]."""
         squares = (predicted - self.measured) ** 2
         return np.sqrt(squares.reshape(len(self._times), -1).mean(1))
 
@@ -88,47 +82,40 @@ def _blur(covered: Values) -> Values:
 
 
 def _blocks(shape: tuple[int, ...]) -> Groups:
-    """Return the index of the block of pixels to which each pixel of each frame belongs [T*h*w]."""
+    """Return the index of each pixel's block [T*h*w]."""
     t, h, w = np.indices(shape)
     across, down = -(-shape[2] // BLOCK), -(-shape[1] // BLOCK)
     return ((t * down + h // BLOCK) * across + w // BLOCK).ravel()
 
 
 ALIGN_BLUR = 2.0
-"""Standard deviation of the filter that blurs silhouettes during alignment [pixels]."""
+"""Standard deviation of the blur during alignment [pixels]."""
 STEP = 0.5
-"""Shift for the central differences by which an alignment's derivatives are computed [pixels]."""
+"""Shift for the central differences [pixels]."""
 LONGEST_STEP = 8.0
-"""Longest step in the alignment of a video with the camera's view [pixels]."""
+"""Longest step of the alignment [pixels]."""
 SETTLED = 0.01
-"""The alignment of a video with the camera's view ends at a step shorter than this [pixels]."""
+"""The alignment ends at a step shorter than this [pixels]."""
 ROUNDS = 20
-"""Largest number of steps in the alignment of a video with the camera's view."""
 LEAST = 0.6
-"""Smallest allowed intersection over union of two aligned silhouettes.
-
-If the intersection over union is below this limit, the silhouettes are assumed to show different
-objects or views.
-"""
+"""Smallest intersection over union of aligned silhouettes that show the same object and view."""
 
 
 class Laid(NamedTuple):
     """The transform that aligns a video with the camera's view."""
 
     scale: float
-    """Factor by which the frames of a video are magnified to match the camera's view."""
+    """Factor by which the video's frames are magnified."""
     shift: tuple[float, float]
     """Shift of the frames' upper left corner (right, down), relative to the image's height."""
     shared: float
-    """Intersection over union of the video's first silhouette and the silhouette of the object at
-    rest.
-    """
+    """Intersection over union of the first silhouette in the video and in the scene."""
 
 
 def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, Laid]:
-    """Align a video with the view of the scene's camera; return the new video and the alignment.
+    """Align a video with the camera's view by a scale and a shift.
 
-    The video's first frame must show the object at rest, as the Gaussians do.
+    The first frame must show the object at rest.
 
     Raises:
         InputError: The video's silhouette cannot be aligned with the object's silhouette.
@@ -155,11 +142,7 @@ def align_film(film: Film, gaussians: Gaussians, camera: Camera) -> tuple[Film, 
 
 
 def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Values:
-    """Return the transformation [2,3] (scale and shift) that aligns a mask with another mask.
-
-    The initial transformation is computed from the moments of the masks. Gauss-Newton steps then
-    refine the transformation.
-    """
+    """Return the scale and shift [2,3] that align a mask with another mask."""
     size, masks = wanted.shape[::-1], (mask, wanted)
     areas = [max(int(outline.sum()), 1) for outline in masks]
     middles = [np.argwhere(m).mean(0)[::-1] if m.any() else np.zeros(2) for m in masks]
@@ -190,7 +173,6 @@ def _fit_similarity(mask: NDArray[np.bool_], wanted: NDArray[np.bool_]) -> Value
 def _warp(
     picture: NDArray, matrix: Values, size: tuple[int, ...], border: int = cv2.BORDER_CONSTANT
 ) -> NDArray:
-    """Transform an image to another size (width, height)."""
     return cv2.warpAffine(picture, matrix, size, flags=cv2.INTER_LINEAR, borderMode=border)
 
 

@@ -34,13 +34,13 @@ from phy124.studies.fit.silhouettes import Laid, Silhouettes, align_film
 from phy124.studies.fit.video import FILMS, Film, read_film
 
 TRACKED = 256
-"""If the target is a clip, at most this number of its Gaussians are used as tracked points."""
+"""Maximum number of a clip's Gaussians that are used as tracked points."""
 PLACE_COLUMNS = (("x", "y", "z"), ("u", "v"))
 FORCE_COLUMNS = (("fx", "fy", "fz"),)
 
 
 class Target:
-    """The inputs of a fit: the measurements, the object, and the scene with the known values."""
+    """The measurements, the object, and the scene with the known values."""
 
     def __init__(self, declared: Fit) -> None:
         """Read all inputs of the fit.
@@ -53,7 +53,6 @@ class Target:
         clip = _clip_of(path)
         self.film: Film | None = None
         self.laid: Laid | None = None
-        """Transform that aligns the video with the camera's view; None if it is not requested."""
         kinds = {".csv": "table", **dict.fromkeys(FILMS, "film")}
         kind = "clip" if clip else "film" if path.is_dir() else kinds.get(path.suffix.lower())
         if kind is None or not path.exists():
@@ -80,10 +79,7 @@ class Target:
 
     @property
     def played(self) -> Scene:
-        """The scene that the runs of the fit simulate, without grains.
-
-        The scene ends at the last measurement.
-        """
+        """The scene that the runs simulate: without grains, until the last measurement."""
         timing = self.scene.time
         frames = int(np.ceil((self.observations.last - ROUNDED) * timing.fps)) + 1
         return self.scene.replaced({"time.frames": min(frames, timing.frames), "grains": False})
@@ -119,7 +115,6 @@ class Target:
         return self.declared.fps or film.fps or self.scene.time.fps
 
     def _seen(self, clip: Clip | None, table: Table | None) -> Observation:
-        """Return the observations of the object's motion."""
         rest = self.rest.means[0].astype(np.float64)
         if self.film is not None:
             if self.declared.align:
@@ -131,7 +126,6 @@ class Target:
         return Points(table, rest, self.seen_by() if "u" in table.columns else None)
 
     def _forces(self, clip: Clip | None) -> Table | None:
-        """Return the measured forces; None if no forces were measured."""
         if self.declared.forces is not None:
             return read_table(self.declared.forces, "forces", "wall", FORCE_COLUMNS)
         if clip is None or clip.wrenches is None or not clip.walls:
@@ -143,7 +137,6 @@ class Target:
         )
 
     def _end(self, clip: Clip | None, table: Table | None, forces: Table | None) -> None:
-        """Refuse measurements outside the time range of the scene's frames."""
         length = (self.scene.time.frames - 1) / self.scene.time.fps
         tables = {"target": table, "forces": forces}
         sources = {"target": self.declared.target, "forces": self.declared.forces}
@@ -157,7 +150,6 @@ class Target:
 
 
 def _clip_of(path: Path) -> Clip | None:
-    """Load the clip at a path; return None if there is no clip at this path."""
     inside = path / "clip.safetensors"
     if inside.is_file():
         return Clip.load(inside)
@@ -165,7 +157,6 @@ def _clip_of(path: Path) -> Clip | None:
 
 
 def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Crop]:
-    """Return the scene, the object, and the rectangle of the picture that contains the object."""
     changes = {**declared.set}
     source = clip if declared.object is None else _clip_of(Path(declared.object))
     with_scene = clip or source
@@ -188,7 +179,6 @@ def _read_object(declared: Fit, clip: Clip | None) -> tuple[Scene, Gaussians, Cr
 
 
 def _tracks(clip: Clip) -> Table:
-    """Return the positions over time of some Gaussians of a clip."""
     surface, object_ = clip.surface, np.flatnonzero(clip.surface.object_mask)
     chosen = object_[np.linspace(0, len(object_) - 1, min(TRACKED, len(object_))).astype(int)]
     count = len(clip)

@@ -19,21 +19,17 @@ from phy124.studies.fit.observation import Values
 FILMS = (".mp4", ".webm", ".mov", ".mkv", ".avi", ".gif", ".webp")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 DIFFERS = 20.0
-"""Smallest distance between the RGB colours of an object pixel and of the background; the largest
-possible distance is 442.
-"""
+"""Smallest distance between the colours of object and background in RGB; at most 442."""
 MOST = 2000
-"""Maximum number of frames that are read."""
 SIDE = 256
-"""Longest side of frames in memory [pixels]; at this size, 2,000 frames take 400 MB."""
+"""Longest side of frames in memory [pixels]; 2,000 frames then take 400 MB."""
 LONGEST = 600
 """Maximum time for reading a video [s]."""
 FIRST = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
-"""Bytes 5 to 8 of MP4 and MOV files have one of these values."""
+"""Bytes 5 to 8 of MP4 and MOV files."""
 SAFE = ("-protocol_whitelist", "file,pipe", "-format_whitelist", "mov,matroska,avi")
 """Options that prevent ffmpeg from reading playlists, which may refer to other addresses."""
 PPM = re.compile(rb"P6\s(\d+)\s(\d+)\s255\s")
-"""Header of each image in a stream of PPM files."""
 FPS = re.compile(rb"Video: .* ([\d.]+) fps")
 
 
@@ -41,11 +37,10 @@ class Film(NamedTuple):
     """Frames of a video, and a mask that shows the object in each frame."""
 
     masks: NDArray[np.bool_]
-    """Masks of the object [T,H,W]."""
     pictures: NDArray[np.uint8]
     """Frames composited over white [T,H,W,3]."""
     fps: float | None
-    """Frame rate that the file states [frames/s]; None if the file states none."""
+    """Frame rate in the file [frames/s], if any."""
 
 
 def read_film(path: Path) -> Film:
@@ -76,7 +71,6 @@ def read_film(path: Path) -> Film:
 
 
 def _frames(path: Path) -> tuple[list[NDArray], float | None]:
-    """Return the frames of a video and its frame rate [frames/s]; None if the rate is unknown."""
     if path.suffix.lower() in (".gif", ".webp"):
         return _read_animation(path)
     if not is_film(path):
@@ -103,7 +97,6 @@ def _frames(path: Path) -> tuple[list[NDArray], float | None]:
 
 
 def _pictures(stream: bytes) -> Iterator[NDArray]:
-    """Yield the images in a stream of PPM files."""
     place = 0
     while match := PPM.match(stream, place):
         width, height = int(match[1]), int(match[2])
@@ -157,7 +150,6 @@ def _folder(path: Path) -> Iterator[NDArray]:
 
 
 def _shrink(image: Image.Image) -> NDArray[np.uint8]:
-    """Convert an image to RGBA, and reduce its longest side to at most `SIDE`."""
     small = image.convert("RGBA")
     small.thumbnail((SIDE, SIDE), reducing_gap=None)
     return np.asarray(small)
@@ -169,12 +161,7 @@ def _refuse_endless(path: Path, count: int) -> None:
 
 
 def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return the mask of the object in a frame.
-
-    If the frame has transparent pixels, the mask contains its opaque pixels. If the frame is
-    opaque, the mask contains the pixels whose colour differs from the median colour of the frame's
-    border. Holes in this mask are filled.
-    """
+    """In an opaque frame, the object differs from the median colour of the border."""
     if picture.shape[2] == 4 and picture[..., 3].min() < 255:
         return picture[..., 3] > 127
     colour = picture[..., :3].astype(np.float32)
@@ -186,7 +173,6 @@ def _mask(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Composite an image over white."""
     if picture.shape[2] == 3:
         return picture
     part = picture[..., 3:].astype(np.float32) / 255
@@ -194,6 +180,6 @@ def _on_white(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def shrunk(masks: NDArray[np.bool_], size: tuple[int, int]) -> Values:
-    """Reduce masks to a size (w, h), and return the covered fraction of each pixel [T,h,w]."""
+    """Reduce masks to a size (w, h): return the covered fraction of each pixel [T,h,w]."""
     small = [cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) for m in masks]
     return np.stack(small).astype(np.float64)
