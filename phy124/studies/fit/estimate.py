@@ -133,5 +133,5 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a `Distance` in which each kind of measurement is divided by its misfit after the fit."""
+    """Return a `Distance` that divides each kind of measurement by its misfit."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

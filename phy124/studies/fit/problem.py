@@ -1,4 +1,4 @@
-"""Defines the minimisation problem of a fit. A point of the unit cube represents a set of values."""
+"""Defines the minimisation problem of a fit; a point of the unit cube is a set of values."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -37,7 +37,7 @@ class Problem(Protocol):
         ...
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] at each point on grid `level`; None if a run stopped early."""
+        """Predict the measurements [M] at each point on grid `level`; None for a failed run."""
         ...
 
     def late(self, part: float) -> bool:

@@ -105,7 +105,7 @@ class Runs:
         return self.scene.replaced({**self.values(place), "accuracy.cells": self.grids[level]})
 
     def predict(self, places: Places, level: int) -> list[Values | None]:
-        """Predict the measurements [M] at each point on grid `level`; None if a run stopped early."""
+        """Predict the measurements [M] at each point on grid `level`; None for a failed run."""
         scenes = [self.scene_at(place, level).data() for place in places]
         files = [self._folder / f"{self._key(scene)}.npy" for scene in scenes]
         missing = {f: s for f, s in zip(files, scenes, strict=True) if not f.is_file()}

@@ -20,7 +20,7 @@ from phy124.studies.sweep.work import Row, make_static
 TRIED = 8
 """Maximum number of clips from which the sweep is forecast."""
 NUMBERS = 10
-"""Number of values that a clip stores per Gaussian and frame: position, rotation and scale."""
+"""Numbers that a clip stores per Gaussian and frame: position, rotation and scale."""
 
 
 class Expected(NamedTuple):
@@ -28,7 +28,6 @@ class Expected(NamedTuple):
 
     clips: int
     tried: int
-    """Number of clips from which the sweep was forecast."""
     seconds: tuple[float, float]
     """CPU time per clip [s]: its mean, and the standard error of the mean."""
     bytes: float
@@ -51,7 +50,7 @@ class Expected(NamedTuple):
 
 
 def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item, str]]:
-    """Yield each clip whose scene is invalid, with the reason why it is invalid."""
+    """Yield each clip whose scene is invalid, with the reason."""
     for item in plan:
         try:
             plan.scene_of(item)
@@ -61,7 +60,7 @@ def list_refused(plan: Plan, progress: Progress = silent) -> Iterator[tuple[Item
 
 
 def forecast_sweep(plan: Plan, context: RunContext) -> Expected:
-    """Forecast the time and size of a sweep from a few of its clips.
+    """Forecast the time and size of a sweep from a few clips.
 
     Raises:
         InputError: None of the selected clips can be computed.
@@ -104,32 +103,25 @@ def _forecast_clip(plan: Plan, item: Item, forecaster: Forecaster) -> tuple[floa
 
 
 SAMPLED = 256
-"""Maximum number of evenly spaced clips from which the mean work of all clips is estimated."""
+"""Maximum number of clips from which the mean work of all clips is estimated."""
 ORIGIN = 1e-3
-"""The line that forecasts the remaining time is also fitted to the point (no work, no time), with
-this weight per finished clip.
-"""
+"""Weight per finished clip of the point (no work, no time) in the fit of the line."""
 FEWEST = 3
 """Number of finished clips after which the remaining time is estimated."""
 
 
 class Remaining:
-    """Estimates the remaining time of a sweep from the work of its clips and the speed so far."""
+    """Estimates the remaining time from the work of the clips and the speed so far."""
 
     def __init__(
         self, plan: Plan, numbers: Sequence[int], clock: Callable[[], float] = time.time
     ) -> None:
-        """Compute the work of some clips of this run; `numbers` are the indices of all its clips.
-
-        The clock returns the current time [s] in the same form as the column `written` of the rows.
-        """
+        """`numbers` are the clips to make; `clock` returns the time as in the column `written`."""
         self._plan, self._numbers, self._clock = plan, numbers, clock
         self._start: float | None = None
         self._last = -1
         self._moments = np.zeros(5)
-        """Sums over finished clips of five quantities: 1, work, seconds, squared work, and work
-        times seconds.
-        """
+        """Sums over finished clips: 1, work, seconds, work squared, and work times seconds."""
         places = np.linspace(0, len(numbers) - 1, min(SAMPLED, len(numbers))).astype(int)
         self._sample = [(numbers[place], self._work_of(numbers[place])) for place in places]
 
@@ -169,20 +161,18 @@ class Remaining:
 
 
 def work_of(scene: Scene, *, films: bool) -> float:
-    """Return the time of a scene's clip on a typical machine [s], without making Gaussians."""
+    """Return the time of a scene's clip on a typical machine [s]."""
     costs = USUAL["cpu"].seconds(Work.of(scene))
     stages = ("simulate", "deform", "film") if films else ("simulate", "deform")
     return sum(costs[stage] for stage in stages)
 
 
 def fit_line(moments: np.ndarray) -> tuple[float, float]:
-    """Fit a line of seconds over work by least squares.
+    """Fit a line of seconds over work; return its intercept [s] and slope, neither negative.
 
-    Return its intercept [s] and its slope [s per unit of work].
-
-    Both are non-negative. If all clips have equal work, the data determine only the ratio of
-    seconds to work. A small penalty on the intercept makes the fit unique in this case. The moments
-    are five sums over clips: their number, work, seconds, work squared, and work times seconds.
+    If all clips have equal work, only a small penalty on the intercept makes the fit unique.
+    `moments` are sums over clips: their number, work, seconds, work squared, and work times
+    seconds.
     """
     count, work, seconds, squared, both = moments.tolist()
     normal = [[(1 + ORIGIN) * count, work], [work, squared]]

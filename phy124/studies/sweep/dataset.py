@@ -1,7 +1,4 @@
-"""Reads the clips of a sweep in Python or torch's DataLoader, and packs them into tar files.
-
-The tar files can be read by WebDataset.
-"""
+"""Reads the clips of a sweep, and packs them into tar files for WebDataset."""
 
 import io
 import json
@@ -19,20 +16,17 @@ from phy124.studies.sweep.work import Row
 
 
 class Sample(NamedTuple):
-    """A clip, and the row of the manifest that describes it."""
+    """A clip and its row of the manifest."""
 
     row: Row
     clip: Clip
 
 
 class Dataset:
-    """A sequence of all complete clips of a sweep, in the order of the clips' indices.
-
-    torch's DataLoader accepts a `Dataset`, because it has `len` and `[...]`.
-    """
+    """A sequence of all complete clips of a sweep, also for torch's DataLoader."""
 
     def __init__(self, folder: str) -> None:
-        """Read the manifest of a sweep; `folder` is the path or the fsspec address of its results.
+        """Read the manifest in a folder or at an fsspec address.
 
         Raises:
             InputError: The folder contains no results of a sweep.
@@ -51,7 +45,6 @@ class Dataset:
         return (self[number] for number in range(len(self)))
 
     def _clip(self, row: Row) -> Clip:
-        """Load a clip; if the clip is on another machine, download it and read it into memory."""
         name = f"{row['folder']}/clip.safetensors"
         if self._storage.here is not None:
             return Clip.load(self._storage.here / name)
@@ -66,14 +59,13 @@ class Dataset:
 
 
 NAME = "archives/{:06d}.tar"
-"""Pattern for the names of the tar files, which are numbered."""
 
 
 def pack(storage: Storage, per_file: int) -> int:
-    """Write all complete clips to tar files, in the order of the clips' indices.
+    """Write all complete clips to tar files with at most `per_file` clips; return their number.
 
     Each clip is stored as two files: KEY.clip.safetensors, and KEY.json with its row of the
-    manifest. Return the number of tar files. A tar file contains at most `per_file` clips.
+    manifest.
     """
     rows = [row for row in read_manifest(storage) if row["status"] == "done"]
     groups = [rows[start : start + per_file] for start in range(0, len(rows), per_file)]

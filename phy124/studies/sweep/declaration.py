@@ -154,18 +154,16 @@ class Choice(Section):
 
 NAMED = {"values": "Listed", "first": "Range", "uniform": "Uniform"}
 NAMED |= {"log_uniform": "LogUniform", "choice": "Choice"}
-"""Name of the type of an axis, by the key that identifies the type in plain data."""
 
 
 def _kind(data: Any) -> str:
-    """Return the name of an axis's type."""
     if isinstance(data, Section):
         return type(data).__name__
     return next(kind for key, kind in NAMED.items() if key in data)
 
 
 def parse_axis(data: Any) -> Any:
-    """Return an axis as plain data, also if it is written as a list or as a single value.
+    """Return an axis as plain data; a list or a single value is also an axis.
 
     Raises:
         ValueError: The data contains no values.
@@ -190,13 +188,13 @@ Axis = Annotated[
 
 
 def interpolate(first: float, last: float, part: float, *, log: bool = False) -> float:
-    """Interpolate between two numbers; the results at `part` 0 and 1 are exact.
+    """Interpolate between two numbers, which are returned exactly at `part` 0 and 1.
 
     Args:
-        first: Result for part = 0.
-        last: Result for part = 1.
+        first: Result at part = 0.
+        last: Result at part = 1.
         part: Position between the two numbers, 0 to 1.
-        log: Whether to interpolate the logarithms; if so, both numbers must be above 0.
+        log: Whether to interpolate the logarithms of two positive numbers.
     """
     if part <= 0:
         return first
@@ -213,11 +211,10 @@ def _refuse_descending(ends: Sequence[float]) -> None:
 
 
 KIND = re.compile(rf"\.({'|'.join(NAMED.values())})\b")
-"""Pattern of the names of axis types, which pydantic adds to fields in its errors."""
+"""Names of axis types, which pydantic adds to fields in its errors."""
 Texts = Annotated[
     tuple[str, ...], BeforeValidator(lambda data: (data,) if isinstance(data, str) else data)
 ]
-"""Type of a tuple of strings that also accepts a single string."""
 
 
 class Sweep(Section):

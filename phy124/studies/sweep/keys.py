@@ -1,6 +1,5 @@
-"""Computes the key of a clip, which is a digest of all inputs that determine the clip.
-
-Clips with the same key are equal and are made only once.
+"""Computes the key of a clip: a digest of all inputs that determine the clip. Clips with the same
+key are made only once.
 """
 
 import hashlib
@@ -23,19 +22,15 @@ from phy124.studies.sweep.storage import fetch, stamp
 from phy124.weights.store import KNOWN, find
 
 DIGITS = 24
-"""Number of hexadecimal digits in the key of a clip.
-
-The probability that any two of 1e9 different clips have equal keys is 6e-12.
-"""
+"""Hexadecimal digits of a key; the probability of equal keys among 1e9 clips is 6e-12."""
 CUT_OUT = ("u2net", "u2netp")
-"""Names of the weights that may be used to segment the object in a picture."""
+"""Weights that may segment the object in a picture."""
 
 
 def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
     """Return the key of a clip.
 
-    The key is the digest of the picture, the scene and its files, the generator, the weights, and
-    the code of this package.
+    The key depends on the picture, scene and files, generator, weights and code.
 
     Raises:
         InputError: The picture cannot be read.
@@ -57,7 +52,7 @@ def key_of(sweep: Sweep, item: Item, scene: Scene) -> str:
 def key_of_request(picture: str, generator: str, changes: dict[str, Any]) -> str:
     """Return the key of a request for a clip; an invalid request has a key, too.
 
-    `picture` is an address; `changes` maps dotted paths in the scene to values.
+    `changes` maps dotted paths in the scene to values.
     """
     return _digest_of([picture, generator, changes])
 
@@ -68,7 +63,7 @@ def _digest_of(data: Any) -> str:
 
 
 def digest(address: str) -> str:
-    """Return the digest of a file's content; it is cached until the file changes.
+    """Return the digest of a file, which is cached until the file changes.
 
     Raises:
         InputError: The file cannot be read.
@@ -78,17 +73,14 @@ def digest(address: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _digest(address: str, stamp: object) -> str:
-    """Return the digest of a file's content; `stamp` is a value that changes with the file."""
+    """`stamp` changes with the file, so that a changed file is read again."""
     with fetch(address) as path:
         return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @lru_cache(maxsize=64)
 def weights_of(generator: str) -> dict[str, str]:
-    """Return digests of the weight files that a generator and the segmentation use.
-
-    Weight files that are not on this machine are skipped.
-    """
+    """Return digests of a generator's and the segmentation's weights on this machine."""
     if not needs_image(generator):
         return {}
     names = [*CUT_OUT, *WEIGHTS.get(generator, ())]
@@ -107,16 +99,13 @@ def code() -> str:
 
 
 HEXADECIMAL = 16
-"""Number of a key's first hexadecimal digits that the set `Seen` stores.
-
-For 1e6 keys of clips, the probability that any two agree in all these digits is 3e-8.
-"""
+"""Digits of a key that `Seen` stores; two of 1e6 keys agree in them with a probability of 3e-8."""
 RECENT = 4096
-"""Maximum number of keys that `Seen` holds unsorted, before it sorts them into its array."""
+"""Maximum number of unsorted keys in `Seen`."""
 
 
 class Seen:
-    """A set of hexadecimal keys with only eight bytes per key, for millions of clips."""
+    """A set of hexadecimal keys that takes eight bytes per key, for millions of clips."""
 
     def __init__(self, keys: Iterable[str] = ()) -> None:
         self._sorted = np.empty(0, np.uint64)
@@ -125,7 +114,7 @@ class Seen:
             self.add(key)
 
     def add(self, key: str) -> None:
-        """Add a key to the set."""
+        """Add a key."""
         self._recent.add(_leading_digits(key))
         if len(self._recent) >= RECENT:
             recent = np.fromiter(self._recent, np.uint64, len(self._recent))

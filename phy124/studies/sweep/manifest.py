@@ -1,8 +1,7 @@
 """Writes and reads the manifest of a sweep, which has one row per clip.
 
-While a sweep runs, each row is stored in a small file. At the end of the sweep, the rows are
-written to a Parquet table. The table is assembled column by column, because rows of Python objects
-would need ten times as much memory.
+While a sweep runs, each row is a small file. At the end, the rows become a Parquet table. The table
+is assembled from columns, because rows of Python objects would need ten times as much memory.
 """
 
 import io
@@ -21,31 +20,25 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import FAILED, Row
 
 MANIFEST = "manifest.parquet"
-"""Name of the file that contains the table of all clips."""
 BATCH = 2048
-"""Number of rows of the manifest that are read before they are converted to columns."""
+"""Number of rows that are read before they are converted to columns."""
 FOLDERS = [f"rows/{digit:x}" for digit in range(16)]
-"""Folders of the files that contain one row of the manifest each. There is a folder for each first
-digit of the keys, so that no folder becomes large.
-"""
+"""Folders of the row files, one for each first digit of the keys."""
 
 
 def keys_in(storage: Storage) -> Iterator[str]:
-    """Yield the keys of finished clips, from the names of the files with their rows."""
+    """Yield the keys of finished clips."""
     return (_key(name) for name in _names(storage) if not name.endswith(FAILED))
 
 
 def sweep_rows(storage: Storage) -> None:
-    """Remove incomplete files of killed processes from the folders of the sweep and its rows."""
+    """Remove incomplete files of killed processes from the sweep's folders."""
     for folder in ("", *FOLDERS):
         storage.sweep(folder)
 
 
 def flat(row: Row) -> Row:
-    """Flatten a row of the manifest, so that it can be a row of a table.
-
-    Each value in `set` and each time in `seconds` becomes a column.
-    """
+    """Flatten a row: each value in `set` and each time in `seconds` becomes a column."""
     plain = {key: value for key, value in row.items() if key not in ("set", "seconds")}
     set_ = {f"set.{path}": _cell(value) for path, value in row.get("set", {}).items()}
     seconds = {f"seconds.{stage}": value for stage, value in row.get("seconds", {}).items()}
@@ -53,10 +46,10 @@ def flat(row: Row) -> Row:
 
 
 def write_manifest(storage: Storage) -> int:
-    """Write the table of all clips, in the order of the clips' indices, and return their number.
+    """Write the table of all clips in the order of their indices; return their number.
 
-    A clip may have several rows, for example if its picture or the code has changed since its first
-    run. In this case, the table contains only the newest row of the clip.
+    If a clip has several rows, the table contains only the newest row. A new row is written if the
+    picture or the code has changed.
     """
     arrow, parquet = load_arrow()
     tables = list(_tables(storage, arrow))
@@ -71,7 +64,7 @@ def write_manifest(storage: Storage) -> int:
 
 
 def read_manifest(storage: Storage) -> list[Row]:
-    """Read the rows of the table of all clips.
+    """Read the rows of the manifest.
 
     Raises:
         InputError: The folder does not contain a table.
@@ -118,10 +111,7 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
 
 
 def _last(table: Any) -> Any:
-    """Return, for each requested clip, the index of its newest row in the table.
-
-    The order is that of the requests.
-    """
+    """Return the index of the newest row of each requested clip."""
     asked = table["asked"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), asked))
     newest = np.append(asked[order][1:] != asked[order][:-1], True)
@@ -130,17 +120,14 @@ def _last(table: Any) -> Any:
 
 
 def _names(storage: Storage) -> Iterator[str]:
-    """Yield the names of all files that contain a row of the manifest."""
     return (name for folder in FOLDERS for name in storage.names(folder))
 
 
 def _key(name: str) -> str:
-    """Return the key of a clip from the name of the file with its row."""
     return PurePosixPath(name).name.partition(".")[0]
 
 
 def _read(storage: Storage) -> Any:
-    """Read the existing table of all clips; return None if there is no table."""
     try:
         written = storage.read(MANIFEST)
     except FileNotFoundError:
@@ -150,15 +137,11 @@ def _read(storage: Storage) -> Any:
 
 
 def _cell(value: object) -> object:
-    """Convert a list, tuple or dict to JSON text; return other values unchanged."""
     return json.dumps(value) if isinstance(value, (list, tuple, dict)) else value
 
 
 def _column(values: list[object]) -> list[object]:
-    """Convert all values of a column of the table to one type.
-
-    Mixed integers and floats become floats; other mixed types become text.
-    """
+    """Convert a column to floats if it contains only numbers, otherwise to text."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values

@@ -1,8 +1,7 @@
 """Makes clips in this process, or on Ray workers on this machine or on a cluster.
 
-Ray stores data that several tasks use, repeats tasks whose workers die, and recomputes data that is
-lost when a node fails. This process submits only a few tasks per worker at a time. The memory of
-this process therefore does not grow with the number of clips.
+Ray repeats tasks whose workers die, and recomputes data that is lost when a node fails. Only a few
+tasks per worker are submitted at a time, so that memory does not grow with the number of clips.
 """
 
 import logging
@@ -30,16 +29,15 @@ from phy124.studies.sweep.work import (
 )
 
 RETRIES = 10
-"""Maximum number of times that a task is repeated after its worker dies."""
+"""Maximum number of repetitions of a task whose worker dies."""
 AHEAD = 3
-"""Maximum number of tasks per worker that are submitted at a time."""
+"""Maximum number of submitted tasks per worker."""
 BEAT = 0.2
 """Interval at which the cancellation of the sweep is checked [s]."""
 LEFT = 5.0
-"""Longest wait for the end of killed workers, whose incomplete files are then removed [s]."""
+"""Longest wait for the end of killed workers [s]."""
 SHARED = 64
-"""Maximum number of sources (such as pictures) whose Gaussians are kept in memory for other clips.
-"""
+"""Maximum number of sources (such as pictures) whose Gaussians are kept for other clips."""
 
 
 def on_ray(
@@ -49,13 +47,13 @@ def on_ray(
     address: str | None = None,
     workers: int | None = None,
 ) -> Iterator[Row]:
-    """Make clips with Ray, and yield the row of each clip as soon as the clip is finished.
+    """Make clips with Ray, and yield the row of each finished clip.
 
     Args:
-        orders: The clips to make; each is read from the iterator when a worker becomes free.
-        beat: Function that is called several times per second; it may raise Cancelled.
-        address: Address of a cluster; if None, workers are started on this machine.
-        workers: Number of workers on this machine; if None, one worker per core.
+        orders: The clips to make; each is read when a worker becomes free.
+        beat: Function called several times per second; it may raise Cancelled.
+        address: Address of a cluster; None: workers are started on this machine.
+        workers: Number of workers on this machine; None: one per core.
 
     Raises:
         InputError: Ray is missing, no cluster answers at the address, or the cluster lacks a GPU.
@@ -75,8 +73,6 @@ def on_ray(
 
 
 class _Tasks:
-    """Submits tasks to Ray, and collects the rows that they return."""
-
     def __init__(self, ray: Any, beat: Callable[[], None]) -> None:
         self.ray, self.beat = ray, beat
         self.make = ray.remote(num_cpus=1, max_retries=RETRIES)(make_gaussians)
@@ -85,7 +81,6 @@ class _Tasks:
         self.waiting: dict[Any, Order] = {}
 
     def rows(self, orders: Iterable[Order]) -> Iterator[Row]:
-        """Submit enough tasks to keep all workers busy, and yield the rows of finished tasks."""
         try:
             for order in orders:
                 move = self.move.options(**self._reserve(order))
@@ -99,15 +94,10 @@ class _Tasks:
                 self.ray.cancel(task, force=True)
 
     def _most(self) -> int:
-        """Return the number of tasks that may be submitted at a time with the current CPUs."""
         return AHEAD * max(1, int(self.ray.cluster_resources().get("CPU", 1)))
 
     def _reserve(self, order: Order) -> dict[str, float]:
-        """Return the resources that Ray reserves for a task.
-
-        The memory is limited to that of the largest node. Without this limit, the task might wait
-        forever.
-        """
+        """Reserve no more memory than the largest node has, because the task would never start."""
         nodes = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
         if order.needs.gpus and not any(node.get("GPU") for node in nodes):
             limit = "no node of the cluster has a GPU."
@@ -116,7 +106,6 @@ class _Tasks:
         return {"memory": int(min(order.needs.memory, most)), "num_gpus": order.needs.gpus}
 
     def _source(self, order: Order) -> Any:
-        """Return the task that makes a clip's Gaussians; clips of the same source share it."""
         key = order.source
         if key not in self.sources:
             self.sources[key] = self.make.options(**self._reserve(order)).remote(order)
@@ -126,7 +115,6 @@ class _Tasks:
         return self.sources[key]
 
     def _next(self) -> Row:
-        """Wait until a task has finished, and return its row."""
         done: list[Any] = []
         while not done:
             self.beat()
@@ -143,12 +131,6 @@ class _Tasks:
 
 
 def _ray(address: str | None, workers: int | None) -> Any:
-    """Connect to a Ray cluster; if the address is None, start workers on this machine.
-
-    Raises:
-        InputError: Ray is not installed, or no cluster answers at the address.
-        Cancelled: SIGTERM was received while Ray started.
-    """
     try:
         import ray
     except ImportError as error:
@@ -172,11 +154,7 @@ def _ray(address: str | None, workers: int | None) -> Any:
 
 @contextmanager
 def _keeping_sigterm() -> Iterator[None]:
-    """Restore the handler of SIGTERM, because Ray replaces it by a handler that ends the program.
-
-    Raises:
-        Cancelled: Ray's handler was called within this context.
-    """
+    """Restore the handler of SIGTERM, because Ray's handler ends the program."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield
@@ -188,11 +166,11 @@ def _keeping_sigterm() -> Iterator[None]:
 
 
 def _mute(ray: Any) -> None:
-    """Stop Ray from printing messages about dead workers, which are also in Ray's logs.
+    """Stop Ray from printing messages about dead workers, which would corrupt JSON on standard
+    output.
 
-    Ray prints these messages to standard output even with `log_to_driver=False`; they would corrupt
-    the JSON that phy124 prints there. The private attribute may be missing in some versions of Ray,
-    which then still print the messages.
+    Ray prints them even with `log_to_driver=False`. In some versions of Ray, the private attribute
+    is missing, and the messages are printed.
     """
     worker: Any = getattr(getattr(ray, "_private", None), "worker", None)
     if hasattr(worker, "_worker_logs_enabled"):
@@ -200,7 +178,7 @@ def _mute(ray: Any) -> None:
 
 
 def in_turn(orders: Iterable[Order], *, beat: Callable[[], None]) -> Iterator[Row]:
-    """Make clips in this process, and yield the row of each clip as soon as the clip is finished.
+    """Make clips in this process, and yield the row of each finished clip.
 
     `beat` is called whenever a clip makes progress.
 

@@ -1,4 +1,4 @@
-"""Plans a sweep; the settings of each clip are computed from the clip's index."""
+"""Plans a sweep; the settings of a clip follow from the clip's index."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from phy124.studies.sweep.declaration import Axis, Counted, Listed, Sweep
 from phy124.studies.sweep.storage import list_matching
 
 BLOCK = 1024
-"""Number of samples that are computed at once; it must be a power of two."""
+"""Number of samples that are computed at once; a power of two."""
 MOST = 100_000_000
 """Maximum number of clips of one sweep."""
 FEWEST_BITS = 30
-"""Number of bits of the Sobol sequence that distributes the samples."""
+"""Number of bits of the Sobol sequence."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """A clip of a sweep, described by its index and settings."""
+    """The index and the settings of a clip."""
 
     index: int
     picture: str
     generator: str
     changes: dict[str, Any]
-    """Values that the clip changes in the scene, by their dotted paths."""
+    """Values in the scene, by their dotted paths."""
 
 
 class Plan:
@@ -68,10 +68,7 @@ class Plan:
 
     @property
     def sources(self) -> int:
-        """Maximum number of different sources (picture, generator and seed) in the sweep.
-
-        Clips with the same source share their Gaussians.
-        """
+        """Maximum number of different sources: picture, generator and seed."""
         shared = ("picture", "generator", "seed")
         axes = [self.axes[name] for name in shared if name in self.axes]
         counts = [axis.count if isinstance(axis, Counted) else len(self) for axis in axes]
@@ -81,10 +78,7 @@ class Plan:
         return (self.item(index) for index in range(len(self)))
 
     def item(self, index: int) -> Item:
-        """Return the clip at an index.
-
-        Clips are the combinations of the values on all axes; the last axis varies fastest.
-        """
+        """Return the clip at an index; the last axis varies fastest."""
         if self.sweep.samples is None:
             places = np.unravel_index(index, [axis.count for axis in self._counted])
             pairs = zip(self._counted, places, strict=True)
@@ -108,7 +102,6 @@ class Plan:
         return range(part - 1, len(self), parts)
 
     def _refuse_endless(self) -> None:
-        """Refuse axes that are distributions if all combinations of values are requested."""
         for name, axis in self.axes.items():
             if self.sweep.samples is None and not isinstance(axis, Counted):
                 limit = "a distribution has no finite number of combinations."
@@ -121,7 +114,7 @@ class Plan:
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:
-        """Return a sample in the unit cube: a Sobol point plus a shift derived from the seed."""
+        """Return a sample in the unit cube: a Sobol point plus the random shift."""
         number, place = divmod(index, BLOCK)
         if self._block[0] != number:
             from scipy.stats.qmc import Sobol

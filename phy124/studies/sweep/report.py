@@ -1,4 +1,4 @@
-"""Makes the report of a sweep as a table for the terminal, and as an HTML page with thumbnails."""
+"""Makes the report of a sweep: a table for the terminal, and an HTML page with thumbnails."""
 
 import base64
 import html
@@ -13,11 +13,9 @@ from phy124.studies.sweep.storage import Storage
 from phy124.studies.sweep.work import Row
 
 PAGE = "report.html"
-"""File name of the report's HTML page."""
 SHOWN = 600
-"""Maximum number of clips whose thumbnails the page shows; they are evenly spaced."""
+"""Maximum number of thumbnails on the page."""
 BARS = 12
-"""Number of bars in a histogram."""
 MEASURES = (
     ("seconds.clip", "CPU time per clip [s]"),
     ("largest_force", "largest force on a wall [N]"),
@@ -93,7 +91,6 @@ def _count(rows: Iterable[Row]) -> str:
 
 
 def _values(rows: Iterable[Row], name: str) -> Any:
-    """Return the numbers in a column of the table, without missing values."""
     return np.array([row[name] for row in rows if row.get(name) is not None], dtype=float)
 
 
@@ -113,7 +110,6 @@ def _reasons(rows: Iterable[Row]) -> Counter[str]:
 
 
 def _distribution(words: str, values: Any) -> str:
-    """Return a histogram of values as HTML."""
     if not len(values):
         return ""
     counts, edges = np.histogram(values, BARS)
@@ -146,7 +142,6 @@ def _refusals(reasons: Counter[str]) -> str:
 
 
 def _sheet(storage: Storage, rows: list[Row]) -> str:
-    """Return HTML with thumbnails of the clips, and with the values that differ between clips."""
     chosen = rows if len(rows) <= SHOWN else [rows[i * len(rows) // SHOWN] for i in range(SHOWN)]
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     differ = [name for name in columns if len({str(row.get(name)) for row in rows}) > 1]
@@ -163,5 +158,4 @@ def _sheet(storage: Storage, rows: list[Row]) -> str:
 
 
 def _format(value: object) -> str:
-    """Format a value; floats have at most six significant digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

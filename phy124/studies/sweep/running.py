@@ -22,12 +22,10 @@ FULL = "no finished clip in {} is lost, and the same command continues the sweep
 
 @dataclass
 class Counts:
-    """Numbers of clips in a run of a sweep, counted by their status."""
+    """Numbers of clips in a run of a sweep."""
 
     here: int = 0
-    """Number of clips that need not be made, because the clip itself or an equal clip exists
-    already.
-    """
+    """Number of clips that already exist."""
     ended: Counter[str] = field(default_factory=Counter)
     """Number of clips that this run has finished, by status."""
     left: float | None = None
@@ -54,14 +52,13 @@ def run(
 
     Args:
         plan: The clips of the sweep.
-        out: Folder of the results, or its fsspec address.
-        ray: Address of a Ray cluster; None means this machine.
-        workers: Number of worker processes on this machine. If None, there is one per core; if 0,
-            all clips are made in this process.
-        shard: Number of the shard to make, counted from 1; and total number of shards.
+        out: Folder or fsspec address of the results.
+        ray: Address of a Ray cluster; None: this machine.
+        workers: Number of worker processes; None: one per core; 0: this process makes all clips.
+        shard: Number of the shard to make, from 1, and number of shards.
         device: Warp device on which the workers compute.
         progress: Function called with ("clips", finished clips, all clips); it may raise Cancelled.
-        counts: Object that is updated during the run and returned; None: a new object.
+        counts: Object that is updated during the run; None: a new object.
 
     Raises:
         InputError: The folder is unusable, Ray is not installed, or the shard does not exist.
@@ -143,7 +140,6 @@ def _orders(
 
 
 def _refuse(storage: Storage, counts: Counts, item: Item, sentence: str) -> None:
-    """Write the manifest row of a clip that was refused; its key is the key of the request."""
     key = key_of_request(item.picture, item.generator, item.changes)
     write_row(storage, key, item, {"status": "refused", "sentence": sentence})
     counts.ended["refused"] += 1

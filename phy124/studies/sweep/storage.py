@@ -1,4 +1,4 @@
-"""Stores a sweep's results in a local folder, or in a folder at an fsspec address."""
+"""Stores a sweep's results in a local folder, or at an fsspec address."""
 
 import os
 import tempfile
@@ -17,16 +17,15 @@ class Filling(NamedTuple):
     """A local folder for new files, which are later moved to the storage."""
 
     place: Path
-    """The local folder."""
     store: Callable[[], int]
-    """Moves the files in the local folder to the storage, and returns their size [bytes]."""
+    """Moves the files to the storage, and returns their size [bytes]."""
 
 
 class Storage:
     """Reads and writes files by their names relative to a folder. Files are written atomically."""
 
     def __init__(self, address: str) -> None:
-        """Open the file system that contains a folder; the folder need not exist yet.
+        """Open the file system; the folder need not exist yet.
 
         Raises:
             InputError: The package for this type of address is not installed.
@@ -36,7 +35,7 @@ class Storage:
 
     @property
     def here(self) -> Path | None:
-        """Path of the storage's folder if it is on this machine; otherwise None."""
+        """Path of the folder if it is on this machine; otherwise None."""
         return Path(self._root) if "file" in _names(self._files) else None
 
     def place(self, name: str) -> str:
@@ -51,7 +50,7 @@ class Storage:
         return sorted(path[start:] for path in paths if not Path(path).name.startswith("."))
 
     def read(self, name: str) -> bytes:
-        """Read the content of a file.
+        """Read a file.
 
         Raises:
             FileNotFoundError: The file does not exist.
@@ -59,7 +58,7 @@ class Storage:
         return self._files.cat_file(f"{self._root}/{name}")
 
     def write(self, name: str, content: bytes) -> None:
-        """Write a file; an existing file is replaced."""
+        """Write or replace a file."""
         if self.here is None:
             self._files.pipe_file(f"{self._root}/{name}", content)
             return
@@ -76,7 +75,7 @@ class Storage:
 
     @contextmanager
     def filling(self, folder: str) -> Iterator[Filling]:
-        """Provide a local folder and a function that moves its files to a folder of the storage."""
+        """Provide a local folder and a function that moves its files to the storage."""
         if self.here is not None:
             with staging(self.here / folder) as place:
                 yield Filling(place, partial(_deliver, place))
@@ -86,7 +85,6 @@ class Storage:
             yield Filling(place, partial(self._copy, folder, place))
 
     def _copy(self, folder: str, source: Path) -> int:
-        """Move the files of a local folder to the storage; return their size [bytes]."""
         size = 0
         for path in sorted(path for path in source.rglob("*") if path.is_file()):
             content = path.read_bytes()
@@ -102,7 +100,6 @@ class Storage:
 
 
 def _deliver(place: Path) -> int:
-    """Move files to their final local folder, and return their size [bytes]."""
     size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
     deliver(place)
     return size
@@ -165,11 +162,7 @@ def list_matching(pattern: str) -> list[str]:
 
 
 def _open(address: str) -> tuple[Any, str]:
-    """Return the file system of an address, and the path within this file system.
-
-    Raises:
-        InputError: The package for this type of address is not installed.
-    """
+    """Return the file system of an address, and the path within it."""
     import fsspec
     from fsspec.core import url_to_fs
 
@@ -184,6 +177,5 @@ def _open(address: str) -> tuple[Any, str]:
 
 
 def _names(files: Any) -> tuple[str, ...]:
-    """Return all names under which the protocol of a file system is known."""
     names = files.protocol
     return (names,) if isinstance(names, str) else tuple(names)

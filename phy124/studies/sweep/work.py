@@ -35,9 +35,9 @@ from phy124.studies.sweep.plan import Item
 from phy124.studies.sweep.storage import Filling, Storage, fetch
 
 PROCESS = 4e8
-"""Memory that a worker needs while idle [bytes], for Python, NumPy, and Warp with its kernels."""
+"""Memory of an idle worker [bytes]: Python, NumPy, and Warp with its kernels."""
 CONTEXT = 6e8
-"""GPU memory that CUDA itself needs per process [bytes]."""
+"""GPU memory that CUDA needs per process [bytes]."""
 UNSURE = 2.0
 """Safety factor on memory, because the volume of an object is unknown."""
 STEP = 1 << 28
@@ -52,16 +52,15 @@ class Needs(NamedTuple):
     """Resources that are reserved for a task."""
 
     memory: int
-    """Size of the main memory [bytes]."""
+    """Main memory [bytes]."""
     gpus: float
-    """Fraction of a GPU that the task uses."""
+    """Fraction of a GPU."""
 
 
 def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
-    """Estimate the resources for the clip of a scene before its Gaussians are made.
+    """Estimate the resources for a clip before its Gaussians are made.
 
-    If `gaussians` is None, their number has no limit. `gpu_memory` is in bytes; None means that
-    there is no GPU.
+    `gaussians` is the maximum number of Gaussians. `gpu_memory` is in bytes; None: there is no GPU.
     """
     count = min(gaussians or GAUSSIANS, GAUSSIANS)
     particles, nodes = count_particles(scene, count), count_nodes(scene)
@@ -71,10 +70,7 @@ def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> N
 
 
 def memory_of_gpu(device: str) -> float | None:
-    """Return the memory of a GPU on this machine [bytes]; None if the device is a CPU.
-
-    All nodes of a cluster are assumed to have the same GPU.
-    """
+    """Return a GPU's memory [bytes], or None for a CPU; all nodes are assumed to be equal."""
     if device == "cpu":
         return None
     import warp as wp
@@ -83,24 +79,22 @@ def memory_of_gpu(device: str) -> float | None:
 
 
 def _part(state: float, gpu_memory: float) -> float:
-    """Return the fraction of a GPU for a task: 1 / (number of tasks that fit into the memory)."""
+    """Return 1 / (number of tasks that fit into a GPU's memory)."""
     fit = int(gpu_memory // (CONTEXT + UNSURE * state))
     return 1.0 / max(1, min(SHARERS, fit))
 
 
 Row = dict[str, Any]
-"""A row of the manifest: the data of one clip."""
+"""A row of the manifest."""
 FAILED = ".failed.json"
-"""Ending of the name of the file that contains the row of a failed clip. The next run of the sweep
-makes a failed clip again.
-"""
+"""Ending of the row file of a failed clip, which the next run of the sweep makes again."""
 THUMBNAIL = 96
-"""Width and height of a clip's thumbnail in the report [pixels]."""
+"""Width and height of a thumbnail [pixels]."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """A task for a worker: a clip to make, with all its settings."""
+    """A clip to make, with all its settings."""
 
     key: str
     index: int
@@ -123,38 +117,30 @@ class Order:
 
     @property
     def read(self) -> bool:
-        """Whether the Gaussians depend on the scene.
-
-        The Gaussians depend on the scene if they are read from files, or there are further objects.
-        """
+        """Whether the Gaussians depend on the scene, because of files or further objects."""
         of_files = not (needs_image(self.picture) and needs_image(self.generator))
         return of_files or bool(self.scene.get("objects"))
 
     @property
     def source(self) -> tuple[Any, ...]:
-        """All inputs that determine the Gaussians.
-
-        Clips with equal inputs share their Gaussians.
-        """
+        """All inputs that determine the Gaussians; clips with equal inputs share them."""
         scene = self.key if self.read else self.scene.get("seed", 0)
         return self.picture, self.generator, self.gaussians, self.device, scene
 
 
 class Made(NamedTuple):
-    """The Gaussians that were made from a source, or the reason why they could not be made."""
+    """The Gaussians of a source, or the reason why there are none."""
 
     gaussians: Gaussians | None
     crop: Crop | None
     scene: dict[str, Any] | None
-    """The scene for these Gaussians as plain data. The scene is None if it equals the scene in the
-    `Order`.
-    """
+    """The scene for these Gaussians; None: the scene in the `Order`."""
     seconds: float
     refusal: str | None = None
 
 
 def make_gaussians(order: Order) -> Made:
-    """Make the Gaussians for an order; all clips with the same source share the Gaussians."""
+    """Make the Gaussians, which all clips with the same source share."""
     start()
     begun = time.perf_counter()
     scene = Scene.from_data(order.scene)
@@ -181,7 +167,7 @@ def make_static(
     Args:
         address: Address of the picture or file.
         generator: Name of the generator, used for pictures.
-        scene: The scene.
+        scene: The scene of the clip.
         context: Device of the generator, progress and stopwatch.
         **options: Options of `make_object`.
 
@@ -194,12 +180,11 @@ def make_static(
 
 
 def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
-    """Make a clip from its Gaussians, store it, and write its row; `progress` may raise Cancelled.
+    """Make and store a clip, and write its row.
 
     Raises:
-        OSError: The operating system reports an error, such as a full disk.
-        Cancelled: The function `progress` raised it. If the storage is on this machine, the next
-            run continues this clip.
+        OSError: The storage fails, for example because it is full.
+        Cancelled: `progress` raised it; on a local storage, the next run continues this clip.
     """
     start()
     storage = Storage(order.out)
@@ -214,7 +199,7 @@ def make_row(order: Order, source: Made, progress: Progress = silent) -> Row:
 
 
 def clean_up(order: Order) -> bool:
-    """Remove the incomplete files of a killed worker, but keep the state of its paused run.
+    """Remove the incomplete files of a killed worker, but keep its paused run.
 
     Return whether the worker has ended.
     """
@@ -229,12 +214,12 @@ def clean_up(order: Order) -> bool:
 
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
-    """Write the row of a clip to the storage, and return the row.
+    """Write the row of a clip, which marks the clip as finished, and return the row.
 
     A clip is finished when its row is written.
 
     Args:
-        storage: The sweep's folder.
+        storage: The sweep's storage.
         key: The clip's key.
         clip: The settings of the clip.
         result: The status and the measurements of the clip.
@@ -255,7 +240,7 @@ def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Ro
 
 
 def write_failed(order: Order, sentence: str) -> Row:
-    """Write the row of a clip that failed and the reason; the next run makes this clip again."""
+    """Write the row of a failed clip; the next run makes this clip again."""
     first, *_ = sentence.strip().splitlines() or ["no reason given"]
     result = {"status": "failed", "sentence": first}
     return write_row(Storage(order.out), order.key, order, result)
@@ -267,7 +252,6 @@ def stops_all(error: BaseException) -> bool:
 
 
 def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext) -> Row:
-    """Simulate, render and store a clip; return the result for its row."""
     if source.gaussians is None or source.crop is None:
         return {"status": "refused", "sentence": source.refusal}
     scene = Scene.from_data(source.scene or order.scene)
@@ -297,10 +281,7 @@ def _make_clip(order: Order, source: Made, storage: Storage, context: RunContext
 def _simulate(
     source: Made, scene: Scene, folder: Path | None, context: RunContext
 ) -> tuple[Clip, Recording]:
-    """Simulate a clip; if an earlier run of the clip was killed, continue that run.
-
-    `folder` is the clip's folder if it is on this machine; otherwise None.
-    """
+    """Simulate a clip, or continue the killed run in its local folder, if there is one."""
     assert source.gaussians is not None and source.crop is not None
     run, recording = take_up(folder, context)
     if run is None:
@@ -318,7 +299,6 @@ def _simulate(
 def _store(
     clip: Clip, scene: Scene, order: Order, filling: Filling, context: RunContext
 ) -> tuple[dict[str, Any], int]:
-    """Store a clip and then its videos; return the report and the size of all files [bytes]."""
     watch = context.watch
     # Durations are removed, because they differ from run to run, but equal orders must give equal
     # files.
@@ -339,7 +319,6 @@ def _store(
 
 
 def _numbers(report: dict[str, Any]) -> Row:
-    """Return the numbers from a clip's report that become columns of the manifest."""
     walls = report.get("walls") or {}
     forces = [wall["largest_force"] for wall in walls.values()]
     return {
