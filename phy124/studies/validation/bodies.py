@@ -33,8 +33,7 @@ MODEL_OPTIONS = frozenset(signature(Model.of).parameters)
 def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
     """Return the centres [P,3], m, of the cubes that fill a box.
 
-    There are `counts` [3] cubes along the three axes. Their edges have the length `spacing` [m].
-    `corner` is the lowest corner of the box [m].
+    There are `counts` [3] cubes with edges of `spacing` [m]. `corner` is the lowest corner [m].
     """
     lines = [(np.arange(count) + 0.5) * spacing for count in counts]
     x = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -42,7 +41,7 @@ def lattice(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0,
 
 
 def block(per_axis: int = 6, size: float = 0.375, middle: Sequence[float] = (0, 0, 0)) -> Array:
-    """Return the positions [P,3], m, of `per_axis`^3 particles that fill a cube of a size [m]."""
+    """Return the positions [P,3], m, of `per_axis`^3 particles that fill a cube."""
     return lattice((per_axis,) * 3, size / per_axis, [at - size / 2 for at in middle])
 
 
@@ -59,8 +58,7 @@ def turning(x: Array, omega: Sequence[float]) -> dict[str, Any]:
 def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
     """Return the positions [P,3], m, and volumes [P], m^3, of particles that fill a ball.
 
-    The particles lie on concentric shells, so that the ball has a smooth surface. Neighbouring
-    particles are about `spacing` apart [m].
+    Concentric shells give the ball a smooth surface. Neighbours are about `spacing` [m] apart.
     """
     count, rng = round(radius / spacing), np.random.default_rng(0)
     step, x, volume = radius / count, [], []
@@ -77,8 +75,7 @@ def ball_of_shells(radius: float, spacing: float) -> tuple[Array, Array]:
 def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array]:
     """Return the particles of `ball_of_shells` with positive coordinates on the first `cuts` axes.
 
-    The particles are sorted by x. The particles' volumes add up to the volume of this part of the
-    ball.
+    The particles are sorted by x. Their volumes add up to this part's volume.
     """
     x, volume = ball_of_shells(radius, spacing)
     part = (x[:, :cuts] > 0).all(axis=1)
@@ -89,7 +86,7 @@ def part_of_ball(radius: float, spacing: float, cuts: int) -> tuple[Array, Array
 
 
 def surface_of_ball(count: int = 300, radius: float = 0.5) -> Gaussians:
-    """Return flat Gaussians on a sphere; their colours depend on the direction from the centre."""
+    """Return flat Gaussians on a sphere; colours depend on the direction."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     along = np.cross(normals, helper)
@@ -116,7 +113,7 @@ def make_solver(
 
     Args:
         x: Positions [P,3], m.
-        volume: Volumes [P], m^3; a number if all volumes are equal.
+        volume: Volumes [P], or the volume of each particle, m^3.
         materials: Materials of the particles.
         v: Initial velocities [P,3], m/s.
         C: Initial velocity gradients [P,3,3], 1/s.
@@ -136,8 +133,7 @@ def fill_solid(
     """Return the solid inside a surface; the surface is flat in each part of a voxel.
 
     Args:
-        distance: Function that returns the signed distance of points [...,3] from the surface [m];
-            it is negative inside.
+        distance: Signed distance of points [...,3] from the surface [m], negative inside.
         lower: Lowest corner of a box around the body [m].
         upper: Highest corner of the box [m].
         voxel: Edge length of a voxel [m].
@@ -165,13 +161,13 @@ def fill_solid(
 def make_lattice_solver(
     solid: Solid, dx: float, material: Material, *, v: Sequence[float] | None = None, **options: Any
 ) -> LatticeSolver:
-    """Create a solver for a solid that starts undeformed on its lattice.
+    """Create a solver for an undeformed solid on its lattice.
 
     Args:
         solid: The body.
         dx: Edge length of a cell [m].
         material: Material of the body.
-        v: Velocity of the body at the start [3], m/s; if None, the body starts at rest.
+        v: Initial velocity [3], m/s; None: at rest.
         **options: Options of `Model.of` and of `LatticeSolver`.
     """
     of_model = {name: options.pop(name) for name in MODEL_OPTIONS & options.keys()}
@@ -185,42 +181,31 @@ def make_lattice_solver(
 
 
 UP = (0.0, 0.0, 1.0)
-"""Unit vector along z."""
 FAR = 1e3
-"""Position of a plane [m] so far away that all grid nodes are in the wall that it bounds."""
+"""Position of a plane [m] so far away that all grid nodes are in its wall."""
 
 
 def sheet(counts: Sequence[int], spacing: float, corner: Sequence[float] = (0, 0, 0)) -> Array:
     """Return the positions [P,3], m, of particles in a single layer in the plane y = corner[1].
 
-    The layer has `counts` [2] particles along x and z. Neighbouring particles are `spacing` apart
-    [m].
+    The layer has `counts` [2] particles along x and z, `spacing` [m] apart.
     """
     x = lattice((counts[0], 1, counts[1]), spacing) * [1.0, 0.0, 1.0]
     return np.asarray(x + np.asarray(corner), float)
 
 
 def plane() -> HalfSpace:
-    """Return a wall that contains all grid nodes and prevents motion along y (plane strain).
-
-    With this wall, a sheet of particles represents a body of any width along y.
-    """
+    """Return a wall that contains all grid nodes and prevents motion along y (plane strain)."""
     return HalfSpace(point=(0, FAR, 0), normal=(0, 1.0, 0), contact="slip")
 
 
 def mirrors(*axes: int) -> list[HalfSpace]:
-    """Return symmetry planes through the origin, each normal to one of the axes.
-
-    The body must lie on the positive side of each plane.
-    """
+    """Return symmetry planes through the origin; the body must be on their positive sides."""
     return [HalfSpace(normal=tuple(np.eye(3)[axis].tolist()), contact="slip") for axis in axes]
 
 
 def connected_end(x: NDArray[Any], gap: float) -> float:
-    """Return the end of the connected part of coordinates, beginning at the smallest coordinate.
-
-    The part ends at the first gap between neighbours that is wider than `gap` [m].
-    """
+    """Return the last of the sorted coordinates before the first gap wider than `gap` [m]."""
     x = np.sort(x.astype(float))
     gaps = np.flatnonzero(np.diff(x) > gap)
     return float(x[gaps[0]] if len(gaps) else x[-1])
@@ -253,12 +238,12 @@ def mean_along(solver: Solver | LatticeSolver, of: str, axis: Sequence[float]) -
 def mean_acceleration(
     solver: Solver | LatticeSolver, axis: Sequence[float], start: float, times: Array
 ) -> float:
-    """Fit a parabola to the centre of mass's path along an axis; return the acceleration [m/s^2].
+    """Return the acceleration of the centre of mass along an axis, by a fitted parabola [m/s^2].
 
     Args:
         solver: The solver, which is advanced to the last time.
-        axis: Unit vector in the direction of the acceleration [3].
-        start: Time at which the measurement begins [s].
+        axis: Unit vector [3].
+        start: Time of the first sample [s].
         times: Times of the samples after the start [T], s.
     """
     places = record(solver, start + times, lambda: mean_along(solver, "x", axis))

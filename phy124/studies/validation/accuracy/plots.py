@@ -1,7 +1,6 @@
 """Plots the error of each setting over its time, with the Pareto front, as a PNG and a web page.
 
-A setting is dominated if another setting is both faster and more accurate. Dominated settings are
-grey. The page works offline, because it contains its data and the script that draws the plot.
+Grey settings are dominated: another setting is both faster and more accurate.
 """
 
 import html
@@ -23,7 +22,6 @@ from phy124.studies.validation.accuracy.report import Report, Row
 PathLike = str | os.PathLike[str]
 BLUE, GREY, ORANGE = "#2563a8", "#9aa3ad", "#c2571a"
 PAGE = Path(__file__).with_name("plot.html")
-"""Template of the web page, with the script that draws the plot."""
 
 
 def find_dominated(rows: Sequence[Row]) -> set[str]:
@@ -87,7 +85,6 @@ def _draw_psnr(axes: Any, report: Report) -> None:
 
 
 def _mark(axes: Any, row: Row, value: float, colour: str, report: Report) -> None:
-    """Draw a point, and write its name on the side with more space."""
     times = [math.log(other.seconds) for other in report.rows]
     late = math.log(row.seconds) > (min(times) + max(times)) / 2
     axes.plot(row.seconds, value, "o" if row.level else "s", color=colour)
@@ -141,10 +138,6 @@ def save_page(report: Report, path: PathLike, *, title: str = "Accuracy and time
 
 
 def _label(row: Row) -> str:
-    """Return the name of a setting.
-
-    If a preset has the same number of cells, add the preset's name.
-    """
     preset = {accuracy.cells: name for name, accuracy in PRESETS.items()}.get(row.cells)
     return f"{row.name} ({preset})" if row.level and preset else row.name
 

@@ -1,8 +1,7 @@
-"""Defines problems with known solutions; the solver that makes clips also solves these problems.
+"""Defines problems with known solutions, and measures the solver's error.
 
-Each function simulates a problem at one grid spacing, and returns the error of the result. Bars and
-columns are one particle thick. If nu = 0 or both sides are fixed, no quantity varies across a bar
-or column, so one row of particles represents the whole body.
+Bars and columns are one particle thick: nothing varies across them if nu = 0 or both sides are
+fixed.
 """
 
 from __future__ import annotations
@@ -40,13 +39,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 GRAVITY = 9.81
 FLOOR_NODE = 0.75
-"""Depth of the grid's lowest nodes below the floor [cells], as in all simulations."""
+"""Depth of the lowest nodes below the floor [cells], as in all simulations."""
 
 
 def angular_momentum(solver: Solver | LatticeSolver) -> Array:
     """Return the angular momentum [3], kg m^2/s, that APIC conserves exactly.
 
-    The angular momentum is the sum of `m (x cross v + dx^2/4 axial(C))` over all particles.
+    This is the sum of `m (x cross v + dx^2/4 axial(C))` over all particles.
     """
     m, x = host(solver.model.mass)[:, None], host(solver.state.x)
     v, C = host(solver.state.v), host(solver.state.C)
@@ -60,15 +59,12 @@ def angular_momentum(solver: Solver | LatticeSolver) -> Array:
 
 
 def fall(position: Array, velocity: Array, time: float) -> Array:
-    """Return the exact positions in free fall: `x + v t`, minus `g t^2 / 2` along z."""
+    """Return the exact positions: `x + v t`, minus `g t^2 / 2` along z."""
     return position + velocity * time - np.array([0, 0, GRAVITY * time**2 / 2])
 
 
 def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
-    """Simulate a body that is thrown.
-
-    Returns: The largest position error of a particle, divided by the largest displacement.
-    """
+    """Return the largest position error of a thrown body, divided by the largest displacement."""
     x, v = block(8, 0.4) + np.array([0, 0, 1]), np.array([1.0, 0.5, 2.0])
     options = {"v": np.tile(v, (len(x), 1)), "dx": 0.1, "precision": precision}
     solver = make_solver(x, 0.05**3, [NeoHookean(E=1e4)], forces=[Gravity()], **options)
@@ -81,7 +77,7 @@ def free_fall(*, precision: str = "float64", time: float = 0.2) -> float:
 
 
 def spin(turns: float, *, precision: str = "float64") -> tuple[float, float]:
-    """Return the relative changes of angular momentum and energy of a cube that rotates freely."""
+    """Return the relative changes of angular momentum and energy of a freely rotating cube."""
     dx, omega = 0.1, 9.0
     x = block(8, 4 * dx)
     stiff, options = NeoHookean(E=2e5, nu=0.3), {"dx": dx, "precision": precision}
@@ -102,15 +98,12 @@ def _kinetic(solver: Solver) -> float:
 
 
 def bar_frequency(E: float, density: float, length: float) -> float:
-    """Return the exact frequency of a free bar's first mode, `pi / L sqrt(E / rho)` [rad/s]."""
+    """Return the frequency of a free bar's first mode, `pi / L sqrt(E / rho)` [rad/s]."""
     return math.pi / length * math.sqrt(E / density)
 
 
 def vibrating_bar(cells: int) -> float:
-    """Simulate about one period of a free bar's first longitudinal mode.
-
-    Return the signed relative error of the frequency, for a bar that is `cells` cells long.
-    """
+    """Return the relative error of the frequency of a free bar's first longitudinal mode."""
     E, density, length, strain = 1e4, 1000.0, 1.0, 1e-6
     dx = length / cells
     x = _column(cells, dx)
@@ -133,7 +126,7 @@ def vibrating_bar(cells: int) -> float:
 
 
 def _column(cells: int, dx: float) -> Array:
-    """Return the positions [P,3], m, of particles in a row on the z axis, 2 per cell."""
+    """Return the positions [P,3], m, of a row of particles on the z axis, 2 per cell."""
     return lattice((1, 1, 2 * cells), dx / 2) * [0.0, 0, 1]
 
 
@@ -154,8 +147,7 @@ def _zero_crossing(times: Sequence[float], values: Sequence[float], near: float)
 class Vortex:
     """A ring with a manufactured motion (Kamojjala et al. 2015).
 
-    In one second, each circle in the ring rotates forwards and back, by an angle that depends on
-    the circle's radius.
+    In one second, each circle in the ring rotates forwards and back.
     """
 
     amplitude: float = 0.1
@@ -164,20 +156,20 @@ class Vortex:
     material: NeoHookean = NeoHookean(E=1000.0, nu=0.3, density=1000.0)  # noqa: RUF009
 
     def angle(self, radius: Array, time: float) -> Array:
-        """Return the exact angle [rad] by which circles of these radii [m] have rotated."""
+        """Return the exact angles [rad] by which circles of these radii [m] have rotated."""
         s = (radius - (self.inner + self.outer) / 2) / (self.outer - self.inner)
         rise = self.amplitude * (1 - math.cos(2 * math.pi * time)) / 2
         return (1 - 8 * s**2 + 16 * s**4) * rise
 
     def position(self, x: Array, time: float) -> Array:
-        """Return the exact positions [P,3], at a time [s], of points that start at x [P,3]."""
+        """Return the exact positions [P,3] at a time [s]; `x` are the initial positions."""
         turn = self.angle(np.hypot(x[:, 0], x[:, 1]), time)
         cosine, sine = np.cos(turn), np.sin(turn)
         columns = (cosine * x[:, 0] - sine * x[:, 1], sine * x[:, 0] + cosine * x[:, 1], x[:, 2])
         return np.stack(columns, axis=1)
 
     def attach(self, model: Model, state: State, tracks: Tracks) -> list[Stage]:
-        """Return a solver stage that applies the body force of the exact motion in each substep."""
+        """Return a solver stage that applies the body force of the exact motion."""
         stiffness = self.material.lame[0] / self.material.density
         middle, width = (self.inner + self.outer) / 2, self.outer - self.inner
         ring = types(model.real).vec4(middle, width, self.amplitude, stiffness)
@@ -191,13 +183,7 @@ class Vortex:
 
 
 def vortex(cells: int, *, time: float = 0.5, problem: Vortex | None = None) -> float:
-    """Simulate the ring, and return the RMS position error divided by the RMS displacement.
-
-    Args:
-        cells: Number of cells across the ring's outer diameter.
-        time: Time at which the positions are compared [s].
-        problem: The ring; if None, the default ring.
-    """
+    """Return the RMS position error of the ring divided by the RMS displacement."""
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
     spacing, corner = dx / 4, (-problem.outer, -problem.outer, 0)
@@ -219,21 +205,16 @@ def _rms(vectors: Array) -> float:
 
 
 def column_pressure(depth: Array, density: float) -> Array:
-    """Return the exact pressure rho g h [Pa] at depths h [m] in a column at rest."""
+    """Return the pressure rho g h [Pa] at depths h [m] in a column at rest."""
     return density * GRAVITY * depth
 
 
 def hydrostatic_column(cells: int) -> dict[str, float]:
-    """Simulate a column of liquid until it is at rest, and measure the errors of its pressure.
+    """Return the errors of the pressure in a column at rest, relative to rho g h at the base.
 
-    The column is `cells` cells high, and its sides are fixed. The floor lies between two planes of
-    nodes, so it cuts off a part of the lowest particles' kernels. Kinetic damping brings the column
-    to rest.
-
-    Returns:
-        Errors relative to rho g h at the base: `mean` is the absolute error of the mean pressure,
-        which arises in the cells at the floor and is proportional to dx. `inside` is the RMS error
-        more than three cells above the floor.
+    `mean` is the error of the mean pressure; it arises in the cells at the floor, which lies
+    between two planes of nodes, and is proportional to dx. `inside` is the RMS error more than
+    three cells above the floor.
     """
     height, material = 1.0, Fluid()
     dx = height / cells
@@ -260,7 +241,7 @@ def hydrostatic_column(cells: int) -> dict[str, float]:
 def _settle(solver: Solver, crossing: float) -> None:
     """Apply kinetic damping: set velocities to zero at twelve maxima of the kinetic energy.
 
-    `crossing` is the time that a wave needs to cross the column [s].
+    `crossing` is the time in which a wave crosses the column [s].
     """
     stops, last = 0, 0.0
     while stops < 12:
@@ -278,10 +259,7 @@ def _settle(solver: Solver, crossing: float) -> None:
 
 @dataclass(frozen=True)
 class Bounce:
-    """A soft ball that falls on a smooth floor.
-
-    The exact solution is unknown, so the results on several grids are compared.
-    """
+    """A soft ball that falls on a smooth floor; results on several grids are compared."""
 
     diameter: float = 0.4
     drop: float = 0.2
@@ -290,7 +268,7 @@ class Bounce:
     frames: int = 20
 
     def particles(self, spacing: float) -> Array:
-        """Return the initial positions [P,3], m, of a lattice of particles in the ball."""
+        """Return the initial positions [P,3], m."""
         counts = (round(self.diameter / spacing),) * 3
         cube = lattice(counts, spacing, (-self.diameter / 2,) * 3)
         inside = (cube**2).sum(axis=1) < (self.diameter / 2) ** 2
@@ -307,9 +285,9 @@ class Bounce:
 
 
 def bouncing_ball(cells: Sequence[int]) -> list[Array]:
-    """Return the positions [T,P,3], m, of the ball for each number of cells across its diameter.
+    """Return the positions [T,P,3], m, for each number of cells across the ball.
 
-    The particles are the same on all grids: two per cell along each axis on the finest grid.
+    All grids have the same particles, two per cell and axis on the finest grid.
     """
     problem = Bounce()
     spacing = problem.diameter / (2 * max(cells))

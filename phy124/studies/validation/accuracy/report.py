@@ -14,13 +14,11 @@ from phy124.particles.thickness import Proportions
 from phy124.scene import PRESETS, Scene
 
 COARSEST = 8
-"""A setting is recommended only if it has at least this number of cells across the object."""
+"""Smallest number of cells across the object of a recommended setting."""
 KNOWN = 0.5
-"""A setting is recommended only if the errors of at least this fraction of the frames are known."""
+"""Smallest fraction of frames with known errors for a recommendation."""
 MOVING = 2
-"""A setting is recommended only if the errors of at least this number of frames after the first are
-known.
-"""
+"""Smallest number of frames after the first with known errors for a recommendation."""
 GOOD = 0.04
 """Largest error of a recommended setting, as a fraction of the object's size."""
 
@@ -36,36 +34,30 @@ class Row:
     binding: str
     particles: int
     particles_per_axis: float
-    """Number of particles per cell and axis: the median over all cells that contain particles."""
+    """Median over all cells that contain particles."""
     substeps: int
     predicted: float | None
-    """Predicted time to simulate and to deform the Gaussians [s]; None if there is no forecast."""
+    """Predicted time to simulate and to deform the Gaussians [s]."""
     seconds: float
-    """Measured time to simulate and to deform the Gaussians [s], without the time to split the
-    energy loss by cause.
-    """
+    """Measured time [s], without the time to split the energy loss by cause."""
     limiters: dict[str, float]
-    """For each limit of the substep, by name, the fraction of substeps that it determines."""
+    """Fraction of the substeps that each limit determines."""
     energy_lost: float
-    """Energy that was lost, as a fraction of the energy that was supplied."""
+    """As a fraction of the supplied energy."""
     lost_to: dict[str, float] | None
-    """Energy lost to each cause (material, contact, numerical); None if it cannot be split."""
+    """Energy lost to each cause (material, contact, numerical); None if unknown."""
     angular_momentum_lost: float | None
-    """Relative change of the angular momentum; None if forces or walls may change it."""
+    """Relative change; None if forces or walls may change the angular momentum."""
     from_finest: Difference | None = None
-    """Difference from the motion on the finest grid; None for the setting with this grid."""
+    """Difference from the motion on the finest grid; None for the finest grid."""
     error: float | None = None
-    """Estimated error as a fraction of the object's size; None if the motions on the grids do not
-    converge.
-    """
+    """As a fraction of the object's size; None if the motions on the grids do not converge."""
     pixels: float | None = None
-    """Estimated error in the video [pixels]; None if there is no error estimate."""
+    """Estimated error in the video [pixels]."""
     torn: str = ""
-    """Reason why the grid may have torn the material; a torn setting has no error estimate."""
+    """Why the grid may have torn the material; a torn setting has no error estimate."""
     stated: dict[str, Any] | None = None
-    """The `error` that the report of a run with this setting would state. No error is stated (None)
-    if the setting is not a level or the study is not thorough.
-    """
+    """The `error` that a run would report; None unless a thorough study ran a level."""
 
     @property
     def level(self) -> bool:
@@ -79,22 +71,19 @@ class Report:
 
     rows: tuple[Row, ...]
     skipped: tuple[str, ...]
-    """Sentences about settings that were skipped or are torn, with the reasons."""
+    """Sentences about settings that were skipped or are torn."""
     convergence: Convergence
     object_size: float
     """Longest side of the object at rest [m]."""
     recommendation: str
     promises: dict[str, str]
-    """For each preset, by name, a sentence that says whether its error bound holds in this scene.
-    """
+    """A sentence for each preset that says whether its error bound holds in this scene."""
     until: float | None = None
-    """Time up to which the errors are valid [s]; None if they are valid for the whole motion."""
+    """Time up to which the errors are valid [s]; None: for the whole motion."""
     closest: float | None = None
-    """Distance between the motions on the two finest grids, in object sizes; None if there is one
-    grid.
-    """
+    """Distance between the motions on the two finest grids, in object sizes."""
     interrupted: bool = False
-    """Whether a cancellation or an error ended the study before all settings had been run."""
+    """Whether the study ended before all settings had been run."""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -123,12 +112,11 @@ class Report:
 
 
 def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> float | None:
-    """Return the error on a grid with `cells` cells across the object, from the study's errors.
+    """Return the error with `cells` cells across the object, from the errors of the levels.
 
-    On a grid between two levels, the error is assumed to be that of the coarser level. On grids
-    finer than all levels, the error decreases with the observed order (clamped to `TRUSTED`). If no
-    order was observed (None), the error of the finest level is assumed for finer grids. On grids
-    coarser than all levels, the error is unknown (None).
+    Between two levels, the error of the coarser level is assumed. Beyond the finest level, the
+    error decreases with the observed order (clamped to `TRUSTED`), or is assumed constant if there
+    is none. Below the coarsest level, the error is unknown.
     """
     within = [level for level in errors if level <= cells]
     if not within:
@@ -140,10 +128,9 @@ def error_on(cells: int, errors: Mapping[int, float], order: float | None) -> fl
 
 
 def recommend(rows: tuple[Row, ...], convergence: Convergence, known: tuple[int, int]) -> str:
-    """Return a sentence that recommends a grid spacing and compares it with the next finer spacing.
+    """Return a sentence that recommends a grid spacing.
 
-    The pair `known` contains the number of frames after the first whose errors are known, and the
-    number of all frames after the first.
+    `known` contains two numbers of frames after the first: those with known errors, and all.
     """
     levels = [row for row in rows if row.level and not row.torn and row.cells >= COARSEST]
     no = "No setting can be recommended by its error"
@@ -183,8 +170,8 @@ def kept_promises(
     """Describe for each preset whether its error bound holds in this scene.
 
     Args:
-        scene: The scene.
-        proportions: Proportions of the object; None if they are unknown.
+        scene: The scene of the study.
+        proportions: Proportions of the object; None if unknown.
         rows: The settings that were run.
         convergence: The convergence of the levels.
         until: Time up to which the errors are valid [s]; None: for the whole motion.
@@ -205,7 +192,6 @@ def kept_promises(
 
 
 def _plain(value: Any) -> Any:
-    """Return a copy of a value that can be written as JSON."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,11 +1,9 @@
 """Runs one scene with several settings, and measures the time and the error of each setting.
 
-A level is a setting that differs from the scene only in its grid spacing. The results of all levels
-are extrapolated to zero spacing with the observed order (Richardson). The error of a setting is the
-distance of its result from this extrapolation, plus the uncertainty of the extrapolation
-(`convergence`). If the motions on the levels diverge from each other at some time, the errors
-describe only the motion up to that time. If the levels do not converge at all, the report contains
-no errors, but only the distance between the two finest levels.
+A level differs from the scene only in its grid spacing. The results of all levels are extrapolated
+to zero spacing with the observed order (Richardson). The error of a setting is its distance from
+this extrapolation plus the extrapolation's uncertainty. If the motions diverge at some time, the
+errors describe only the motion up to that time.
 """
 
 from collections.abc import Callable, Iterator
@@ -35,15 +33,13 @@ from phy124.simulation import Simulation, Stopped, prepare
 from phy124.studies.validation.accuracy.report import Report, Row, kept_promises, recommend
 
 LEVELS = (16, 24, 32, 48)
-"""Cells across the object in each level (a grid spacing of the study), from coarse to fine. The
-grid spacings of all presets are among these levels.
-"""
+"""Cells across the object in each level; all presets are among them."""
 MIN_PARTICLES_PER_AXIS = 1.5
 """Smallest number of particles per cell and axis with which finer grids are more accurate."""
 VARIED = 24
-"""Number of cells across the object in the settings that vary other options, one at a time."""
+"""Cells across the object in the settings that vary other options."""
 SIZE = 256
-"""Maximum width and height of the videos that are compared [pixels]."""
+"""Maximum width and height of the compared videos [pixels]."""
 
 
 @dataclass
@@ -55,25 +51,20 @@ class Study:
     context: RunContext = field(default_factory=RunContext)
     """Device, threads and progress.
 
-    Progress is called with ("study", index of the setting, number of settings), also during a
-    setting. The progress callback may raise Cancelled, which ends the study, or Stopped, which
-    skips this setting.
+    Progress is called with ("study", index of the setting, number of settings). It may raise
+    Cancelled, which ends the study, or Stopped, which skips the setting.
     """
     levels: tuple[int, ...] = LEVELS
     crop: Crop = WHOLE
     thorough: bool = True
-    """Whether the study also varies other options, forecasts each setting, and compares videos.
-
-    A thorough study takes about three times as long.
+    """Whether to vary other options, forecast each setting and compare videos: three times as long.
     """
     on_row: Callable[[Row], None] = lambda row: None
-    """Function that is called with the row of each finished setting, before the errors are known.
-    """
+    """Function called with the row of each finished setting, before the errors are known."""
     keep: bool = False
-    """Whether finished settings are evaluated if the study is cancelled or fails later."""
+    """Whether finished settings are evaluated if the study ends early."""
     ended: Exception | None = field(default=None, init=False)
-    """The exception that ended the study early, if its finished settings were kept; otherwise None.
-    """
+    """The exception that ended the study early, if finished settings were kept."""
     clips: dict[str, Clip] = field(default_factory=dict, repr=False)
     _forecaster: Forecaster = field(init=False, repr=False)
 
@@ -116,10 +107,7 @@ class Study:
         return replace(report, interrupted=self.ended is not None)
 
     def _conclude_or_keep(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Return the report of the finished settings.
-
-        If the comparison of the settings fails and `keep` is true, the report contains no errors.
-        """
+        """If the comparison fails and `keep` is true, the report contains no errors."""
         try:
             return self._conclude(rows, skipped)
         except Exception as problem:
@@ -132,13 +120,11 @@ class Study:
             )
 
     def _still(self, number: int, count: int, stage: str = "study", *steps: int) -> None:
-        """Report progress while a setting runs, and forward the progress of compilation."""
         if stage == "compile":
             self.context.progress(stage, *steps)
         self.context.progress("study", number, count)
 
     def _plan(self) -> Iterator[tuple[str, Scene]]:
-        """Yield the name and scene of each setting: the levels, then variations of one option."""
         base = self.scene.resolution.model_copy(update={"solver": self.scene.solver})
         for cells in self.levels:
             yield f"D/{cells}", self._with(base.model_copy(update={"cells": cells}))
@@ -163,20 +149,13 @@ class Study:
         yield f"binding {binding} {here}", bound
 
     def _with(self, accuracy: Accuracy) -> Scene:
-        """Return the scene with another accuracy, and with checks of the energy balance."""
         scene = self.scene.model_copy(update={"accuracy": accuracy})
         update = {"balance": True, "energy": self.thorough and _can_split(scene)}
         checks = self.scene.checks.model_copy(update=update)
         return scene.model_copy(update={"checks": checks})
 
     def _row(self, name: str, scene: Scene, progress: Progress) -> tuple[Row | None, str]:
-        """Run the scene with one setting.
-
-        Returns:
-            The row of the table, and a text. The row is None if the run stopped early; the text
-            then states the reason. If the object tore, the text says so. Otherwise, the text is
-            empty.
-        """
+        """Return the row and a reason: the run stopped early (no row), or the object tore."""
         context = replace(self.context.aside(), progress=progress)
         simulation = Simulation(prepare(self.gaussians, scene, context, crop=self.crop))
         self._proportions = self._proportions or simulation.setup.proportions
@@ -214,11 +193,7 @@ class Study:
         ), f"{name}: {torn}" if torn else ""
 
     def _forecast(self, simulation: Simulation) -> float:
-        """Forecast how long it takes to simulate the scene and to deform the Gaussians [s].
-
-        The forecast does not include the time to split the energy loss by cause, because a user's
-        run of the scene does not split it.
-        """
+        """The energy loss is not split in the forecast, because a user's run does not split it."""
         scene = simulation.scene
         if scene.checks.energy:
             checks = scene.checks.model_copy(update={"energy": False})
@@ -229,10 +204,6 @@ class Study:
         return forecast.stages["simulate"] + forecast.stages["deform"]
 
     def _conclude(self, rows: list[Row], skipped: tuple[str, ...]) -> Report:
-        """Return the report with the error of each setting.
-
-        Grids on which the object tore are ignored.
-        """
         levels = [row for row in rows if row.level and not row.torn]
         size = self.scene.object.size
         if not levels:
@@ -265,7 +236,6 @@ class Study:
     def _conclude_without_errors(
         self, rows: list[Row], skipped: tuple[str, ...], why: str
     ) -> Report:
-        """Return a report without errors, and with the reason why they are missing."""
         none, size = Convergence(None, why_not=why), self.scene.object.size
         promises = kept_promises(self.scene, self._proportions, tuple(rows), none)
         return Report(tuple(rows), skipped, none, size, why, promises)
@@ -280,9 +250,7 @@ class Study:
     ) -> Row:
         """Return a row with its error, and with its difference from the motion on the finest grid.
 
-        If the object is torn, its row is returned unchanged. `levels` contains the clips of the
-        levels, from coarse to fine. The `known` errors of the levels are valid for the first
-        `frames` frames of these clips.
+        The `known` errors of the levels are valid for the first `frames` frames.
         """
         if row.torn:
             return row
@@ -304,7 +272,6 @@ class Study:
 
 
 def _can_split(scene: Scene) -> bool:
-    """Return whether the energy that a scene loses can be split by cause."""
     try:
         scene.replaced({"checks.balance": True, "checks.energy": True})
     except InputError:
@@ -313,14 +280,13 @@ def _can_split(scene: Scene) -> bool:
 
 
 def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
-    """Convert the energy losses in a report from joules to fractions of the energy supplied."""
+    """Convert energy losses from joules to fractions of the supplied energy."""
     if energy is None or not energy["turnover"] > 0:
         return None
     return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
 
 
 def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
-    """If no error is known, add to the reason which grids may have torn the material."""
     torn = ", ".join(row.name for row in rows if row.level and row.torn)
     if not torn or not convergence.why_not:
         return convergence
@@ -330,7 +296,7 @@ def _without_torn(rows: list[Row], convergence: Convergence) -> Convergence:
 
 
 def _require_particles(per_axis: float | None) -> None:
-    """Refuse a scene that has so few particles per cell that finer grids are not more accurate."""
+    """With too few particles per cell, finer grids are not more accurate."""
     if per_axis is not None and per_axis < MIN_PARTICLES_PER_AXIS:
         limit = f"with fewer than {MIN_PARTICLES_PER_AXIS}, finer grids are not more accurate."
         remedy = f"Set {MIN_PARTICLES_PER_AXIS} or more, or leave it out."
@@ -338,14 +304,14 @@ def _require_particles(per_axis: float | None) -> None:
 
 
 def _particles_per_axis(simulation: Simulation) -> float:
-    """Return the number of particles per cell and axis: the median over cells with particles."""
+    """Return the median over cells with particles."""
     cells = np.floor(simulation.setup.particles.x / simulation.solver.model.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))
 
 
 def _momentum_lost(scene: Scene, watchdog: Watchdog) -> float | None:
-    """Return the relative change of angular momentum; None if forces or walls may change it."""
+    """Return the relative change; None if forces or walls may change the angular momentum."""
     before, after = watchdog.first, watchdog.last
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:

@@ -1,8 +1,4 @@
-"""Compares the solver with known solutions on this machine, for `phy124 accuracy --verify`.
-
-Each check measures an error and the order at which it converges, and states the permitted ranges of
-both. The tests run the same checks on coarse grids; slow tests run them on fine grids.
-"""
+"""Compares the solver with known solutions, for `phy124 accuracy --verify`."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -22,15 +18,14 @@ class Verdict:
 
     problem: str
     quantity: str
-    """Name of the quantity whose error is measured."""
     value: float
-    """Measured error on the finest grid, or the largest error of all grids."""
+    """Error on the finest grid, or the largest error of all grids."""
     limit: float
     """Largest permitted error."""
     levels: tuple[int, ...] = ()
-    """Cells across the body on each grid, from coarse to fine; empty if there is only one grid."""
+    """Cells across the body on each grid, from coarse to fine; empty for a single grid."""
     order: float | None = None
-    """Observed order of convergence; None if the solution is exact or no order was observed."""
+    """Observed order of convergence, if any."""
     expected_order: Range | None = None
     """Permitted range of the order; None if the order is not checked."""
     seconds: float = 0.0
@@ -47,7 +42,7 @@ class Verdict:
 
 
 def verify(*, fine: bool = True) -> Iterator[Verdict]:
-    """Run all checks, and yield their results; on fine grids, they take half a minute in total."""
+    """Run all checks, and yield their results; fine grids take half a minute in total."""
     for check in CHECKS:
         start = time.process_time()
         for verdict in check(fine):
@@ -58,8 +53,7 @@ def verify(*, fine: bool = True) -> Iterator[Verdict]:
 def free_fall(fine: bool) -> Iterator[Verdict]:
     """Check that a thrown body follows the exact parabola up to rounding.
 
-    The parabola is exact only if the first substep advances velocities by half a substep, as in
-    leapfrog integration.
+    This holds only if the first substep advances velocities by half a substep (leapfrog).
     """
     time = 0.4 if fine else 0.2
     for precision, limit in (("float64", 1e-12), ("float32", 5e-5)):
@@ -96,7 +90,7 @@ def vortex(fine: bool) -> Iterator[Verdict]:
 
 
 def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
-    """Check the mean hydrostatic pressure, and the pressure away from the floor, on each grid."""
+    """Check the mean hydrostatic pressure, and the pressure away from the floor."""
     cells = (8, 16, 32) if fine else (6, 12, 24)
     columns = [problems.hydrostatic_column(n) for n in cells]
     for quantity, limit in (("mean", 1e-3), ("inside", 0.01)):
@@ -105,10 +99,7 @@ def hydrostatic_column(fine: bool) -> Iterator[Verdict]:
 
 
 def bouncing_ball(fine: bool) -> Iterator[Verdict]:
-    """Check that a bouncing ball's motion converges with an order between 1 and 2.
-
-    Contact reduces the order below 2.
-    """
+    """Check that a bouncing ball converges with an order from 1 to 2, which contact reduces."""
     cells = (12, 18, 27) if fine else (8, 12, 16)
     runs = problems.bouncing_ball(cells)
     size = problems.Bounce().diameter
@@ -134,7 +125,6 @@ CHECKS: tuple[Callable[[bool], Iterator[Verdict]], ...] = (
     hydrostatic_column,
     bouncing_ball,
 )
-"""All checks, in display order."""
 
 
 def _series(

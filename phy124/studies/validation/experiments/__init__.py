@@ -1,10 +1,7 @@
 """Compares the solver with experiments and theories from the literature.
 
-`phy124 accuracy --verify` tests whether the equations are solved correctly. `phy124 validate`
-compares results with published measurements and theories. Each experiment runs on three grids. For
-each quantity, the experiment declares a range of permitted values, called the band. A control run
-contains a deliberate mistake, which must move at least one quantity out of its band. `phy124
-validate --docs` writes docs/lab/experiments.md.
+Each experiment runs on three grids. For each quantity, the experiment declares a band of permitted
+values. A control run with a deliberate mistake must move at least one quantity out of its band.
 """
 
 from phy124.errors import InputError
@@ -44,13 +41,12 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     liquids.CHANNEL,
     liquids.SPREADING,
 )
-"""All experiments, in display order."""
 
 __all__ = ["EXPERIMENTS", "Estimate", "Experiment", "Outcome", "Quantity", "find_experiment"]
 
 
 def find_experiment(name: str) -> Experiment:
-    """Return the experiment with a given name.
+    """Return the experiment with this name.
 
     Raises:
         InputError: There is no experiment with this name.

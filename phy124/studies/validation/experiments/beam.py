@@ -1,7 +1,6 @@
 """Experiments: large deflections of cantilevers, under a weight at the tip or under gravity.
 
-The exact shape of the beam is Euler's elastica. The load increases in steps, and the beam comes to
-rest after each step.
+The exact shape is Euler's elastica. The beam comes to rest under each load.
 """
 
 import math
@@ -24,24 +23,14 @@ from phy124.studies.validation.bodies import make_lattice_solver, make_solver, p
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 LENGTH, THICKNESS = 1.2, 0.1
-"""Size of the beam [m].
-
-The beam is one particle wide: with nu = 0, nothing varies across the width.
-"""
+"""Size of the beam [m], which is one particle wide: with nu = 0, nothing varies across it."""
 E, DENSITY = 1e6, 1000.0
 STIFFNESS = E * THICKNESS**3 / 12
 """Bending stiffness E I per metre of width [N m]."""
 SOFTER = 0.96 * (THICKNESS / LENGTH) ** 2
-"""Relative increase of the tip deflection by shear, compared with a slender beam.
-
-Timoshenko's theory gives 0.8 (1 + nu) * 1.2 (h / L)^2.
-"""
+"""Relative increase of the tip deflection by shear: 0.8 (1 + nu) * 1.2 (h / L)^2 (Timoshenko)."""
 PER_AXIS = 4
-"""Number of particles per cell along each axis.
-
-With 2 particles per cell and axis, the default of scenes, a beam that moves by several cells is 10
-% softer.
-"""
+"""Particles per cell and axis; with 2, a beam that moves by several cells is 10 % softer."""
 TOO_SOFT = (
     "Beams are a few per cent too soft on every grid if their tip moves by several cells. If the "
     "tip moves by only two cells (PL²/EI = 0.2), the deflection is correct. The stress balances "
@@ -54,18 +43,14 @@ TOO_SOFT = (
     "7.3 %."
 )
 REST = 1.6
-"""Duration of each load, in units of the period of the beam's first bending mode."""
+"""Duration of each load, in periods of the first bending mode."""
 PIECES = 40
-"""Mean number of times per period of the beam's first mode at which all velocities are reduced."""
+"""Mean number of times per period of the first mode at which velocities are reduced."""
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Inverse golden ratio, whose multiples, modulo 1, never repeat. They vary the times at which
-velocities are reduced.
-"""
+"""Inverse golden ratio; its multiples, modulo 1, never repeat."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Function that creates a force from the beam's width [m], the force's time profile, and the region
-of the beam's tip.
-"""
+"""Makes a force from the beam's width [m], the time profile, and the region of the tip."""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
@@ -75,7 +60,7 @@ OWN_LOADS = (2.0, 8.0, 20.0)
 def elastica_drop(load: float) -> float:
     """Return the tip deflection / length for a weight at the tip, P L^2 / E I.
 
-    The deflection is computed with elliptic integrals (Bisshopp and Drucker 1945).
+    Elliptic integrals (Bisshopp and Drucker 1945).
     """
     from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
@@ -92,7 +77,7 @@ def elastica_drop(load: float) -> float:
 def heavy_elastica_drop(load: float) -> float:
     """Return the tip deflection / length for a beam under its own weight, rho g A L^3 / E I.
 
-    The equation `theta'' = -load (1 - s) cos theta` is solved by the shooting method.
+    Shooting method for `theta'' = -load (1 - s) cos theta`.
     """
     from scipy.integrate import solve_ivp
 
@@ -127,10 +112,9 @@ def make_band(
 
     Args:
         loads: Dimensionless loads.
-        exact: Function that returns a slender beam's tip deflection / length for a load.
+        exact: A slender beam's tip deflection / length for a load.
         name: Symbol of the load.
-        stretch: Mean tension in the hanging beam, as a fraction of the load; the tension makes the
-            beam longer. If it is 0, the band neglects this stretch.
+        stretch: Mean tension that stretches the hanging beam, as a fraction of the load.
     """
     longer = stretch / 12 * (THICKNESS / LENGTH) ** 2
     return tuple(
@@ -140,7 +124,7 @@ def make_band(
 
 
 def first_frequency() -> float:
-    """Return the lowest frequency of a slender beam: `1.875^2 sqrt(E I / (rho A L^4))` [rad/s]."""
+    """Return a slender beam's lowest frequency: `1.875^2 sqrt(E I / (rho A L^4))` [rad/s]."""
     return 1.8751**2 * math.sqrt(STIFFNESS / (DENSITY * THICKNESS)) / LENGTH**2
 
 
@@ -152,14 +136,14 @@ def measure_drops(
     stiffer: float = 1.0,
     gradient: str = "affine",
 ) -> Values:
-    """Measure the tip deflection of the beam at rest for each load, relative to the beam's length.
+    """Measure the tip deflection at rest for each load, relative to the length.
 
     Args:
         cells: Cells across the beam's thickness.
         loads: Factors of the force, in ascending order.
-        bending: Function that creates the force.
+        bending: Makes the force.
         stiffer: Factor on E, for the control.
-        gradient: Method for the velocity gradient, an option of `Model.of`.
+        gradient: An option of `Model.of`.
     """
     dx = THICKNESS / cells
     spacing, clamped = dx / PER_AXIS, 3 * PER_AXIS
@@ -198,9 +182,9 @@ def measure_lattice_drops(
     Args:
         cells: Cells across the beam's thickness.
         loads: Factors of the force, in ascending order.
-        bending: Function that creates the force.
+        bending: Makes the force.
         stiffer: Factor on E, for the control.
-        beyond: Extra length of the beam [cells], so that a load acts on a cell around its end.
+        beyond: Extra length [cells], so that a load acts on a cell around the end.
     """
     dx = THICKNESS / cells
     root, clamped = beyond * dx, 3
@@ -223,15 +207,11 @@ def measure_lattice_drops(
 
 
 def _end_region(at: float, dx: float) -> Region:
-    """Return the region of the cell around the beam's end."""
     return Region(lower=(at - dx / 2 - 1e-9, -1, -1), upper=(at + dx / 2 + 1e-9, 1, 1))
 
 
 def _steps(loads: Sequence[float]) -> Keyframes:
-    """Return a time profile of a force that applies one load after another.
-
-    In the first third of a load's duration, the factor rises to the load. It then stays constant.
-    """
+    """In the first third of a load's duration, the factor rises to the load."""
     hold = _duration_of_load()
     times, factors = [0.0], [0.0]
     for number, load in enumerate(loads):
@@ -243,7 +223,6 @@ def _steps(loads: Sequence[float]) -> Keyframes:
 def _load(
     solver: Solver | LatticeSolver, loads: Sequence[float], sag: Callable[[], SupportsFloat]
 ) -> Values:
-    """Let the beam come to rest under each load; return the deflections / length."""
     drops = []
     for number in range(1, len(loads) + 1):
         _settle(solver, number * _duration_of_load())
@@ -256,7 +235,7 @@ def _duration_of_load() -> float:
 
 
 def _settle(solver: Solver | LatticeSolver, until: float) -> None:
-    """Advance with critical damping of the first mode, to prevent oscillations."""
+    """Advance with critical damping of the first mode."""
     omega, number = first_frequency(), 0
     while solver.clock.time < until - 1e-9:
         before, number = solver.clock.time, number + 1

@@ -15,20 +15,17 @@ from phy124.studies.validation.experiments.liquids import fill, solver_of
 
 Line = Sequence[float] | NDArray[np.float64]
 INVISCID = ((1.2, 1.75), (1.6, 2.18), (2.0, 2.68), (2.5, 3.37), (3.0, 4.12))
-"""Pairs for an inviscid liquid without a gate: the time `t sqrt(2 g / a)`, and the position of the
-front divided by the column's width `a`.
+"""Times `t sqrt(2 g / a)` and positions of an inviscid front / column width `a`, without a gate.
 
-The positions of the front come from a separate two-dimensional solver (APIC and pressure projection
-with a ghost-fluid surface, 128 cells across a). With 64 cells across the column's width, the
-front's positions are at most 0.01 smaller.
+From a separate two-dimensional solver (APIC, pressure projection with a ghost-fluid surface, 128
+cells across a). With 64 cells, the positions are at most 0.01 smaller.
 """
 HEIGHTS = (1.28, 2.0, 2.7)
-"""Dimensionless times t sqrt(g / a) at which the height of the water at the wall is measured."""
+"""Dimensionless times t sqrt(g / a) of the heights at the wall."""
 PASSAGE = (1.5, 3.5)
 """Positions of the front, in units of `a`, between which its mean speed is measured.
 
-Unlike the front's position at a given time, the mean speed between two positions does not depend on
-a delay of the start.
+This speed does not depend on a delay of the start.
 """
 PERIOD = (1.2, 3.0)
 """Dimensionless times t sqrt(2 g / a) between which the front's mean speed is measured."""
@@ -42,8 +39,7 @@ FRONTS = (
 )
 """Times, and positions of the front in units of `a`, for columns of the height 2 a.
 
-The first two data sets are for columns that are 2.25 and 1.125 inch wide (digitised by PySPH); the
-last data set is table 2 (as published with Ocellaris).
+Columns of 2.25 and 1.125 inch (digitised by PySPH), and table 2 (as published with Ocellaris).
 """
 HEIGHT_TABLE = (
     (0.56, 0.77, 0.93, 1.08, 1.28, 1.46, 1.66, 1.84, 2.00, 2.21, 2.45, 2.70, 3.06, 3.44),
@@ -51,23 +47,17 @@ HEIGHT_TABLE = (
 )
 """Times t sqrt(g / a) and heights at the wall / initial height, from table 6 (see Ocellaris)."""
 READ = 0.02
-"""Maximum error of a height that was read from a table, relative to the initial height, and of a
-front's position, relative to `a`.
-
-The heights in the table differ by steps of 0.05 to 0.06. The distance between two positions of the
-front thus has at most twice this error.
-"""
+"""Maximum reading error of a height / initial height, and of a front's position / `a`."""
 SAMPLE = 0.1
-"""Sampling interval of the front and the height, in dimensionless time t sqrt(2 g / a)."""
+"""Sampling interval in dimensionless time t sqrt(2 g / a)."""
 PASTE = 630.0
-"""Viscosity of the control run's liquid [Pa s]; its Reynolds number a sqrt(2 g a) / nu is 7."""
+"""Viscosity in the control run [Pa s]; the Reynolds number a sqrt(2 g a) / nu is 7."""
 
 
 def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
-    """Return the mean speeds dZ/dT of the front.
+    """Return the mean speeds dZ/dT between the positions `PASSAGE` and between the times `PERIOD`.
 
-    The first is between the positions `PASSAGE`, the second between the times `PERIOD`. The front
-    is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
+    The front is at the increasing positions Z = front / a at the times T = t sqrt(2 g / a).
     """
     start, end = np.interp(PASSAGE, front, time)
     low, high = np.interp(PERIOD, time, front)
@@ -78,7 +68,7 @@ def mean_speeds(time: Line, front: Line) -> tuple[float, float]:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the inviscid front, and the measured speeds of the front and heights at the wall."""
+    """Return the inviscid front, and the measured speeds and heights."""
     names = (
         f"speed from Z = {PASSAGE[0]:g} to {PASSAGE[1]:g}",
         f"speed from T = {PERIOD[0]:g} to {PERIOD[1]:g}",
@@ -100,10 +90,9 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def release(cells: int, viscosity: float) -> Values:
-    """Simulate the collapse of a column in a smooth channel, and measure its front and height.
+    """Simulate the collapse of a column, 1 m wide and 2 m high, in a smooth channel.
 
-    The column is 2 m high and a = 1 m wide, with `cells` cells across its width. The viscosity is
-    dynamic [Pa s].
+    There are `cells` cells across the width. The viscosity is dynamic [Pa s].
     """
     width, unit = 2 / cells, math.sqrt(1 / (2 * GRAVITY))
     x = fill((1, width, 2), cells)

@@ -1,11 +1,9 @@
-"""Finite elements for an elastic ball on a rigid smooth plate, where Hertz's theory is inexact.
+"""Finite elements for an elastic ball on a rigid smooth plate: a reference for the contact force.
 
-Hertz's theory treats the ball near its contact as a half-space with small strain. The finite
-elements cover the whole ball and use the same neo-Hookean law as the particles. The solution is
-static and axisymmetric. The elements are linear quadrilaterals (Bonet and Wood 2008, chapter 9),
-smaller near the contact. The contact is solved with an active set (Alart and Curnier 1991). This
-code is independent of the material point method and therefore serves as a reference for this
-method.
+Hertz's theory treats the ball near its contact as a half-space with small strain. These elements
+cover the whole ball and use the same neo-Hookean law as the particles. The solution is static and
+axisymmetric, with linear quadrilaterals (Bonet and Wood 2008, chapter 9) and an active set for the
+contact (Alart and Curnier 1991).
 """
 
 from __future__ import annotations
@@ -21,30 +19,28 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-"""Corners of the reference element, which is a square."""
+"""Corners of the reference element."""
 PAIRS = np.array([[0, 0, 1, 1, 2], [0, 1, 0, 1, 2]])
-"""Row and column indices of the nonzero components of F: rr, rz, zr, zz, and the hoop component."""
+"""Indices of the nonzero components of F: rr, rz, zr, zz, and the hoop component."""
 FINER = 3.5
-"""How much finer the mesh is near the contact; with 0, the mesh would be uniform."""
+"""Grading of the mesh near the contact; 0: a uniform mesh."""
 LARGEST_STEP = 0.02
-"""Maximum movement of the plate in one step, relative to the ball's radius."""
+"""Maximum movement of the plate in one step, relative to the radius."""
 DEPTHS = (0.01, 0.03, 0.05, 0.08, 0.11, 0.15)
 """Indentation depths, relative to the radius, to which a force law is fitted."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """Contact force of a ball on a plate as a function of the indentation depth.
+    """Contact force as a function of the indentation depth.
 
-    The force is Hertz's force times `1 + a s + b s^2 + ...`, where s^2 is the depth / radius.
+    Hertz's force times `1 + a s + b s^2 + ...`, where s^2 is the depth / radius.
     """
 
     nu: float
     """Poisson's ratio."""
     terms: tuple[float, ...] = ()
-    """Coefficients a, b, ... of the force law; empty for Hertz's law, which treats both bodies as
-    half-spaces.
-    """
+    """Coefficients a, b, ...; empty for Hertz's law."""
 
     def force(self, depth: float) -> float:
         """Return the contact force, divided by `E R^2`; `depth` is relative to the radius."""
@@ -61,8 +57,8 @@ class Law:
 def fit_law(nu: float, *, whole: bool) -> Law:
     """Fit a contact-force law to finite-element results for a neo-Hookean ball.
 
-    If `whole` is true, the ball lies on one plate, and its inertia presses it against the plate. If
-    `whole` is false, the ball is between two plates.
+    With `whole`, the ball lies on one plate, and its inertia presses it against the plate.
+    Otherwise, the ball is between two plates.
     """
     s = np.sqrt(DEPTHS)
     hertz = [Law(nu).force(depth) for depth in DEPTHS]
@@ -76,20 +72,19 @@ class Mesh:
     """A mesh of the cross-section of a ball of radius 1; the plate is at z = 1."""
 
     x: Array
-    """Nodes of the mesh [N,2]: distance from the axis, and height."""
+    """Nodes [N,2]: distance from the axis, and height."""
     quads: NDArray[np.int64]
     """Indices of each element's nodes [M,4]."""
     surface: NDArray[np.int64]
-    """Indices of the mesh's nodes on the ball's surface, starting at the contact."""
+    """Indices of the nodes on the ball's surface, starting at the contact."""
     whole: bool
-    """Whether the mesh covers the whole ball (True) or only its upper half."""
+    """Whether the mesh covers the whole ball or only its upper half."""
 
 
 def make_mesh(fine: int, *, whole: bool) -> Mesh:
     """Divide the ball's cross-section into quadrilaterals along circles and rays.
 
-    There are `fine` elements along the radius. Without `whole`, the mesh is the upper half of the
-    ball, with z = 0 as symmetry plane.
+    `fine` is the number of elements along the radius. Without `whole`, z = 0 is a symmetry plane.
     """
     many = (3 if whole else 2) * fine
     turn = _towards_zero(many) * math.pi / (1 if whole else 2)
@@ -111,16 +106,16 @@ def _towards_zero(count: int) -> Array:
 
 @dataclass(frozen=True)
 class Elements:
-    """The elements of a mesh; each element has two by two integration points."""
+    """The elements of a mesh, with two by two integration points each."""
 
     gradient: Array
     """Matrices [M,4,5,8] that map displacements [M,8] to the five components of F - 1."""
     volume: Array
-    """Volume of each integration point, revolved around the ball's axis [M,4]."""
+    """Volume of each integration point [M,4], revolved around the axis."""
     dofs: NDArray[np.int64]
-    """Indices in the vector of displacements for each element's nodes [M,8]."""
+    """Indices of each element's unknowns [M,8]."""
     weights: Array
-    """Volume that each node represents, revolved around the ball's axis [N]."""
+    """Volume that each node represents [N], revolved around the axis."""
 
     @classmethod
     def of(cls, mesh: Mesh) -> Elements:
@@ -145,8 +140,7 @@ class Elements:
     def forces(self, u: Array, mu: float, lam: float) -> tuple[Array, Array]:
         """Return the elastic forces [2N] at the displacements u, and stiffness matrices [M,8,8].
 
-        The displacements [2N] may be followed by other unknowns. The Lame parameters mu and lam are
-        divided by E.
+        The Lame parameters mu and lam are divided by E.
         """
         F = np.zeros((*self.volume.shape, 3, 3))
         i, j = PAIRS
@@ -168,9 +162,8 @@ def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int =
     """Return for each depth the force on the plate, divided by `E R^2`.
 
     Args:
-        depths: Ascending displacements of the plate towards the middle of the ball, relative to the
-            radius. The middle of a whole ball is its centre of mass; the middle of a ball between
-            two plates is the symmetry plane.
+        depths: Ascending displacements of the plate towards the ball's centre of mass or symmetry
+            plane, relative to the radius.
         nu: Poisson's ratio.
         whole: True for a whole ball on one plate, False for a ball between two plates.
         fine: Number of elements along the radius.
@@ -193,12 +186,10 @@ def plate_forces(depths: Sequence[float], nu: float, *, whole: bool, fine: int =
 def _press(
     mesh: Mesh, elements: Elements, u: Array, lame: tuple[float, float], depth: float
 ) -> tuple[Array, float]:
-    """Find the equilibrium at a given depth with Newton's method and an active set.
+    """Find the equilibrium at a depth with Newton's method and an active set.
 
-    The last unknown is the body force that keeps the middle of the ball in place.
-
-    Returns:
-        The displacements and the body force [2N+1], and the force on the plate.
+    The last unknown is the body force that keeps the middle of the ball in place. Return the
+    displacements and the body force [2N+1], and the force on the plate.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve

@@ -21,15 +21,15 @@ class Quantity:
     name: str
     published: float
     low: float
-    """Lower end of the band, according to the source."""
+    """Lower end of the band."""
     high: float
-    """Upper end of the band, according to the source."""
+    """Upper end of the band."""
     at: float | None = None
-    """Position on the horizontal axis of a plot; None if the quantities do not form a curve."""
+    """Position on the horizontal axis of a plot; None: no curve."""
 
     @classmethod
     def within(cls, name: str, value: float, part: float, at: float | None = None) -> Quantity:
-        """Return a quantity whose band is symmetric about the published value.
+        """Return a quantity with a band that is symmetric about the value.
 
         Args:
             name: Name of the quantity.
@@ -46,51 +46,38 @@ class Experiment:
     """A comparison of simulations with published values, with texts for tables and plots."""
 
     name: str
-    """Name of the experiment on the command line."""
     title: str
     source: str
-    """Publication or theory from which the values come."""
     measured: str
-    """Description of the setup and the measured quantities, in one or two sentences."""
+    """The setup and the measured quantities, in one or two sentences."""
     band: str
-    """Description of the bands, with the reason for their width."""
+    """The bands and the reason for their width."""
     published: Callable[[], tuple[Quantity, ...]]
-    """Function that returns the published values, in the same order as `run` returns the simulated
-    values.
-    """
+    """Returns the published values, in the order of `run`."""
     run: Callable[[int], Values]
-    """Function that simulates with N cells across the length `across`, and returns the measured
-    values.
-    """
+    """Simulates with N cells across the length `across`, and returns the measured values."""
     control: Callable[[int], Values]
-    """Function that simulates the control: a run with a deliberate mistake. At least one value of
-    the control run must be outside its band.
-    """
+    """Simulates with a deliberate mistake; at least one value must be outside its band."""
     mistake: str
-    """Description of the mistake in the control run."""
+    """The mistake in the control run."""
     grids: tuple[int, int, int]
-    """Cells across the length `across`, from coarse to fine; the control run uses the coarsest
-    grid.
-    """
+    """Cells across the length `across`, from coarse to fine; the control uses the coarsest grid."""
     across: str
     """Length across which cells are counted."""
     axis: str = ""
-    """Label of the plot's horizontal axis; empty if the quantities do not form a curve."""
+    """Label of the horizontal axis; empty if the quantities do not form a curve."""
     unit: str = ""
     """Unit of all quantities, or the value by which all are divided."""
     quick: bool = False
     """Whether `phy124 validate --quick` runs the experiment."""
     seconds: float = 1.0
-    """Approximate duration of the experiment [s]; the longest experiments start first."""
+    """Approximate duration [s]; the longest experiments start first."""
     reason: str = ""
-    """Known reason why some values lie outside their bands; empty if there is none."""
+    """Known reason for values outside their bands."""
 
 
 def find_root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of a function between `low` and `high`.
-
-    The function must have opposite signs at these two points.
-    """
+    """Return the zero of a function that has opposite signs at `low` and `high`."""
     from scipy.optimize import brentq
 
     return float(brentq(function, low, high))  # pyright: ignore[reportArgumentType]
@@ -102,24 +89,20 @@ class Estimate:
 
     quantity: Quantity
     levels: Values
-    """The simulated value of the quantity on each grid, from coarse to fine."""
+    """The value on each grid, from coarse to fine."""
     control: float
-    """The quantity's value in the control run, on the coarsest grid; NaN if it was not measured."""
+    """The value in the control run; NaN if it was not measured."""
     value: float
-    """The quantity's value by Richardson extrapolation, or on the finest grid if the grids do not
-    converge.
+    """The Richardson extrapolation, or the value on the finest grid if the grids do not converge.
     """
     error: float
-    """Estimated error of `value`; if the grids do not converge, the spread of their values."""
+    """Estimated error of `value`; the spread of the values if the grids do not converge."""
     order: float | None
     """Observed order of convergence; None if the grids agree or do not converge."""
 
     @property
     def deviation(self) -> float:
-        """Relative difference of `value` from the published value.
-
-        The difference is absolute if the published value is zero.
-        """
+        """Difference from the published value; relative unless that value is zero."""
         return (self.value - self.quantity.published) / (abs(self.quantity.published) or 1.0)
 
     @property
@@ -134,10 +117,7 @@ class Estimate:
 
     @property
     def control_outside(self) -> bool:
-        """Whether the control run's value is outside the band by more than its error.
-
-        The error is that of the coarsest grid.
-        """
+        """Whether the control's value is outside the band by more than the coarsest grid's error."""
         error = abs(self.levels[0] - self.value) + self.error
         return not self.quantity.low - error <= self.control <= self.quantity.high + error
 
@@ -149,9 +129,8 @@ class Outcome:
     experiment: Experiment
     estimates: tuple[Estimate, ...] = ()
     seconds: float = 0.0
-    """Total CPU time of all runs [s]."""
+    """CPU time of all runs [s]."""
     failures: tuple[str, ...] = field(default=())
-    """Error messages of failed runs."""
 
     @property
     def inside(self) -> int:
@@ -160,7 +139,7 @@ class Outcome:
 
     @property
     def control_holds(self) -> bool:
-        """Whether the experiment detects the control run's mistake: a value is outside its band."""
+        """Whether the experiment detects the mistake in the control run."""
         return any(each.control_outside for each in self.estimates)
 
     @property
@@ -170,10 +149,7 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """Whether no run failed, and the control run's mistake is detected.
-
-        In addition, the reason for values outside their bands must be known.
-        """
+        """Whether all runs worked, the mistake is detected, and missed bands have a reason."""
         explained = not self.missed or bool(self.experiment.reason)
         return not self.failures and self.control_holds and explained
 
@@ -191,7 +167,7 @@ class Outcome:
 
 
 def estimate(grids: Sequence[int], quantity: Quantity, levels: Values, control: float) -> Estimate:
-    """Extrapolate the simulated values of a quantity to zero grid spacing.
+    """Extrapolate the values of a quantity to zero grid spacing.
 
     Args:
         grids: Cells of each grid, from coarse to fine.

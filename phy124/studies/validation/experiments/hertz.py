@@ -15,13 +15,11 @@ from phy124.studies.validation.experiments.pressed_block import hold_plates
 RADIUS, E, NU = 0.5, 1e5, 0.3
 """Radius [m], Young's modulus [Pa] and Poisson's ratio of the pressed ball."""
 DEPTHS = (0.03, 0.05)
-"""Depths to which each plate indents the ball [m]."""
+"""Indentation by each plate [m]."""
 PLACES = (0.0, 0.5)
-"""Final positions of the plate relative to a grid node [cells]. The forces at both positions are
-averaged.
-"""
+"""Final positions of the plate relative to a grid node [cells]; the forces are averaged."""
 MOVE, HOLD = 0.4, 0.4
-"""Duration for which the plate moves, and duration for which it then rests [s]."""
+"""Durations for which the plate moves and then rests [s]."""
 
 
 def hertz(depth: float) -> float:
@@ -38,11 +36,11 @@ def press(
     per_axis: int = 2,
     phase: float = 0.5,
 ) -> float:
-    """Simulate an eighth of the ball, and measure the mean force of a plate on the whole ball [N].
+    """Return the mean force of a plate on the ball [N], from an eighth of the ball.
 
     Args:
         cells: Cells across the radius.
-        depth: Depth to which the plate presses the ball [m].
+        depth: Indentation [m].
         stiffer: Factor on E, for the control.
         precision: float32 or float64.
         per_axis: Particles per cell and axis.
@@ -76,8 +74,7 @@ def publish() -> tuple[Quantity, ...]:
 def turning_time(of: Law) -> float:
     """Return the contact time of a bouncing ball for a force law, relative to Hertz's law.
 
-    The contact time starts when the ball still moves down at half its initial speed, and ends when
-    the ball moves up at half its initial speed.
+    The contact time lasts from half the initial speed downwards to half the initial speed upwards.
     """
     depth = restitution.SHALLOW
     turning = [restitution.solve_theory(0.0, depth, law).turning for law in (of, Law(0.0))]

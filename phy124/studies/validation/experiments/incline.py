@@ -12,13 +12,11 @@ from phy124.studies.validation.bodies import lattice, make_solver, mean_accelera
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 CASES = ((0.3, 0.0), (0.5, 0.3), (0.8, 0.4), (0.3, 0.5))
-"""Slope tan(angle) and coefficient of friction of each case; in the last case, nothing slides."""
+"""Slope tan(angle) and coefficient of friction; in the last case, nothing slides."""
 SIZE, SETTLING, SLIDING = 0.4, 1.4, 0.4
-"""Edge of the block [m]; durations for which it comes to rest and for which it then slides [s]."""
+"""Edge of the block [m]; durations of settling and of sliding [s]."""
 SAMPLES = 41
-"""Number of times at which the block's position is measured. A parabola is fitted to the block's
-positions, so that the block's rocking is averaged out.
-"""
+"""Number of positions to which a parabola is fitted, which averages out the block's rocking."""
 
 
 def acceleration(slope: float, friction: float) -> float:

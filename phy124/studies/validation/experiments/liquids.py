@@ -17,16 +17,15 @@ from phy124.studies.validation.bodies import find_zeros, host, lattice, record
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 DEPTH, WAVE, PERIODS = 0.5, 0.05, 5
-"""Depth of the tank and amplitude of the wave, relative to the tank's length; number of periods."""
+"""Depth of the tank and amplitude of the wave, relative to the length; number of periods."""
 SAMPLES = 60
-"""Number of samples per period of the wave."""
+"""Samples per period."""
 GAP, NU, PULL, FALL = 0.5, 0.1, 2.0, 0.5
 """Distance of the plates [m], kinematic viscosity [m^2/s], gravity [m/s^2], duration [s]."""
 RADIUS, THICK, LONGER = 6.0, 0.45, 4.0
 """Radius of the heap [m], its kinematic viscosity [m^2/s], and ratio of the last time to the first.
 
-The heap is initially 1 m high, and gravity is 1 m/s^2. With these values, inertia changes the flow
-of the heap by 3 %.
+The heap is initially 1 m high, and gravity is 1 m/s^2. Inertia then changes the flow by 3 %.
 """
 SIMILARITY = (1024 / (81 * np.pi**3)) ** 0.125
 """Prefactor of the radius of a spreading heap, 0.894 (Huppert 1982, eq. 2.31)."""
@@ -89,8 +88,7 @@ def slosh(cells: int, depth: float) -> Values:
 def fall(cells: int, viscosity: float) -> Values:
     """Let a liquid slab fall between no-slip plates, with `cells` cells across the gap.
 
-    Return the liquid's speeds in the middle and across the gap [m/s]. The viscosity is dynamic [Pa
-    s].
+    Return the speeds in the middle and across the gap [m/s]. The viscosity is dynamic [Pa s].
     """
     fine, width = round(cells / GAP), 4 * GAP / cells
     plates = [
@@ -120,11 +118,10 @@ def started_flow() -> tuple[float, float]:
 def spread(cells: int, viscosity: float, longer: float = LONGER) -> Values:
     """Let a heap spread on a no-slip floor; return the prefactor and the exponent of its radius.
 
-    The heap starts at time t0 from the similarity solution, with the height `(1 - r^2 /
-    R^2)^(1/3)`, and spreads until `longer` times t0. The heap's radius is sqrt(7/3) times the root
-    mean square of the particles' distances from the axis. This relation is exact for the similarity
-    solution. One quarter of the heap is simulated, with `cells` cells across its initial height.
-    The viscosity is kinematic [m^2/s].
+    The heap starts at time t0 with the height `(1 - r^2 / R^2)^(1/3)` of the similarity solution,
+    and spreads until `longer` times t0. The radius is sqrt(7/3) times the RMS distance from the
+    axis, which is exact for the similarity solution. One quarter is simulated, with `cells` cells
+    across the initial height. The viscosity is kinematic [m^2/s].
     """
     x = fill((RADIUS, RADIUS, 1.0), cells)
     x = x[x[:, 2] ** 3 < 1 - (x[:, 0] ** 2 + x[:, 1] ** 2) / RADIUS**2]

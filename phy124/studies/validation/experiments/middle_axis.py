@@ -1,7 +1,4 @@
-"""Experiment: the intermediate axis theorem.
-
-A free rigid body that spins about its axis of intermediate inertia flips repeatedly.
-"""
+"""Experiment: a body that spins about its axis of intermediate inertia flips repeatedly."""
 
 from collections.abc import Sequence
 
@@ -16,11 +13,10 @@ from phy124.studies.validation.bodies import find_zeros, host, lattice, make_sol
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 EDGES = (0.6, 0.4, 0.2)
-"""Edge lengths of the body [m]; the second edge is along the axis of intermediate inertia."""
+"""Edges of the body [m]; the second is along the axis of intermediate inertia."""
 SPIN = (1.0, 6.0, 0.0)
 """Initial angular velocity [rad/s]."""
 DURATION = 4.0
-"""Duration of a run [s]."""
 SAMPLES = 300
 
 
@@ -33,15 +29,15 @@ def moments(edges: Sequence[float]) -> NDArray[np.float64]:
 def find_turns(times: NDArray, spins: NDArray) -> Values:
     """Return the times of the first two flips [s]; NaN for a flip that does not occur.
 
-    At a flip, the spin about the body's axis of intermediate inertia is zero. The spins [T] are
-    sampled at `times` [T], s.
+    At a flip, the spin about the axis of intermediate inertia is zero. The spins [T] are sampled at
+    `times` [T], s.
     """
     turns = find_zeros(times, spins)[:2]
     return (*turns.tolist(), *[float("nan")] * (2 - len(turns)))
 
 
 def exact() -> Values:
-    """Return the times of the first two flips according to Euler's equations [s]."""
+    """Return the times of the first two flips by Euler's equations [s]."""
     from scipy.integrate import solve_ivp
 
     a, b, c = moments(EDGES)
@@ -75,11 +71,7 @@ def tumble(cells: int, edges: Sequence[float]) -> Values:
 
 
 def observe(solver: Solver | LatticeSolver) -> Values:
-    """Advance to the end of the run, and measure the flips and the conserved quantities.
-
-    Returns:
-        The times of two flips [s], and the remaining fractions of energy and angular momentum.
-    """
+    """Return the flips [s], and the remaining fractions of energy and angular momentum."""
     first = angular_momentum(solver)
     times = np.linspace(0, DURATION, SAMPLES + 1)[1:]
     spins, energies = record(solver, times, lambda: _spin(solver)).T
@@ -88,10 +80,7 @@ def observe(solver: Solver | LatticeSolver) -> Values:
 
 
 def _spin(solver: Solver | LatticeSolver) -> tuple[float, float]:
-    """Return the spin about the body's middle axis [rad/s], and the doubled rotational energy.
-
-    The energy is computed for unit masses, since only ratios of energies are used.
-    """
+    """Return the spin about the middle axis [rad/s], and the doubled energy of unit masses."""
     x, v = host(solver.state.x), host(solver.state.v)
     x, v, rest = x - x.mean(axis=0), v - v.mean(axis=0), solver.model.rest
     u, _, vt = np.linalg.svd(x.T @ rest)

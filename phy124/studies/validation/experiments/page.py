@@ -1,4 +1,4 @@
-"""Formats the outcomes of experiments as text for a terminal, and as a Markdown page with plots."""
+"""Formats the outcomes of experiments as text, and as a Markdown page with plots."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from phy124.studies.validation.experiments.experiment import Estimate, Outcome
 
 BLUE, GREY, ORANGE, GREEN = "#2563a8", "#9aa3ad", "#c2571a", "#2c8a4b"
 SHADES = ("#c9d8ea", "#8fb0d6", "#5a8bc2")
-"""Colours of the three grids, from coarse to fine."""
+"""Colours of the grids, from coarse to fine."""
 
 
 def refuse_missing_plots() -> None:
-    """Check that the package for drawing plots is installed.
+    """Check that plots can be drawn.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -34,7 +34,7 @@ def refuse_missing_plots() -> None:
 def save_plot(outcome: Outcome, path: PathLike) -> None:
     """Draw the outcome of an experiment as an SVG file.
 
-    The plot is a curve if the quantities have positions on an axis; otherwise, each has a row.
+    Quantities with positions on an axis form a curve; others have a row each.
 
     Raises:
         InputError: matplotlib is not installed.
@@ -58,7 +58,6 @@ def save_plot(outcome: Outcome, path: PathLike) -> None:
 
 
 def _draw_curve(axes: Any, outcome: Outcome) -> None:
-    """Plot the published and the simulated values over the quantities' positions."""
     experiment, estimates = outcome.experiment, outcome.estimates
     places = [each.quantity.at for each in estimates]
     low, high = ([getattr(f.quantity, side) for f in estimates] for side in ("low", "high"))
@@ -72,10 +71,7 @@ def _draw_curve(axes: Any, outcome: Outcome) -> None:
 def _draw_values(
     axes: Any, outcome: Outcome, at: Callable[[list[float]], tuple[Any, Any]], **errors: list[float]
 ) -> None:
-    """Draw the values of each grid, the extrapolated values with error bars, and the control.
-
-    `at` returns the x and y coordinates of points from one value per quantity.
-    """
+    """`at` returns the x and y coordinates of points from one value per quantity."""
     experiment, estimates = outcome.experiment, outcome.estimates
     for k, cells in enumerate(experiment.grids):
         dots = {"color": SHADES[k], "markersize": 4, "label": f"{cells} cells"}
@@ -87,11 +83,7 @@ def _draw_values(
 
 
 def _draw_rows(axes: Any, outcome: Outcome) -> None:
-    """Draw the deviations of the simulated values from the published value [%], one row per
-    quantity.
-
-    The deviations are relative, or absolute if the published value is zero.
-    """
+    """Deviations are in per cent, or absolute if the published value is zero."""
     estimates = outcome.estimates
     rows = range(len(estimates))
 
@@ -145,7 +137,7 @@ def summary(outcome: Outcome) -> str:
 
 
 def details(outcome: Outcome) -> list[str]:
-    """Describe an experiment's failed runs and quantities, one per line."""
+    """Describe the failed runs and the quantities, one per line."""
     rows = [f"    {failure}" for failure in outcome.failures]
     for each in outcome.estimates:
         seen = "" if math.isnan(each.control) else _number(each.control)
@@ -161,7 +153,7 @@ def details(outcome: Outcome) -> list[str]:
 
 
 def data(outcome: Outcome) -> dict[str, Any]:
-    """Return the outcome as data for JSON."""
+    """Return the outcome as plain data."""
     return {
         "name": outcome.experiment.name,
         "verdict": outcome.verdict,
@@ -194,7 +186,7 @@ def save_page(
     """Write the Markdown page, and one plot per experiment.
 
     Args:
-        outcomes: Outcomes of the experiments.
+        outcomes: The outcomes in their order on the page.
         page: The Markdown file.
         plots: Folder of the SVG files.
         machine: A sentence that describes the computer.
@@ -229,7 +221,6 @@ def _overview(outcomes: Sequence[Outcome]) -> str:
 
 
 def _worst(outcome: Outcome) -> str:
-    """Describe the value that is farthest outside its band; "" if all values are inside."""
     if not outcome.missed:
         return ""
     worst = max(outcome.missed, key=lambda each: abs(each.deviation))
@@ -237,7 +228,6 @@ def _worst(outcome: Outcome) -> str:
 
 
 def _section(outcome: Outcome, link: str) -> str:
-    """Return the section of the page that describes an experiment."""
     e = outcome.experiment
     lines = [
         f"## {e.title}\n",
@@ -281,16 +271,14 @@ def _band(each: Estimate) -> str:
 
 
 def _number(value: float) -> str:
-    """Format a number with four significant digits, or four decimals if it is below 0.1."""
+    """Use four significant digits, or four decimals below 0.1."""
     return f"{value:.4g}" if abs(value) >= 0.1 else f"{value:.4f}"
 
 
 def _anchor(title: str) -> str:
-    """Return the anchor of a Markdown heading."""
     return "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
 
 
 def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table in Markdown."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(each) + " |" for each in lines) + "\n"

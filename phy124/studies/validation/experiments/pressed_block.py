@@ -1,7 +1,4 @@
-"""Experiment: a block between smooth plates, to measure Poisson's ratio and three moduli.
-
-The moduli are Young's modulus, the confined modulus and the bulk modulus.
-"""
+"""Experiment: a block between smooth plates, to measure Poisson's ratio and three moduli."""
 
 import math
 from collections.abc import Sequence
@@ -17,20 +14,16 @@ from phy124.studies.validation.bodies import host, lattice, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values, find_root
 
 E, NU, SIZE = 1e5, 0.3, 1.0
-"""Young's modulus [Pa], Poisson's ratio and edge of the block [m].
-
-Only an eighth of the block is simulated.
-"""
+"""Young's modulus [Pa], Poisson's ratio and edge of the block [m]; an eighth is simulated."""
 STRAIN = 0.01
-"""Strain imposed by the plates."""
 PRESS, HOLD = 0.5, 1.0
-"""Duration for which the plates move, and duration for which they then rest [s]."""
+"""Durations for which the plates move and then rest [s]."""
 
 
 def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
     """Return the axial and the lateral Cauchy stress of a neo-Hookean block, divided by E.
 
-    `axial` and `lateral` are the stretches along the axis and normal to it.
+    `axial` and `lateral` are stretches.
     """
     mu, lam = 1 / (2 * (1 + nu)), nu / ((1 + nu) * (1 - 2 * nu))
     J = axial * lateral**2
@@ -39,10 +32,7 @@ def stress(axial: float, lateral: float, nu: float = NU) -> tuple[float, float]:
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return Poisson's ratio, and the exact values of stress / (E * strain).
-
-    The three cases are free sides, fixed sides, and hydrostatic pressure.
-    """
+    """Return Poisson's ratio, and stress / (E * strain) in three cases."""
     axial = 1 - STRAIN
     free = find_root(lambda lateral: stress(axial, lateral)[1], 1.0, 1.02)
     return tuple(
@@ -57,19 +47,19 @@ def publish() -> tuple[Quantity, ...]:
 
 
 def measure(cells: int, nu: float) -> Values:
-    """Measure Poisson's ratio, and stress / (E * strain) in the three cases of `publish`."""
+    """Measure the values of `publish`."""
     free, ratio = press(cells, 1, 0, nu)
     confined, bulk = press(cells, 1, 2, nu)[0], press(cells, 3, 0, nu)[0]
     return ratio, free / E, confined / E, bulk / E
 
 
 def press(cells: int, moving: int, fixed: int, nu: float) -> tuple[float, float]:
-    """Simulate the block, and measure its axial stress and lateral strain.
+    """Simulate the block, and measure its stiffness and lateral strain.
 
     Args:
         cells: Cells across half the block.
-        moving: Number of axes with moving plates: z, then y, then x.
-        fixed: Number of axes with fixed plates: the next axes in the same order.
+        moving: Number of axes with moving plates, in the order z, y, x.
+        fixed: Number of axes with fixed plates, which follow in this order.
         nu: Poisson's ratio.
 
     Returns:
@@ -96,8 +86,8 @@ def hold_plates(
     Args:
         model: The body.
         plates: The plates.
-        moving: Duration for which the plates move [s].
-        resting: Duration for which the plates then rest [s].
+        moving: Time in which the plates move [s].
+        resting: Time in which the plates then rest [s].
 
     Returns:
         The solver, and the first plate's mean force along z [N] in the second half of `resting`.
@@ -113,7 +103,6 @@ def hold_plates(
 
 
 def _plate(axis: int, *, moves: bool) -> HalfSpace:
-    """Return a smooth plate that presses on the block's positive side along an axis."""
     normal = -np.eye(3)[axis]
     low = tuple((STRAIN * SIZE / 2 * normal).tolist())
     path = Path(times=(0.0, PRESS), points=((0.0, 0.0, 0.0), low)) if moves else None

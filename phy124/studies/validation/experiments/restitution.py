@@ -1,7 +1,4 @@
-"""Experiment: the speed of a viscoelastic ball after a slow bounce on a floor.
-
-The simulated speed is compared with the speed that follows from a force law.
-"""
+"""Experiment: the speed of a viscoelastic ball after a slow bounce on a floor."""
 
 import math
 from dataclasses import dataclass
@@ -30,18 +27,16 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 RADIUS, DENSITY, E = 0.5, 1000.0, 1e6
 """Radius [m], density [kg/m^3] and Young's modulus [Pa] of the ball.
 
-With nu = 0, the viscous stress is damping / mu times the rate of the elastic stress. For a
-quasi-static contact, the force law F + loss dF/dt is therefore exact.
+With nu = 0, the viscous stress is damping / mu times the rate of the elastic stress, so the force
+law F + loss dF/dt is exact for a quasi-static contact.
 """
 SHALLOW, DEEP = 0.06, 0.12
-"""Maximum depths of the contact according to Hertz's law, relative to the radius. These depths
-determine the ball's initial speed.
+"""Maximum depths by Hertz's law, relative to the radius.
 
-The contact time is measured for a shallow contact, as Hertz's law requires. The energy loss is
-measured for a deep contact, whose area covers more cells.
+Hertz's law requires a shallow contact, which gives the contact time. The energy loss is measured in
+a deep contact, whose area covers more cells.
 """
 SAMPLES = 300
-"""Number of samples of the ball's velocity per run."""
 FLIGHT = 2.2
 """Duration of a run, in units of Hertz's contact time."""
 
@@ -52,11 +47,11 @@ class Bounce:
 
     times: NDArray[np.float64]
     speeds: NDArray[np.float64]
-    """Upward velocities of the ball's centre, in units of the initial speed."""
+    """Upward velocities, in units of the initial speed."""
 
     @property
     def restitution(self) -> float:
-        """Coefficient of restitution: speed after the bounce / speed before."""
+        """Speed after the bounce / speed before."""
         return float(self.speeds[-SAMPLES // 4 :].mean())
 
     @property
@@ -79,8 +74,8 @@ def duration(depth: float) -> float:
 def solve_theory(loss: float, depth: float, law: Law) -> Bounce:
     """Integrate the motion of a ball under the contact force `max(0, F + loss dF/dt)`.
 
-    `loss` is damping / mu, in units of Hertz's contact time. `depth` is the maximum depth by
-    Hertz's law without loss, relative to the radius. `law` is the force F.
+    `loss` is damping / mu, in units of Hertz's contact time. `depth` is the maximum depth without
+    loss, in radii. `law` is the force F.
     """
     from scipy.integrate import solve_ivp
 
@@ -103,7 +98,7 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
     Args:
         cells: Cells across the radius.
         loss: damping / mu, in units of Hertz's contact time.
-        depth: Maximum depth by Hertz's law without loss, in radii.
+        depth: Maximum depth without loss, in radii.
         stiffer: Factor on E, for a control.
     """
     dx, v = RADIUS / cells, speed(depth)
@@ -121,14 +116,14 @@ def bounce(cells: int, loss: float, depth: float, *, stiffer: float = 1.0) -> Bo
 
 
 def observe(solver: Solver | LatticeSolver, depth: float) -> Bounce:
-    """Simulate and return a bounce; `depth` is its maximum depth relative to the radius."""
+    """Simulate a bounce; `depth` is the maximum depth in radii."""
     times = np.linspace(0, FLIGHT * duration(depth), SAMPLES + 1)[1:]
     speeds = record(solver, times, partial(mean_along, solver, "v", UP))
     return Bounce(times, speeds / speed(depth))
 
 
 LOSSES = (0.0, 0.02, 0.05)
-"""Ratios of damping to mu in the runs, in units of Hertz's contact time."""
+"""Ratios of damping to mu, in units of Hertz's contact time."""
 
 
 def publish() -> tuple[Quantity, ...]:

@@ -1,4 +1,4 @@
-"""Runs experiments in parallel processes: one run per grid, and one control run with a mistake."""
+"""Runs experiments in parallel processes."""
 
 import math
 import time
@@ -13,7 +13,7 @@ from phy124.studies.validation.experiments.experiment import Experiment, Outcome
 
 
 class Run(NamedTuple):
-    """One simulation of an experiment on one grid, as plain data for another process."""
+    """One simulation on one grid, as plain data for another process."""
 
     experiment: str
     cells: int
@@ -21,13 +21,13 @@ class Run(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """The result of one run of an experiment."""
+    """The result of one run."""
 
     run: Run
     values: Values
-    """The measured values; empty if the run failed."""
+    """Empty if the run failed."""
     seconds: float
-    """CPU time of the run [s]."""
+    """CPU time [s]."""
     failure: str = ""
 
 
@@ -39,7 +39,7 @@ def list_runs(experiment: Experiment) -> list[Run]:
 
 
 def measure_run(run: Run) -> Measured:
-    """Execute a run and return the result; an exception becomes an error message in the result."""
+    """Execute a run; an exception becomes an error message in the result."""
     experiment, before = find_experiment(run.experiment), time.process_time()
     try:
         values = (experiment.control if run.control else experiment.run)(run.cells)
@@ -53,7 +53,7 @@ def measure_run(run: Run) -> Measured:
 def run_all(
     experiments: Sequence[Experiment], *, jobs: int, progress: Progress
 ) -> Iterator[Outcome]:
-    """Run experiments, and yield the outcome of each experiment as soon as it is complete.
+    """Run experiments, and yield the outcome of each completed experiment.
 
     With one job, all runs are executed in this process. `progress` is called with ("validate",
     finished runs, all runs) and may raise Cancelled.
@@ -75,7 +75,7 @@ def run_all(
 
 
 def conclude(experiment: Experiment, measured: Sequence[Measured]) -> Outcome:
-    """Return the outcome of an experiment from the results of all its runs, in any order."""
+    """Return the outcome of an experiment from the results of its runs, in any order."""
     seconds = sum(result.seconds for result in measured)
     failures = tuple(result.failure for result in measured if result.failure)
     if failures:

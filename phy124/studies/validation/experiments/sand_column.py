@@ -11,24 +11,21 @@ from phy124.studies.validation.bodies import connected_end, make_solver, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 ASPECTS = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Aspect ratios of the columns, initial height / width."""
+"""Initial height / width of the columns."""
 LUBE = (1.2, 1.9, 2.3)
 """Coefficients (l1, l2, a0) of the run-out law for sand, rice and sugar.
 
-For an aspect ratio `a`, the run-out relative to the column's width is `l1 a` if `a < a0`, and `l2
-a^(2/3)` otherwise.
+The run-out / width of a column with height / width `a` is `l1 a` if `a < a0`, otherwise `l2
+a^(2/3)`.
 """
 LAJEUNESSE = (1.8, 2.3, 3.0)
-"""Coefficients (l1, l2, a0) of the run-out law in `LUBE`, but for glass beads."""
+"""Coefficients (l1, l2, a0) for glass beads."""
 WIDTH = 0.1
 """Width of the column [m]."""
 SLOPE = 31.0
-"""Angle of friction of the sand in the channel, in plane strain [degrees]."""
+"""Angle of friction in the channel, in plane strain [degrees]."""
 STIFF = 300.0
-"""Young's modulus of the sand, divided by the pressure at the column's base.
-
-At this ratio, gravity compresses the sand at the column's base by about 0.3 %.
-"""
+"""Young's modulus divided by the pressure at the base, which is compressed by about 0.3 %."""
 DURATION = 6.0
 """Duration of a run, in units of sqrt(H / g); the collapse takes about 3 units."""
 
@@ -37,30 +34,30 @@ def plane_strain(angle: float) -> float:
     """Convert a Mohr-Coulomb angle in plane strain to `friction_angle` of `sand` [degrees].
 
     The Drucker-Prager cone touches the Mohr-Coulomb pyramid where two principal stresses are equal.
-    In plane strain, the middle principal stress is the mean of the two others. For such stresses
-    `sin(angle) = 2 sqrt(3) s / (3 - s)`, where s is the sine of `friction_angle`.
+    In plane strain, the middle principal stress is the mean of the others. Then `sin(angle) = 2
+    sqrt(3) s / (3 - s)`, where s is the sine of `friction_angle`.
     """
     sine = math.sin(math.radians(angle))
     return math.degrees(math.asin(3 * sine / (2 * math.sqrt(3) + sine)))
 
 
 def run_out(aspect: float, law: tuple[float, float, float]) -> float:
-    """Return a column's run-out / width by a law (l1, l2, a0); `aspect` is its height / width."""
+    """Return the run-out / width by a law (l1, l2, a0); `aspect` is height / width."""
     linear, power, change = law
     return linear * aspect if aspect < change else power * aspect ** (2 / 3)
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the run-out of each column by Lube's law for sand, with its band.
+    """Return the run-out of each column by Lube's law for sand.
 
-    The band extends from 0.9 times this run-out to the run-out by Lajeunesse's law for glass beads.
+    The band extends from 0.9 times this run-out to that by Lajeunesse's law for glass beads.
     """
     ways = [(aspect, run_out(aspect, LUBE), run_out(aspect, LAJEUNESSE)) for aspect in ASPECTS]
     return tuple(Quantity(f"H/L = {a:g}", low, 0.9 * low, high, a) for a, low, high in ways)
 
 
 def collapse(cells: int, aspect: float, angle: float) -> float:
-    """Measure the run-out of a column, relative to its width, for sand with a `friction_angle`.
+    """Measure the run-out / width for sand with a `friction_angle`.
 
     `cells` is the number of cells across a square with the column's area.
     """
@@ -76,10 +73,7 @@ def collapse(cells: int, aspect: float, angle: float) -> float:
 
 
 def measure(cells: int, aspects: Sequence[float], angle: float) -> Values:
-    """Measure the run-out of columns with these aspect ratios, which are the first of `ASPECTS`.
-
-    The values of the other columns are NaN.
-    """
+    """Measure the run-out / width for the first of `ASPECTS`; the other values are NaN."""
     ways = [collapse(cells, aspect, angle) for aspect in aspects]
     return (*ways, *[math.nan] * (len(ASPECTS) - len(ways)))
 

@@ -9,21 +9,21 @@ from phy124.studies.validation.bodies import host, lattice, make_solver, mirrors
 from phy124.studies.validation.experiments.experiment import Experiment, Quantity, Values
 
 LENGTH, RADIUS = 32.4e-3, 3.2e-3
-"""Size of the copper bar [m]."""
+"""Size of the bar [m]."""
 SPEED, DURATION = 227.0, 80e-6
-"""Initial speed [m/s], and duration of a run [s]."""
+"""Initial speed [m/s], and duration [s]."""
 COPPER = Metal(E=117e9, nu=0.35, density=8930, yield_stress=400e6, hardening=100e6)
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the published final length of the bar and the final radius of its impact face [mm]."""
+    """Return the published length of the bar and radius of its impact face [mm]."""
     return (Quantity("length", 21.43, 21.42, 21.48), Quantity("radius", 7.22, 7.11, 7.24))
 
 
 def strike(cells: int, copper: Metal) -> Values:
     """Simulate a quarter of the bar, with `cells` cells across its radius.
 
-    Return the length of the bar, and the radius of its impact face after the impact [mm].
+    Return the final length and the final radius of the impact face [mm].
     """
     dx = RADIUS / cells
     count = round(2 * LENGTH / dx)

@@ -16,19 +16,19 @@ RATE, STREAM = 5.0, 1.0
 TIMES = (0.5, 1.0, 2.0, 6.0)
 """Times of the measurements, in units of 1 / rate."""
 LIMIT = STREAM - GRAVITY / RATE
-"""Terminal velocity u - g / rate [m/s], positive upwards; the body falls, so it is negative."""
+"""Terminal velocity u - g / rate [m/s]; negative, because the body falls."""
 
 
 def way(time: float) -> float:
-    """Return the exact upward displacement [m]: `(u - g / rate) (t - (1 - exp(-rate t)) / rate)`.
+    """Return the upward displacement [m]: `(u - g / rate) (t - (1 - exp(-rate t)) / rate)`.
 
-    The time t is in units of 1 / rate.
+    The argument `time` is rate * t.
     """
     return LIMIT / RATE * (time - 1 + math.exp(-time))
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the block's exact displacements and its exact final velocity."""
+    """Return the exact displacements and the final velocity."""
     ways = [
         Quantity.within(f"way at t = {time:g} / rate [m]", way(time), 0.002, time) for time in TIMES
     ]
@@ -39,7 +39,7 @@ def publish() -> tuple[Quantity, ...]:
 def blow(cells: int, rate: float) -> Values:
     """Simulate the falling block, with `cells` cells across it and a rate of drag [1/s].
 
-    Return the upward displacement at each time [m], and the final upward velocity [m/s].
+    Return the displacement at each time [m], and the final velocity [m/s], both upwards.
     """
     dx = 0.4 / cells
     x = lattice((2 * cells,) * 3, dx / 2)

@@ -1,7 +1,6 @@
-"""Experiment: the moments of inertia of a rolling ball and of a swinging plate.
+"""Experiment: the moments of inertia of a rolling ball and of a swinging plate on lattices.
 
-The lattice solver simulates the ball and the plate (`accuracy.solver = "lattice"`). Because mass is
-lumped at nodes, the moment of inertia per mass about each axis is too large by dx^2 / 2.
+Because mass is lumped at nodes, the moment of inertia per mass is too large by dx^2 / 2.
 """
 
 import math
@@ -26,15 +25,13 @@ from phy124.studies.validation.experiments.experiment import Experiment, Quantit
 
 RUBBER = NeoHookean(E=4e6, nu=0.3, density=1000.0, damping=50.0)
 RADIUS, SLOPE, FRICTION = 0.1, 0.3, 0.8
-"""Radius of the rolling ball [m], tangent of the slope's angle, and coefficient of friction."""
+"""Radius of the ball [m], tangent of the slope's angle, and coefficient of friction."""
 SETTLING, ROLLING = 0.15, 0.35
-"""Time before the rolling ball's acceleration is measured, and duration of the measurement [s]."""
+"""Start and duration of the ball's measurement [s]."""
 PLATE = (0.4, 0.0125, 0.1)
-"""Edges of the plate [m]. The plate swings in its own plane about a point on its longest axis."""
+"""Edges of the plate [m], which swings in its plane about a point on its longest axis."""
 HINGE, GRIP = 0.15, 0.04
-"""Distance of the hinge from the plate's centre, and radius of the material that the hinge holds
-[m].
-"""
+"""Distance of the hinge from the plate's centre, and radius of the held material [m]."""
 ANGLE = 0.1
 """Amplitude of the swing [rad]."""
 STIFFNESS = 1e6
@@ -43,7 +40,7 @@ SAMPLES = 60
 
 
 def publish() -> tuple[Quantity, ...]:
-    """Return the ball's exact acceleration / gravity, and the plate's exact period [s]."""
+    """Return the ball's acceleration / gravity, and the plate's period [s]."""
     rolling = 5 / 7 * math.sin(math.atan(SLOPE))
     return (
         Quantity.within("acceleration of the ball [g]", rolling, 0.01),
@@ -59,7 +56,10 @@ def exact_period() -> float:
 
 
 def roll(cells: int, gravity: float) -> float:
-    """Measure the acceleration / standard gravity of a ball, `cells` cells wide, on a slope."""
+    """Measure the acceleration / standard gravity of a ball on a slope.
+
+    `cells` is the number of cells across the ball.
+    """
     dx, angle = 2 * RADIUS / cells, math.atan(SLOPE)
     centre = np.array([0.0, 0.0, RADIUS])
 
@@ -77,7 +77,7 @@ def roll(cells: int, gravity: float) -> float:
 
 
 def swing(cells: int, gravity: float) -> float:
-    """Measure the period of a plate [s], `cells` cells long, that hangs from a hinge."""
+    """Measure the period of a plate that hangs from a hinge [s]; it is `cells` cells long."""
     dx, edges = PLATE[0] / cells, np.array(PLATE)
 
     def distance(x: NDArray) -> NDArray[np.float64]:

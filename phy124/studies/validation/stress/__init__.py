@@ -1,6 +1,5 @@
 """Stress tests: extreme inputs and motions, for which the results must stay within bounds.
 
-`phy124 stress` runs all cases on the devices of this machine; the test suite runs these cases too.
 docs/lab/stability.md lists the bounds with their reasons.
 """
 
@@ -61,21 +60,20 @@ CASES = (
     Case(36, "light, soft and heavy bodies in a liquid", liquids.bodies),
     Case(37, "such bodies on lattices in a liquid", liquids.bodies_on_lattices),
 )
-"""All cases, by number."""
 
 __all__ = ["CASES", "Case", "Check", "Row", "Setting", "examine", "find_cases", "run", "settings"]
 
 
 def settings(device: str | None = None, *, long: bool = False) -> list[Setting]:
-    """Return a setting for each precision on a device; if None, on the CPU and on each GPU."""
+    """Return a setting for each precision on a device; None: on the CPU and on each GPU."""
     devices = [device] if device else ["cpu", *map(str, wp.get_cuda_devices())]
     return [Setting(d, p, long) for d in devices for p in ("float32", "float64")]
 
 
 def find_cases(names: Sequence[str]) -> list[Case]:
-    """Return the stress tests whose number, or words of whose name, are in `names`.
+    """Return the cases whose numbers or names match; `names` may contain words of a name.
 
-    If there are no names, return all stress tests.
+    Without names, return all cases.
 
     Raises:
         InputError: A name fits no case.

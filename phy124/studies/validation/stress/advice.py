@@ -1,4 +1,4 @@
-"""Case 30: checks that the remedies in error messages help."""
+"""Case 30: the remedies in error messages help."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -17,7 +17,7 @@ SMALL: dict[str, Any] = {
 }
 LONG: dict[str, Any] = {"frames": 400, "fps": 24.0, "budget": 1e8}
 EXCESS = 1.4
-"""Estimated time divided by the time budget; at this ratio, every device refuses the scene."""
+"""Estimated time divided by the time budget; every device refuses a scene at this ratio."""
 REFUSED: dict[str, dict[str, Any]] = {
     "stiff": {"material": {"law": "neo_hookean", "E": 1e12}, "time": LONG},
     "rubbing": {"material": {"law": "neo_hookean", "damping": 1e7}, "time": LONG},
@@ -25,13 +25,12 @@ REFUSED: dict[str, dict[str, Any]] = {
     "ceiling": {"time": {**LONG, "substep": 1e-8}},
     "rigid": {"material": {"law": "rigid", "speed": 1000.0, "strain": 1e-4}, "time": LONG},
 }
-"""Scenes that are refused if the time budget is less than the estimated time."""
 TOO_LONG = 2.5
 """Multiple of the stable substep at which a run becomes unstable; users cannot choose it."""
 
 
 def advice(setting: Setting) -> list[Check]:
-    """Check the remedies that are suggested for refused and stopped runs, one at a time."""
+    """Check the remedies for refused and stopped runs, one at a time."""
     checks = []
     for name, changes in REFUSED.items():
         scene = _with_short_budget(Scene.from_data({**SMALL, **changes}), setting)
@@ -42,7 +41,6 @@ def advice(setting: Setting) -> list[Check]:
 
 
 def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a scene is refused, and that each suggested remedy makes it acceptable."""
     try:
         _prepare(scene, setting)
     except InputError as refusal:
@@ -54,7 +52,6 @@ def _check_accepted(name: str, scene: Scene, setting: Setting) -> Iterator[Check
 
 
 def _with_short_budget(scene: Scene, setting: Setting) -> Scene:
-    """Return a scene whose time budget is shorter than its estimated time on the device."""
     context = RunContext(device=setting.device)
     seconds = prepare(surface_of_ball(40), scene, context).estimate.seconds
     return scene.replaced({"time.budget": seconds / EXCESS})
@@ -69,7 +66,7 @@ def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
 
 
 def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a run stops early, and that each suggested remedy allows more frames."""
+    """Check that each remedy for a stopped run allows more frames."""
     stopped = _run(scene, setting)
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 1)
@@ -80,10 +77,7 @@ def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 
 def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that a run exceeds its time budget, and that each suggested remedy helps.
-
-    A remedy must reduce the number of substeps, or increase the budget so that the run can finish.
-    """
+    """Check that each remedy reduces the number of substeps, or allows the run to finish."""
     name, stopped = "outruns its time budget", _run(scene, setting)
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 2)
@@ -113,10 +107,7 @@ def _run(scene: Scene, setting: Setting) -> Simulation:
 
 
 def _make_exploding(setting: Setting) -> Scene:
-    """Return a scene that becomes unstable.
-
-    It uses the particle solver, whose substeps are proportional to `cfl`.
-    """
+    """Return an unstable scene: substeps of the particle solver are proportional to `cfl`."""
     scene = Scene.from_data({**SMALL, "object": {"spin": [0.0, 0.0, 3.0]}, "forces": []})
     update = {"cfl": TOO_LONG, "precision": setting.precision, "solver": "mpm"}
     wrong = scene.resolution.model_copy(update=update)
@@ -124,10 +115,7 @@ def _make_exploding(setting: Setting) -> Scene:
 
 
 def _make_violent(setting: Setting) -> Scene:
-    """Return a scene that takes much longer than estimated.
-
-    The object's speed limits the substep, but the estimate considers only the stiffness.
-    """
+    """Return a scene whose speed limits the substep; the estimate considers only the stiffness."""
     accuracy = {**SMALL["accuracy"], "precision": setting.precision}
     scene = {
         "accuracy": accuracy,

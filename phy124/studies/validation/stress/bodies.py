@@ -15,16 +15,16 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 Array = NDArray[np.float64]
 REORDERED = {"float32": 1e-5, "float64": 1e-12}
-"""Maximum relative difference that another order of summation causes in a short run."""
+"""Maximum relative difference due to another order of summation in a short run."""
 DX = 0.125
-"""Grid spacing of the bodies [m]; a power of two."""
+"""Grid spacing [m]; a power of two."""
 JELLY = NeoHookean(E=1e4, nu=0.3)
 
 
 def body(
     x: Array, setting: Setting, material: Material = JELLY, *, size: float = 0.375, **options: Any
 ) -> Solver:
-    """Create a solver for particles with equal volumes, which add up to the volume of a cube.
+    """Create a solver for particles that share the volume of a cube equally.
 
     Args:
         x: Positions [P,3], m.
@@ -40,7 +40,7 @@ def body(
 def vibrating(x: Array, strain_rate: float) -> dict[str, Any]:
     """Return velocities v [P,3] and their gradients C [P,3,3] for an extension along x.
 
-    The extension preserves volume; `strain_rate` is its rate [1/s].
+    The extension preserves volume. `strain_rate` is in 1/s.
     """
     C = strain_rate * np.diag([1.0, -0.5, -0.5])
     return {"v": (x - x.mean(axis=0)) @ C.T, "C": np.broadcast_to(C, (len(x), 3, 3)).copy()}
@@ -57,26 +57,26 @@ def volume_ratios(solver: Solver) -> Array:
 
 
 def deform(solver: Solver, F: Array) -> None:
-    """Set the deformation gradients of all particles to F, which is [P,3,3] or [3,3]."""
+    """Set all deformation gradients to F, [P,3,3] or [3,3]."""
     assign(solver, "F", np.broadcast_to(F, (len(solver.model.rest), 3, 3)))
 
 
 def assign(solver: Solver, name: str, values: Array) -> None:
-    """Overwrite the array with the name `name` in the solver's state."""
+    """Overwrite an array of the solver's state."""
     array, real = getattr(solver.state, name), solver.model.real
     scalars = values.astype(np.float32 if real is wp.float32 else np.float64)
     array.assign(wp.array(scalars, dtype=array.dtype, device="cpu"))
 
 
 def stable_dt(solver: Solver) -> float:
-    """Return the stability limit of an isolated particle at rest, dx / sqrt(A / rho0) [s]."""
+    """Return the limit of an isolated particle at rest, dx / sqrt(A / rho0) [s]."""
     return solver.model.dx / solver.model.materials[0].wave_speed()
 
 
 def steps(solver: Solver, count: int, dt: float) -> None:
     """Take `count` substeps of length `dt` [s].
 
-    The first substep of a run advances velocities by half a substep, as leapfrog requires.
+    The first substep advances velocities by half a substep (leapfrog).
     """
     for k in range(count):
         solver.step(dt / 2 if k == 0 and solver.clock.last_dt == 0 else dt, dt)
@@ -89,10 +89,9 @@ def relative(value: Array, reference: Array) -> float:
 
 
 def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
-    """Check that two results are equal.
+    """Check that two results are equal: bitwise on a CPU, up to rounding on a GPU.
 
-    On a CPU, the results must be bitwise equal. On a GPU, the order of summation varies, so the
-    results must be equal up to rounding.
+    The order of summation varies on a GPU.
 
     Args:
         what: Name of the quantity.
@@ -109,8 +108,8 @@ def alike(what: str, value: Array, reference: Array, setting: Setting) -> Check:
 class Meter:
     """Measures the energy and the momenta of a run in chosen substeps.
 
-    Positions are half a substep ahead of velocities. The kinetic energy at the time of the
-    positions is therefore the mean of the kinetic energies half a substep before and after.
+    Positions are half a substep ahead of velocities. The kinetic energy is therefore the mean of
+    the values half a substep before and after.
     """
 
     def __init__(self, solver: Solver) -> None:
@@ -123,11 +122,7 @@ class Meter:
         self.moved = float((mass * np.abs(host(solver.state.v))).sum())
 
     def read(self, dt: float) -> float:
-        """Take a substep of length `dt` [s], and measure the energy at its start.
-
-        Returns:
-            The energy divided by the initial energy.
-        """
+        """Take a substep of length `dt` [s]; return energy / initial energy at its start."""
         before = diagnose(self.solver)
         steps(self.solver, 1, dt)
         after = diagnose(self.solver)
@@ -140,11 +135,11 @@ class Meter:
 
     @property
     def momentum_drift(self) -> float:
-        """Change of the total momentum, relative to the sum of the particles' initial |momenta|."""
+        """Change of the total momentum, relative to the sum of the initial |momenta| of particles."""
         return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
 
     @property
     def angular_drift(self) -> float:
-        """Change of the total angular momentum, relative to its initial value."""
+        """Relative change of the total angular momentum."""
         change = np.linalg.norm(self.end.angular - self.start.angular)
         return float(change / np.linalg.norm(self.start.angular))

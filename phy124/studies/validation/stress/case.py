@@ -12,20 +12,19 @@ class Setting(NamedTuple):
     device: str = "cpu"
     precision: str = "float32"
     long: bool = False
-    """Whether a case runs at full length (minutes instead of seconds)."""
+    """Full length: minutes instead of seconds."""
 
     @property
     def double(self) -> bool:
-        """Whether the precision of this setting is float64."""
+        """Whether the precision is float64."""
         return self.precision == "float64"
 
     @property
     def options(self) -> dict[str, Any]:
-        """Options of `Model.of` for this setting."""
+        """Options of `Model.of`."""
         return {"device": self.device, "precision": self.precision}
 
     def __str__(self) -> str:
-        """Return a text such as "float32 on cpu"."""
         return f"{self.precision} on {self.device}"
 
 
@@ -50,17 +49,17 @@ class Check(NamedTuple):
 
 
 class Case(NamedTuple):
-    """A case of the stress tests; `measure` runs the case and returns the checks."""
+    """A case; `measure` runs the case and returns the checks."""
 
     number: int
     name: str
     measure: Callable[[Setting], list[Check]]
     precise: bool = True
-    """Whether the results show the precision and the device after the name of the case."""
+    """Whether the results state the precision and the device."""
 
 
 class Row(NamedTuple):
-    """A row of the results: a case, its bounds, the measured values, and whether they are good."""
+    """A row of the results."""
 
     case: str
     bound: str
@@ -69,10 +68,7 @@ class Row(NamedTuple):
 
 
 def examine(case: Case, setting: Setting) -> tuple[Row, list[Check]]:
-    """Run a case, and return its row and its checks.
-
-    An exception counts as a failure of the case, and the other cases still run.
-    """
+    """Run a case, and return its row and its checks; an exception is a failure of the case."""
     name = f"{case.number:>2} {case.name}"
     if case.precise:
         name += f" ({setting})"

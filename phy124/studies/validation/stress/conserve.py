@@ -1,4 +1,4 @@
-"""Cases 1 to 5 and 23 to 25: conserved quantities and the Gaussians' shapes in long motions."""
+"""Cases 1 to 5 and 23 to 25: conserved quantities and Gaussians in long motions."""
 
 import numpy as np
 
@@ -36,10 +36,7 @@ def rest(setting: Setting) -> list[Check]:
 
 
 def units(setting: Setting) -> list[Check]:
-    """Check that the motion does not change if the units are changed by powers of two.
-
-    If the solver had an absolute threshold, the motion would change.
-    """
+    """Check that units do not matter: the solver has no absolute threshold."""
     paths = []
     for L, M, T in ((1.0, 1.0, 1.0), (2.0**-17, 2.0**-60, 2.0**-8)):
         x = block(middle=(0, 0, 0.25)) * L
@@ -67,8 +64,7 @@ def units(setting: Setting) -> list[Check]:
 def free_fall(setting: Setting) -> list[Check]:
     """Check that a falling body follows the exact parabola, up to rounding.
 
-    The parabola is exact only if the first substep advances velocities by half a substep, as in
-    leapfrog integration.
+    This holds only if the first substep advances velocities by half a substep (leapfrog).
     """
     x = block()
     s = body(x, setting, forces=[Gravity()])
@@ -94,10 +90,7 @@ def spin(setting: Setting) -> list[Check]:
 
 
 def endurance(setting: Setting) -> list[Check]:
-    """Check that energy does not grow and momenta are conserved over many long substeps.
-
-    The substeps are 0.5 and 0.9 of the stability limit.
-    """
+    """Check energy and momenta over many substeps of 0.5 and 0.9 of the stability limit."""
     count = 100_000 if setting.long else 2000
     precisions = ["float64"] if setting.double else ["float32", "float64"]
     checks = []
@@ -142,15 +135,13 @@ def slow_drift(setting: Setting) -> list[Check]:
 
 
 FLAT = (0.01, 0.01, 1e-4)
-"""Scales [m] of a flat Gaussian with an aspect ratio of 100."""
+"""Scales of a flat Gaussian [m]."""
 APART = 0.05
-"""Smallest relative difference between the lengths of two axes at which their directions are
-defined.
-"""
+"""Smallest relative difference between two lengths at which the axes have defined directions."""
 
 
 def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver, Gaussians]:
-    """Return a body that rotates and vibrates, and one Gaussian at each of its particles."""
+    """Return a body that rotates and vibrates, and one Gaussian at each particle."""
     x = block(4, 0.25)
     spin, stretch = turning(x, (0.5, 1.0, 3.0)), vibrating(x, 1.0)
     s = body(x, setting, size=0.25, **{name: spin[name] + stretch[name] for name in spin})
@@ -163,10 +154,7 @@ def _whirl(setting: Setting, scales: tuple[float, float, float]) -> tuple[Solver
 
 
 def covariances(setting: Setting) -> list[Check]:
-    """Check that the covariances of flat Gaussians equal `F Sigma0 F^T` after a long motion.
-
-    The expected covariances are computed in double precision.
-    """
+    """Check that the covariances of flat Gaussians equal `F Sigma0 F^T` after a long motion."""
     s, flat = _whirl(setting, FLAT)
     carry = Deformer(flat, device=setting.device)
     dt, error, minimum = 0.6 * stable_dt(s), 0.0, np.inf

@@ -31,7 +31,7 @@ class Impact(NamedTuple):
     min_J: float
     max_energy: float
     rebound: float
-    """Final kinetic energy divided by the initial kinetic energy."""
+    """Final divided by initial kinetic energy."""
     substeps: int
     limiters: dict[str, int]
 
@@ -39,7 +39,7 @@ class Impact(NamedTuple):
 def throw_at_floor(mach: float, material: Elastic, setting: Setting) -> Impact:
     """Simulate the impact of a cube, face-on, on a frictionless floor.
 
-    The cube's speed is `mach` times its speed of sound.
+    `mach` is the speed divided by the speed of sound in the cube.
     """
     mu, lam = material.lame
     sound = math.sqrt((lam + 2 * mu) / material.density)
@@ -110,10 +110,7 @@ def release(setting: Setting) -> list[Check]:
 
 
 def push_hard(setting: Setting) -> list[Check]:
-    """Check that momentum equals impulse for a force of 1e6 times the weight of a particle.
-
-    The force acts on a single particle of a body.
-    """
+    """Check that momentum equals impulse for a force of 1e6 times the weight of one particle."""
     x = block()
     chosen = x[100]
     weight = 1000 * 0.375**3 / len(x) * 9.81
@@ -133,15 +130,12 @@ def push_hard(setting: Setting) -> list[Check]:
 
 
 LOST = {"float32": 1e-5, "float64": 1e-11}
-"""Largest relative change of momentum and angular momentum that rounding causes in a short run."""
+"""Largest relative change due to rounding in a short run."""
 SHAPES = {"sphere": (0.2, 0.2, 0.2), "box": (0.25, 0.2, 0.15), "capsule": (0.15, 0.3, 0.15)}
 
 
 def free(setting: Setting) -> list[Check]:
-    """Check conservation in the off-centre impact of a spinning free solid on a block.
-
-    Momentum and angular momentum must be conserved, and the energy must not grow.
-    """
+    """Check what is conserved when a spinning free solid hits a block off-centre."""
     checks = []
     for shape, half in SHAPES.items():
         for ratio in (1e-2, 1.0, 1e2):
@@ -171,8 +165,6 @@ def free(setting: Setting) -> list[Check]:
 
 @dataclass(frozen=True, eq=False)
 class _Sums:
-    """Total momentum, angular momentum and energy of a solid and the block that it hits."""
-
     momentum: Array
     angular: Array
     energy: float

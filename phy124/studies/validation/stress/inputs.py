@@ -24,7 +24,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh")
 
 
 def quick(setting: Setting, **changes: object) -> Scene:
-    """Return a scene that runs quickly, with a coarse grid and two frames."""
+    """Return a scene with a coarse grid and two frames."""
     resolution = {"cells": 8, "precision": setting.precision}
     return Scene().replaced({"accuracy": resolution, "time.frames": 2, **changes})
 
@@ -50,12 +50,7 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """Read a file that has invalid values in some rows.
-
-    Return the Gaussians, and the number of dropped rows.
-
-    `poisons` maps a row to the name of a column and the invalid value for this column.
-    """
+    """Read a file with invalid values; `poisons` maps a row to a column and its value."""
     table = table.copy()
     for row, (name, value) in poisons.items():
         table[name][row] = value
@@ -74,7 +69,7 @@ def _sound(gaussians: Gaussians) -> bool:
 
 
 def below_zero(setting: Setting) -> list[Check]:
-    """Check that a body's motion does not depend on its distance from the origin.
+    """Check that the motion does not depend on the distance from the origin.
 
     At negative coordinates, cell indices must be rounded down instead of towards zero.
     """
@@ -97,11 +92,7 @@ def below_zero(setting: Setting) -> list[Check]:
 
 
 def sizes(setting: Setting) -> list[Check]:
-    """Check that Gaussians keep their scales if there is no deformation.
-
-    The Gaussians' sizes are 1 nm, 1 m and 1 km. Some Gaussians are flat, and some are needles with
-    an aspect ratio of 10,000.
-    """
+    """Check that Gaussians from 1 nm to 1 km keep their scales without deformation."""
     rng = np.random.default_rng(0)
     shapes = np.array([[1, 1, 1], [1, 1e-4, 1e-4], [1, 1, 1e-2], [1, 0.3, 1e-3]])
     error, minimum, finite = 0.0, math.inf, True
@@ -126,10 +117,7 @@ def sizes(setting: Setting) -> list[Check]:
 
 
 def odd_gaussians(setting: Setting) -> list[Check]:
-    """Check the mass of particles from unusual Gaussians.
-
-    The cases are Gaussians with opacities 0 and 1, Gaussians at one point, and one Gaussian.
-    """
+    """Check the mass of particles from invisible, coincident and single Gaussians."""
     whole = surface_of_ball()
     opacities = whole.opacities.copy()
     opacities[:50], opacities[50:100] = 0, 1

@@ -1,7 +1,4 @@
-"""Cases 12, 21 and 22: material laws under unphysical deformations, and heaps of sand.
-
-Case 12 also tests the watchdog, which resets particles with an unphysical deformation.
-"""
+"""Cases 12, 21 and 22: material laws under unphysical deformations, and heaps of sand."""
 
 import math
 
@@ -23,7 +20,7 @@ from phy124.studies.validation.stress.bodies import Array, assign, body, finite,
 from phy124.studies.validation.stress.case import Check, Setting, at_least, at_most, equal
 
 MATERIALS: list[Material] = [kind() for kind in LAWS.by_name.values() if kind is not Rigid]
-"""One material per law; rigid solids are omitted because they are stiff neo-Hookean solids."""
+"""One material per law; rigid solids are stiff neo-Hookean solids."""
 IMPOSSIBLE = {
     "inverted": np.diag([1, 1, -0.5]),
     "flat": np.diag([1, 1, 0.0]),
@@ -38,7 +35,7 @@ IMPOSSIBLE = {
 
 
 def probe(material: Material, F: Array, setting: Setting) -> tuple[Array, Array, Array]:
-    """Return the stress [N,3,3], the modulus [N] and the projected F [N,3,3] of a material."""
+    """Return the stress [N,3,3], the modulus [N] and the projected F [N,3,3]."""
     real, law = PRECISIONS[setting.precision], material.device_law
     t, n = types(real), len(F)
 
@@ -76,7 +73,7 @@ def sand(setting: Setting) -> list[Check]:
 
 
 def thrown_sand(setting: Setting) -> list[Check]:
-    """Check that expanding sand is free of stress: each particle must follow a parabola."""
+    """Check that expanding sand is free of stress: each particle follows a parabola."""
     x = block(middle=(0, 0, 1))
     spread = 0.1 * np.diag([1.0, 0.8, 1.2])
     v = (x - [0, 0, 1]) @ spread.T + [0.5, 0, 3.0]
@@ -96,14 +93,14 @@ def thrown_sand(setting: Setting) -> list[Check]:
 
 
 HEAP = 0.4
-"""Radius of the heaps of sand [m]."""
+"""Radius of the heaps [m]."""
 
 
 def heap(setting: Setting) -> list[Check]:
     """Check that heaps of sand come to rest with the angle of repose.
 
-    The initial cones are five degrees steeper than the angle of repose. If a cone is 20 degrees too
-    steep, inertia makes the heap flatter than the angle of repose.
+    The initial cones are five degrees steeper. From 20 degrees steeper, inertia makes a heap
+    flatter than the angle of repose.
     """
     checks, cells = [], 20 if setting.long else 12
     # On finer grids, heaps of 20 degrees still creep after 1 s, by 0.0037 R in 0.2 s.
@@ -135,7 +132,7 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
     Args:
         angle: Angle of repose [degrees].
         steepness: Angle of the flank [degrees].
-        cells: Grid cells across the cone's radius.
+        cells: Cells across the radius.
         setting: Device and precision.
     """
     dx, height = HEAP / cells, HEAP * math.tan(math.radians(steepness))
@@ -149,10 +146,10 @@ def cone(angle: float, steepness: float, cells: int, setting: Setting) -> Solver
 
 
 def slope(heap: Solver) -> float:
-    """Measure the slope [degrees] of a heap of sand that was initially a cone of radius `HEAP`.
+    """Measure the slope of a heap [degrees] that was a cone of radius `HEAP`.
 
-    The height of the surface in each ring around the axis is the mean of the three highest
-    particles. The top and the foot of the heap are excluded.
+    The surface in each ring around the axis is the mean of the three highest particles. The top and
+    the foot are excluded.
     """
     x = host(heap.state.x)
     r = np.hypot(x[:, 0], x[:, 1])
@@ -180,10 +177,7 @@ def friction_angle(setting: Setting) -> list[Check]:
 
 
 def series_strain(setting: Setting) -> list[Check]:
-    """Check that the Hencky stress computed without an SVD equals the exact stress.
-
-    The principal strains are at most 20 %.
-    """
+    """Check the Hencky stress without an SVD, for principal strains of at most 20 %."""
     rng = np.random.default_rng(0)
     material, n = Hencky(E=1.0, nu=0.2), 2000
     U, V = (np.linalg.qr(rng.normal(size=(n, 3, 3)))[0] for _ in range(2))
@@ -200,15 +194,13 @@ def series_strain(setting: Setting) -> list[Check]:
 
 
 FRAMES = (NeoHookean(E=1e4), Hencky(E=1e4), Metal(E=1e4), Sand(), Fluid(bulk_modulus=1e4))
-"""Materials of the bodies that contain a particle with an unphysical deformation."""
 
 
 def impossible(setting: Setting) -> list[Check]:
-    """Check material laws for unphysical deformations.
+    """Check that stresses and bodies stay finite with unphysical deformations.
 
-    The stress of each law must be finite for all unphysical deformations. In a body with one
-    unphysically deformed particle, all values must stay finite, energy must be balanced, and the
-    particle's neighbours must hardly move.
+    In a body with one unphysically deformed particle, energy must be balanced, and the neighbours
+    must hardly move.
     """
     checks = every_deformation(setting)
     for material in FRAMES:
@@ -231,8 +223,8 @@ def _reset_particle(
 ) -> tuple[float, float, bool]:
     """Simulate one frame of a body in which one particle has the deformation gradient F.
 
-    Returns: The smallest J, the largest displacement divided by the body's size, and whether the
-    state is finite and accepted by the watchdog.
+    Return the smallest J, the largest displacement divided by the body's size, and whether the
+    watchdog accepts the finite state.
     """
     x = block(4, 0.25)
     external = ExternalWork()

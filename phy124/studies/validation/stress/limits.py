@@ -1,4 +1,4 @@
-"""Cases 6 to 10 and 19: checks of the stability limit for a wide range of parameters."""
+"""Cases 6 to 10 and 19: the stability limit for a wide range of parameters."""
 
 import math
 from typing import NamedTuple
@@ -33,8 +33,7 @@ POISSON = (0.0, 0.3, 0.45, 0.49)
 def check_isolated(setting: Setting) -> list[Check]:
     """Check the stability limit dx / sqrt(A / rho) of a single particle.
 
-    The particle must be stable with substeps of 0.95 times the limit, and soon become unstable with
-    substeps of 1.10 times the limit.
+    Substeps of 0.95 times the limit must be stable, and substeps of 1.10 times the limit must not.
     """
     checks = []
     for nu in POISSON:
@@ -44,7 +43,7 @@ def check_isolated(setting: Setting) -> list[Check]:
 
 
 def check_coincident(setting: Setting) -> list[Check]:
-    """Check that a single particle's stability limit also holds for 100 particles at one point."""
+    """Check that the limit of a single particle also holds for 100 particles at one point."""
     points = np.tile([[0.013, 0.021, 0.017]], (100, 1))
     return _around_the_limit("100 in one point", points, 0.3, setting)
 
@@ -68,7 +67,7 @@ def disturb(
 ) -> tuple[int, float]:
     """Disturb a body at rest, and measure whether the strain grows.
 
-    The disturbance excites all modes, most strongly the volumetric mode, which is stiffest.
+    The volumetric mode, which is stiffest, is disturbed most strongly.
 
     Args:
         x: Positions [P,3], m.
@@ -77,9 +76,8 @@ def disturb(
         setting: Device and precision.
         count: Number of substeps.
 
-    Returns: The number of substeps for which all values stay finite. The largest strain in the
-    second half of the substeps, divided by the largest strain in the first half; infinite if
-    unstable.
+    Returns: The number of substeps with finite values, and the growth of the strain: its maximum in
+    the second half divided by that in the first half, infinite if unstable.
     """
     material = NeoHookean(E=1e4, nu=nu)
     # The limit at rest is computed independently of the solver: A = 2 mu + 3 lambda.
@@ -103,10 +101,7 @@ def disturb(
 
 
 def stiff(setting: Setting) -> list[Check]:
-    """Check the values and the number of substeps for E from 1e2 to 1e13 Pa.
-
-    All values must be finite, and the number must be as expected.
-    """
+    """Check finite values and the number of substeps for E from 1e2 to 1e13 Pa."""
     checks = []
     for E in (1e2, 1e7, 1e9, 1e12, 1e13):
         x = block(4, 0.25)
@@ -150,7 +145,7 @@ def _is_refused(nu: float) -> bool:
 
 
 def user_substep(setting: Setting) -> list[Check]:
-    """Check that a user-defined maximum substep has no effect if it exceeds the stability limit."""
+    """Check that a maximum substep above the stability limit has no effect."""
 
     def run(ceiling: float) -> tuple[Array, dict[str, int]]:
         x = block(middle=(0, 0, 0.2))
@@ -173,10 +168,7 @@ def user_substep(setting: Setting) -> list[Check]:
 
 
 class Stack(NamedTuple):
-    """Results for a block that rests on another block.
-
-    They are the smallest and the largest J, and the number of substeps.
-    """
+    """Results for a block that rests on another block."""
 
     min_J: float
     max_J: float
@@ -184,7 +176,7 @@ class Stack(NamedTuple):
 
 
 def heavy_on_light(ratio: float, setting: Setting, until: float) -> Stack:
-    """Simulate a block on another block, whose mass is `ratio` times smaller, until a time [s]."""
+    """Simulate a block on a block with `ratio` times less mass, until a time [s]."""
     low, high = block(4, 0.25, (0, 0, 0.125)), block(4, 0.25, (0, 0, 0.375))
     x = np.concatenate([low, high])
     materials = [NeoHookean(E=5e7, density=d) for d in (1e5 / ratio, 1e5)]

@@ -1,4 +1,4 @@
-"""Stress tests of projected liquids: fountain, waves, a full box, films, light bodies."""
+"""Cases 35 to 37: projected liquids in tanks, and bodies in a liquid."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ WATER = Fluid(density=1000.0)
 
 
 def tanks(setting: Setting) -> list[Check]:
-    """Check that a liquid stays in its tank and gains no energy, for all kinds of forces."""
+    """Check that a liquid stays in its tank and gains no energy."""
     still, pool = (), _block((0, 0, 0), (1, 1, 0.375))
     upwards = Region(lower=(0.25, 0.25, 0.0), upper=(0.75, 0.75, 0.5))
     blow = ZoneForce(place=upwards, a=(0.0, 0.0, 20.0))
@@ -93,10 +93,10 @@ def bodies(setting: Setting) -> list[Check]:
 
 
 def bodies_on_lattices(setting: Setting) -> list[Check]:
-    """Check the bodies of the case `bodies` on lattices, and the buoyancy of a stone on the floor.
+    """Check the same bodies on lattices, and the buoyancy of a stone on the floor.
 
-    The energy is compared in every frame. An undamped body with a hundredth of the density would be
-    simulated by MPM (`phy124.scene.lattices`).
+    An undamped body with a hundredth of the density would be simulated by MPM
+    (`phy124.scene.lattices`).
     """
     checks = []
     for name, density, E in BODIES:
@@ -127,7 +127,7 @@ def _swing() -> Path:
 
 
 def _block(low: Sequence[float], high: Sequence[float]) -> Array:
-    """Return positions [P,3], m, of particles in a box between two corners, with 8 in each cell."""
+    """Return positions [P,3], m, of particles in a box, with 8 in each cell."""
     counts = [round(2 * (b - a) / DX) for a, b in zip(low, high, strict=True)]
     return lattice(counts, DX / 2, low)
 
@@ -146,13 +146,13 @@ class Balance(MeanWork):
     """
 
     def follow(self, solver: LiquidSolver) -> None:
-        """Start to compare energy and momentum, beginning with the current state."""
+        """Start the comparison with the current state."""
         self.bind(solver)
         self.open(solver.clock)
         self._solver, self._first = solver, diagnose(solver)
 
     def compare(self) -> None:
-        """Compare energy and momentum of the current state with those of the first state."""
+        """Compare the current state with the first state."""
         now, first = diagnose(self._solver), self._first
         exchange = self.total(self._solver.clock, now.middle - first.middle, now.momentum)
         lift = 0.5 * G * self._solver.model.total_mass
@@ -183,7 +183,6 @@ def _join(setting: Setting, water: Array, body: Array, material: NeoHookean) -> 
 
 
 def _immerse(setting: Setting, material: NeoHookean) -> ImmersedSolver:
-    """Return the solver of a cube on its lattice above a pool."""
     solid = Solid(np.array([4, 4, 8]), DX / 2, np.ones((8, 8, 8), np.float32))
     cube = lattice_of(solid, density=material.density, dx=DX)
     assert cube.surface is not None
@@ -200,10 +199,7 @@ def _immerse(setting: Setting, material: NeoHookean) -> ImmersedSolver:
 
 
 def _advance(solver: AnySolver, time: float, after: Callable[[], object] = lambda: None) -> float:
-    """Simulate a duration [s], and call a function after each frame.
-
-    Return the largest speed in the last quarter of the duration [m/s].
-    """
+    """Call `after` after each frame; return the largest speed in the last quarter [m/s]."""
     fastest, frames, start = 0.0, round(24 * time), solver.clock.time
     for frame in range(frames):
         solver.advance(start + (frame + 1) / 24)
@@ -214,6 +210,6 @@ def _advance(solver: AnySolver, time: float, after: Callable[[], object] = lambd
 
 
 def _energy(solver: AnySolver) -> float:
-    """Return the kinetic energy, and the potential energy relative to the floor [J]."""
+    """Return the kinetic and potential energy relative to the floor [J]."""
     mass, x, v = (host(a) for a in (solver.model.mass, solver.state.x, solver.state.v))
     return float(mass @ (G * x[:, 2] + (v**2).sum(axis=1) / 2))

@@ -16,40 +16,38 @@ from phy124.studies.validation.stress.bodies import Array, host
 from phy124.studies.validation.stress.case import Check, Setting, at_most
 
 DEEPEST = 0.3
-"""Maximum permitted depth of a shape's Gaussian below the floor [cells]."""
+"""Maximum permitted depth below the floor [cells]."""
 LOOSE = 0.4
-"""Maximum permitted depth of a shape's Gaussian below the floor [cells], with accuracy `fine` and
-the lattice solver.
-"""
+"""Maximum permitted depth with accuracy `fine` and the lattice solver [cells]."""
 PIERCED = 2.5
-"""Maximum permitted depth of a shape's Gaussian inside another body [cells].
+"""Maximum permitted depth inside another body [cells].
 
-The simulation method cannot keep Gaussians out of another body; see docs/lab/stability.md.
+The method cannot keep Gaussians out of another body; see docs/lab/stability.md.
 """
 CUSHION = (1.0, 1.0, 0.4)
 """Sides of the other body, a box [m]."""
 COUNT, SIZE = 12_000, 0.008
-"""Maximum number of Gaussians in a shape, and the Gaussians' standard deviation [m]."""
+"""Maximum number of Gaussians in a shape, and their standard deviation [m]."""
 Inside = Callable[[Array], NDArray[np.bool_]]
 
 
 def cone(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a cone that stands on its tip (half-angle 25 degrees)."""
+    """Return whether points are in a cone on its tip (half-angle 25 degrees)."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(25))
 
 
 def needle(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a cone that stands on its tip (half-angle 10 degrees)."""
+    """Return whether points are in a cone on its tip (half-angle 10 degrees)."""
     return np.hypot(x[:, 0], x[:, 1]) < x[:, 2] * np.tan(np.radians(10))
 
 
 def edge(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a wedge that stands on its edge (half-angle 45 degrees)."""
+    """Return whether points are in a wedge on its edge (half-angle 45 degrees)."""
     return (np.abs(x[:, 0]) < x[:, 2]) & (x[:, 2] < 0.5) & (np.abs(x[:, 1]) < 0.4)
 
 
 def table(x: Array) -> NDArray[np.bool_]:
-    """Return whether points are in a table; the thickness of its four legs is 6 % of its size."""
+    """Return whether points are in a table; each leg is as thick as 6 % of its size."""
     across = np.abs(x[:, :2])
     leg = (np.abs(across - 0.33).max(axis=1) < 0.03) & (x[:, 2] < 0.6)
     return leg | ((across.max(axis=1) < 0.4) & (np.abs(x[:, 2] - 0.57) < 0.07))
@@ -82,16 +80,16 @@ def cloud(inside: Inside) -> Gaussians:
 
 
 def solvers(setting: Setting) -> tuple[str, ...]:
-    """Return the solvers for elastic objects that are available in a setting."""
+    """Return the solvers for elastic objects in a setting."""
     fast = (setting.device, setting.precision) == ("cpu", "float32")
     return ("mpm", "lattice") if fast else ("mpm",)
 
 
 def drop(inside: Inside, setting: Setting, solver: str, options: dict[str, Any]) -> Simulation:
-    """Prepare a simulation of twelve frames in which a shape falls.
+    """Prepare twelve frames in which a shape falls.
 
     Args:
-        inside: Function that returns the mask of the points [N,3] inside the shape.
+        inside: The shape.
         setting: Device and precision.
         solver: Solver for elastic objects.
         options: Changes to the preset `drop`, by field name.
@@ -107,8 +105,8 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
     """Check how deep a shape's Gaussians sink below the floor [cells].
 
     Args:
-        inside: Function that returns the mask of the points [N,3] inside the shape.
-        lift: Height from which the shape is dropped [m].
+        inside: The shape.
+        lift: Initial height [m].
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
         solver: Solver for elastic objects.
@@ -123,11 +121,10 @@ def check_depth(inside: Inside, lift: float, accuracy: str, setting: Setting, so
 def depth_in_body(inside: Inside, accuracy: str, setting: Setting, solver: str) -> float:
     """Return how deep a shape's Gaussians sink into a cushion of the same material [cells].
 
-    Each Gaussian's position is mapped to the undeformed cushion, and its depth is measured there. A
-    dent in the cushion is therefore not counted as penetration.
+    Depths are measured in the undeformed cushion, so that a dent is not counted as penetration.
 
     Args:
-        inside: Function that returns the mask of the points [N,3] inside the shape.
+        inside: The shape.
         accuracy: Name of the accuracy preset.
         setting: Device and precision.
         solver: Solver for elastic objects.

@@ -1,4 +1,4 @@
-"""Cases 15, 26 to 29 and 31: grid window, particle order, orientation, threads and walls."""
+"""Cases 15, 26 to 29 and 31: grid window, order, orientation, threads and walls."""
 
 from typing import Any
 
@@ -16,10 +16,7 @@ from phy124.studies.validation.stress.case import Check, Setting, at_most, equal
 
 
 def far_away(setting: Setting) -> list[Check]:
-    """Check that distant and very fast particles move freely and are counted as outliers.
-
-    The distant particles are about a thousand kilometres away.
-    """
+    """Check that very distant and fast particles move freely and are counted as outliers."""
     x = block()
     far = np.array([[1e6, 0, 0], [0, -1e6, 0], [3e5, 2e5, 1e6]])
     x, v = np.concatenate([x, far]), np.zeros((len(x) + 3, 3))
@@ -62,7 +59,7 @@ def permute(setting: Setting) -> list[Check]:
 
 
 def window(setting: Setting) -> list[Check]:
-    """Check that a grid window that follows the particles gives the result of one large grid."""
+    """Check that a moving grid window gives the result of one large grid."""
     x = block()
     C = 1.0 * np.eye(3) + np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 0]])
     motion: dict[str, Any] = {
@@ -145,10 +142,7 @@ PRESS = Press(depth=0.6, down=0.2)
 
 
 def flow(setting: Setting) -> list[Check]:
-    """Check that heaps, puddles and pressed material do not penetrate walls.
-
-    Sand in a bin must also keep its volume.
-    """
+    """Check that heaps, puddles and pressed material do not penetrate walls."""
     checks = []
     for material in (Sand(E=2e5), Snow(), Fluid()):
         heap = host(_drop(setting, material, 0.1, [Ground()]).state.x)[:, 2]
@@ -168,7 +162,7 @@ def flow(setting: Setting) -> list[Check]:
 def _drop(
     setting: Setting, material: Material, lift: float, walls: list[Boundary], time: float = 0.8
 ) -> Solver:
-    """Drop a cube of a material from the height `lift` [m], and simulate `time` seconds."""
+    """Drop a cube from the height `lift` [m], and simulate `time` seconds."""
     x = block(8, SIZE, (0.0, 0.0, SIZE / 2 + lift))
     origin = (0.0, 0.0, -0.75 * DX)
     s = body(x, setting, material, size=SIZE, forces=[Gravity()], boundaries=walls, origin=origin)
