@@ -72,7 +72,7 @@ class Kinds:
     tag: str
     """Name of the field that names the class in files: "law" or "kind"."""
     group: str
-    """One of the `GROUPS`."""
+    """Entry-point group of the plugins, one of the `GROUPS`."""
     union: Any
     """Union of the classes that phy124 defines. Plugins cannot replace these classes."""
 

@@ -17,7 +17,7 @@ class WeightFile:
     path: str
     licence: str
     size: int | None = None
-    """Size [bytes]; None if unknown."""
+    """Size of the file [bytes]; None if unknown."""
     sha256: str | None = None
     """Published checksum; if None, `fetch` uses the checksum from the server."""
     shipped: bool = False
@@ -137,7 +137,7 @@ KNOWN: dict[str, tuple[WeightFile, ...]] = {
         WeightFile("onnx-community/depth-anything-v2-small", "onnx/model.onnx", "Apache-2.0"),
     ),
 }
-"""Files by the name of the set."""
+"""Weight files by the name of their set."""
 
 
 @dataclass(frozen=True)

@@ -167,7 +167,6 @@ def _no_empty_defaults() -> Iterator[None]:
 
 @contextmanager
 def _wrap_functions(module: str, wrappers: Mapping[str, Callable[[Any], Any]]) -> Iterator[None]:
-    """Within this context, replace functions of a tyro module, if this version of tyro has them."""
     try:
         place = import_module(f"tyro.{module}")
     except ImportError:

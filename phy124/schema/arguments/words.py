@@ -38,7 +38,7 @@ def split_operands(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 def join_repeats(arguments: Sequence[str], commands: Mapping[str, type]) -> list[str]:
     """Join the values of list options that are repeated.
 
-    The parser (tyro) would silently use only the last value. Operands that look like options are
+    The parser (tyro) would otherwise use only the last value. Operands that look like options are
     rewritten (`-x.png` becomes `./-x.png`), because tyro ignores `--` after a positional value.
 
     Raises:

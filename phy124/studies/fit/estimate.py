@@ -24,7 +24,7 @@ the effect of the step. For example, with a step of 0.01, derivatives of a press
 with respect to nu were up to nine times too large.
 """
 END = 0.005
-"""A value closer than this to an end of its range causes a warning, as a fraction of the range."""
+"""A value causes a warning if its distance from an end is below this part of its range."""
 
 
 @dataclass(frozen=True)
@@ -133,5 +133,4 @@ def _refuse_unseen(problem: Problem, distance: Distance, slopes: Values) -> None
 
 
 def _rescale(problem: Problem, distance: Distance, fit: Refined) -> Distance:
-    """Return a `Distance` that divides each kind of measurement by its misfit."""
     return Distance(problem, [max(misfit, 1e-12) for misfit in distance.misfits(fit.predicted)])

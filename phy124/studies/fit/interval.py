@@ -137,7 +137,7 @@ value's range, divided by the norm of the measurements.
 ALIKE = 0.12
 """Smallest singular value at which two values can be separated; 0.12 means a correlation of 0.986.
 
-The columns of the matrix are the effects of the values on the measurements, normalised to length 1.
+The matrix has the effects of the values on the measurements, normalised to length 1, as columns.
 Below this limit, the effects of two values differ by no more than grid errors. For a pressed duck
 without known forces, E and density have a singular value of 0.04 to 0.08 (16 and 20 cells), and E
 and nu have 0.93.

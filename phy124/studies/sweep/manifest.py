@@ -82,7 +82,6 @@ def read_manifest(storage: Storage) -> list[Row]:
 
 
 def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
-    """Yield tables that together contain all rows, including valid rows of the existing table."""
     known = Seen()
     if (table := _read(storage)) is not None:
         there, rows = Seen(keys_in(storage)), table.select(["key", "status"]).to_pylist()
@@ -97,7 +96,6 @@ def _tables(storage: Storage, arrow: Any) -> Iterator[Any]:
 
 
 def _alike(tables: list[Any], arrow: Any) -> list[Any]:
-    """Convert a column to text in all tables if any table has text in this column."""
     kinds: dict[str, set[bool]] = {}
     for field in (field for table in tables for field in table.schema):
         if field.type != arrow.null():
@@ -111,7 +109,6 @@ def _alike(tables: list[Any], arrow: Any) -> list[Any]:
 
 
 def _last(table: Any) -> Any:
-    """Return the index of the newest row of each requested clip."""
     asked = table["asked"].to_numpy().astype("S")
     order = np.lexsort((table["written"].to_numpy(), asked))
     newest = np.append(asked[order][1:] != asked[order][:-1], True)
@@ -141,7 +138,7 @@ def _cell(value: object) -> object:
 
 
 def _column(values: list[object]) -> list[object]:
-    """Convert a column to floats if it contains only numbers, otherwise to text."""
+    """Convert mixed types in a column to floats if all values are numbers, otherwise to text."""
     kinds = {type(value) for value in values if value is not None}
     if len(kinds) <= 1:
         return values

@@ -114,7 +114,6 @@ class Plan:
         return np.random.default_rng(self.sweep.seed).random(len(self.axes))
 
     def _point(self, index: int) -> NDArray[np.float64]:
-        """Return a sample in the unit cube: a Sobol point plus the random shift."""
         number, place = divmod(index, BLOCK)
         if self._block[0] != number:
             from scipy.stats.qmc import Sobol

@@ -95,7 +95,6 @@ def _values(rows: Iterable[Row], name: str) -> Any:
 
 
 def _by_axis(rows: list[Row]) -> Iterator[tuple[str, dict[str, list[Row]]]]:
-    """For each axis with 2 to 20 different values, group the clips by their value on this axis."""
     columns = [name for name in rows[0] if name.startswith("set.")] if rows else []
     for name in ("picture", "generator", *columns):
         groups: defaultdict[str, list[Row]] = defaultdict(list)

@@ -107,7 +107,6 @@ def run(
 def _orders(
     plan: Plan, numbers: Iterable[int], storage: Storage, counts: Counts, device: str
 ) -> Iterator[Order]:
-    """Yield the clips to make; for a clip with invalid settings, only write its row."""
     done, gpu_memory = Seen(keys_in(storage)), memory_of_gpu(device)
     for index in numbers:
         item = plan.item(index)

@@ -162,7 +162,6 @@ def list_matching(pattern: str) -> list[str]:
 
 
 def _open(address: str) -> tuple[Any, str]:
-    """Return the file system of an address, and the path within it."""
     import fsspec
     from fsspec.core import url_to_fs
 

@@ -52,9 +52,9 @@ class Needs(NamedTuple):
     """Resources that are reserved for a task."""
 
     memory: int
-    """Main memory [bytes]."""
+    """Reserved main memory [bytes]."""
     gpus: float
-    """Fraction of a GPU."""
+    """Reserved fraction of a GPU."""
 
 
 def needs_of(scene: Scene, gaussians: int | None, gpu_memory: float | None) -> Needs:
@@ -215,8 +215,6 @@ def clean_up(order: Order) -> bool:
 
 def write_row(storage: Storage, key: str, clip: Item | Order, result: Row) -> Row:
     """Write the row of a clip, which marks the clip as finished, and return the row.
-
-    A clip is finished when its row is written.
 
     Args:
         storage: The sweep's storage.

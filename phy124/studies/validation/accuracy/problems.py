@@ -103,7 +103,7 @@ def bar_frequency(E: float, density: float, length: float) -> float:
 
 
 def vibrating_bar(cells: int) -> float:
-    """Return the relative error of the frequency of a free bar's first longitudinal mode."""
+    """Return the signed relative error of the frequency of a free bar's first mode."""
     E, density, length, strain = 1e4, 1000.0, 1.0, 1e-6
     dx = length / cells
     x = _column(cells, dx)
@@ -183,7 +183,10 @@ class Vortex:
 
 
 def vortex(cells: int, *, time: float = 0.5, problem: Vortex | None = None) -> float:
-    """Return the RMS position error of the ring divided by the RMS displacement."""
+    """Return the RMS position error of the ring divided by the RMS displacement.
+
+    `cells` is the number of cells across the ring's outer diameter.
+    """
     problem = problem or Vortex()
     dx = 2 * problem.outer / cells
     spacing, corner = dx / 4, (-problem.outer, -problem.outer, 0)

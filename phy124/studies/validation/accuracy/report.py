@@ -34,7 +34,7 @@ class Row:
     binding: str
     particles: int
     particles_per_axis: float
-    """Median over all cells that contain particles."""
+    """Median number of particles per cell and axis, over the cells that contain particles."""
     substeps: int
     predicted: float | None
     """Predicted time to simulate and to deform the Gaussians [s]."""
@@ -43,15 +43,15 @@ class Row:
     limiters: dict[str, float]
     """Fraction of the substeps that each limit determines."""
     energy_lost: float
-    """As a fraction of the supplied energy."""
+    """Lost energy, as a fraction of the supplied energy."""
     lost_to: dict[str, float] | None
     """Energy lost to each cause (material, contact, numerical); None if unknown."""
     angular_momentum_lost: float | None
-    """Relative change; None if forces or walls may change the angular momentum."""
+    """Relative change of the angular momentum; None if forces or walls may change it."""
     from_finest: Difference | None = None
     """Difference from the motion on the finest grid; None for the finest grid."""
     error: float | None = None
-    """As a fraction of the object's size; None if the motions on the grids do not converge."""
+    """Estimated error, as a fraction of the object's size; None if the grids do not converge."""
     pixels: float | None = None
     """Estimated error in the video [pixels]."""
     torn: str = ""
@@ -93,7 +93,6 @@ class Report:
 
     @property
     def _extent(self) -> str:
-        """Sentence about the time after which errors are unknown; empty if there is none."""
         if self.until is not None:
             return (
                 f"The motions on different levels diverge after {self.until:.3g} s. "

@@ -280,7 +280,6 @@ def _can_split(scene: Scene) -> bool:
 
 
 def _lost_to(energy: dict[str, float] | None) -> dict[str, float] | None:
-    """Convert energy losses from joules to fractions of the supplied energy."""
     if energy is None or not energy["turnover"] > 0:
         return None
     return {name: float(energy[name] / energy["turnover"]) for name in Loss._fields}
@@ -304,14 +303,14 @@ def _require_particles(per_axis: float | None) -> None:
 
 
 def _particles_per_axis(simulation: Simulation) -> float:
-    """Return the median over cells with particles."""
+    """Return the median number of particles per cell and axis, over cells with particles."""
     cells = np.floor(simulation.setup.particles.x / simulation.solver.model.dx).astype(np.int64)
     _, counts = np.unique(cells, axis=0, return_counts=True)
     return float(np.median(counts) ** (1 / 3))
 
 
 def _momentum_lost(scene: Scene, watchdog: Watchdog) -> float | None:
-    """Return the relative change; None if forces or walls may change the angular momentum."""
+    """Forces and walls may change the angular momentum; its change is then None."""
     before, after = watchdog.first, watchdog.last
     start = float(np.linalg.norm(before.angular))
     if scene.acting or scene.boundaries or start == 0:

@@ -50,7 +50,7 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 """Inverse golden ratio; its multiples, modulo 1, never repeat."""
 
 Bending = Callable[[float, Keyframes, Region], Force]
-"""Makes a force from the beam's width [m], the time profile, and the region of the tip."""
+"""A function of the beam's width [m], the time profile and the region of the tip."""
 TIP_LOADS = (0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 """Dimensionless weights at the tip, P L^2 / E I."""
 OWN_LOADS = (2.0, 8.0, 20.0)
@@ -235,7 +235,6 @@ def _duration_of_load() -> float:
 
 
 def _settle(solver: Solver | LatticeSolver, until: float) -> None:
-    """Advance with critical damping of the first mode."""
     omega, number = first_frequency(), 0
     while solver.clock.time < until - 1e-9:
         before, number = solver.clock.time, number + 1

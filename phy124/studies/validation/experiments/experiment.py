@@ -117,7 +117,7 @@ class Estimate:
 
     @property
     def control_outside(self) -> bool:
-        """Whether the control's value is outside the band by more than the coarsest grid's error."""
+        """Whether the control is outside the band by more than the coarsest grid's error."""
         error = abs(self.levels[0] - self.value) + self.error
         return not self.quantity.low - error <= self.control <= self.quantity.high + error
 

@@ -25,9 +25,9 @@ class Measured(NamedTuple):
 
     run: Run
     values: Values
-    """Empty if the run failed."""
+    """The measured values; empty if the run failed."""
     seconds: float
-    """CPU time [s]."""
+    """CPU time of the run [s]."""
     failure: str = ""
 
 

@@ -66,7 +66,6 @@ def _is_accepted(scene: Scene, remedy: Remedy, setting: Setting) -> bool:
 
 
 def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that each remedy for a stopped run allows more frames."""
     stopped = _run(scene, setting)
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 1)
@@ -77,7 +76,6 @@ def _check_stop(name: str, scene: Scene, setting: Setting) -> Iterator[Check]:
 
 
 def _check_budget(scene: Scene, setting: Setting) -> Iterator[Check]:
-    """Check that each remedy reduces the number of substeps, or allows the run to finish."""
     name, stopped = "outruns its time budget", _run(scene, setting)
     yield equal(f"{name}: it stops", stopped.stopped is not None)
     yield at_least(f"{name}: remedies given", len(stopped.remedies), 2)

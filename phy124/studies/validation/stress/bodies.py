@@ -135,7 +135,7 @@ class Meter:
 
     @property
     def momentum_drift(self) -> float:
-        """Change of the total momentum, relative to the sum of the initial |momenta| of particles."""
+        """Change of the total momentum, relative to the sum of the initial |momenta|."""
         return float(np.linalg.norm(self.end.momentum - self.start.momentum) / self.moved)
 
     @property

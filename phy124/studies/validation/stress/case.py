@@ -12,7 +12,7 @@ class Setting(NamedTuple):
     device: str = "cpu"
     precision: str = "float32"
     long: bool = False
-    """Full length: minutes instead of seconds."""
+    """Whether a case runs at full length: minutes instead of seconds."""
 
     @property
     def double(self) -> bool:

@@ -31,7 +31,7 @@ class Impact(NamedTuple):
     min_J: float
     max_energy: float
     rebound: float
-    """Final divided by initial kinetic energy."""
+    """Final kinetic energy divided by the initial kinetic energy."""
     substeps: int
     limiters: dict[str, int]
 

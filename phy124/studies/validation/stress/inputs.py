@@ -50,7 +50,6 @@ def broken_numbers(setting: Setting) -> list[Check]:
 
 
 def _read(table: NDArray[Any], poisons: dict[int, tuple[str, float]]) -> tuple[Gaussians, int]:
-    """Read a file with invalid values; `poisons` maps a row to a column and its value."""
     table = table.copy()
     for row, (name, value) in poisons.items():
         table[name][row] = value

@@ -99,8 +99,7 @@ HEAP = 0.4
 def heap(setting: Setting) -> list[Check]:
     """Check that heaps of sand come to rest with the angle of repose.
 
-    The initial cones are five degrees steeper. From 20 degrees steeper, inertia makes a heap
-    flatter than the angle of repose.
+    The initial cones are five degrees steeper. With 20 degrees, inertia makes heaps too flat.
     """
     checks, cells = [], 20 if setting.long else 12
     # On finer grids, heaps of 20 degrees still creep after 1 s, by 0.0037 R in 0.2 s.

@@ -171,7 +171,6 @@ def _drop(
 
 
 def _pack(setting: Setting) -> list[Check]:
-    """Check that a cube of sand keeps its volume when it falls into a bin of the same width."""
     side = Region(lower=(-SIZE / 2, -SIZE / 2, 0.0), upper=(SIZE / 2, SIZE / 2, 1e9))
     stiff = Sand(E=1e7)
     s = _drop(setting, stiff, 0.1, [Container(inside=side, friction=0.0)])
