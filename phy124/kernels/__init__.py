@@ -1,10 +1,8 @@
 """Device code: kernels, device functions with one formula each, and their compilation.
 
-All kernels take their arguments in the same order. The model's arguments come first: numbers, the
-model's arrays, the lattice, the window, the clock and the tables of the tracks. Kernels do not
-change these arguments. Next come the state arrays that are only read, and last the arrays that are
-written. Only the names of written arrays end in `_out`. tests/test_kernels_order.py checks this
-order. The module `arguments` declares the meaning of each argument.
+The arguments of each kernel come in this order: the model's arguments, which kernels do not change;
+the state arrays that are only read; the arrays that are written. Only names of written arrays end
+in `_out`. tests/test_kernels_order.py checks the order.
 """
 
 from phy124.runtime.late_parsing import parse_late

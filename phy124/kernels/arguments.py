@@ -1,9 +1,7 @@
 """Declares number types per precision, and the name, type and meaning of each kernel argument.
 
-A kernel that is compiled per precision lists its arguments without types; `build.kernel` adds the
-types from this module. A written array has the name of the corresponding read array, followed by
-`_out`. The signature of a kernel states the type of an argument if the type differs from the one in
-this module, or if only this kernel uses the argument.
+A kernel's signature states a type only if the type differs from the one in this module, or if no
+other kernel uses the argument.
 """
 
 from functools import cache
@@ -43,7 +41,7 @@ def types(real: Any) -> Types:
 
 @cache
 def sparse(real: Any) -> Any:
-    """Return the type of a sparse matrix with one row per node; `real` as in `types`."""
+    """Return the type of a sparse matrix with one row per node."""
 
     @wp.struct
     class Sparse:
@@ -56,12 +54,9 @@ def sparse(real: Any) -> Any:
 
 @cache
 def arguments(real: Any, width: int = 0) -> dict[str, Any]:
-    """Return a dictionary from the name of each kernel argument to its type.
+    """Return the type of each kernel argument, by name; an empty dictionary if `real` is None.
 
-    Args:
-        real: wp.float32 or wp.float64; None: the kernel declares all types itself, and the
-            dictionary is empty.
-        width: Number of parameters of the constitutive law.
+    `width` is the number of parameters of the constitutive law.
     """
     if real is None:
         return {}

@@ -1,16 +1,15 @@
 """Makes the columns of a matrix orthogonal by Jacobi rotations; converts columns to a rotation.
 
-One-sided Jacobi rotations (Hestenes 1958; high relative accuracy: Demmel, Veselic 1992) make the
-columns of a matrix orthogonal by plane rotations of at most 45 degrees. Everything is in float64;
-quaternions are in wxyz order.
+The rotations are one-sided (Hestenes 1958) and at most 45 degrees; their relative accuracy is high
+(Demmel, Veselic 1992). Everything is in float64; quaternions are in wxyz order.
 """
 
 import warp as wp
 
 SWEEPS = wp.constant(24)
 IDENTITY_ZONE = wp.constant(wp.float64(2.414))
-"""Trace of the matrix of a rotation by 45 degrees. If the rotation from the previous axes of a
-Gaussian to the new axes has a larger trace, the axes keep their order.
+"""Trace of a rotation by 45 degrees. A Gaussian's axes keep their order if the rotation since the
+previous frame has a larger trace.
 """
 
 
@@ -129,9 +128,9 @@ def orthogonal_columns(a: wp.mat33d, v: wp.mat33d, tolerance: wp.float64):
 
 @wp.func
 def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
-    """Return the unit vector normal to `e` that is nearest to another direction.
+    """Return the unit vector normal to `e` that is nearest to `wanted`.
 
-    The other direction is `wanted`; if `wanted` is along `e`, it is `spare`.
+    If `wanted` is along `e`, `spare` is used instead.
     """
     u = wanted - wp.dot(e, wanted) * e
     if wp.length(u) <= wp.float64(1e-3) * wp.length(wanted):
@@ -143,9 +142,7 @@ def across(e: wp.vec3d, wanted: wp.vec3d, spare: wp.vec3d) -> wp.vec3d:
 def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat33d:
     """Return the proper rotation whose axes are along the (nearly) orthogonal columns of A.
 
-    The longest axis is exact. The shortest axis is the cross product of the other two, so the
-    result contains no reflection. A column of zero length is replaced by the previous axis, which
-    is made orthogonal to the other axes.
+    The longest axis is exact. The previous axis replaces a column of zero length.
     """
     i = int(0)
     if lengths[1] > lengths[i]:
@@ -177,11 +174,7 @@ def orientation(a: wp.mat33d, lengths: wp.vec3d, previous: wp.mat33d) -> wp.mat3
 
 @wp.func
 def nearest_labels(u: wp.mat33d, previous: wp.mat33d) -> wp.mat33d:
-    """Return the order and the signs of a Gaussian's axes for which they are closest to the
-    previous axes.
-
-    The result is W, one of 24 proper signed permutations; U W is closest to `previous`.
-    """
+    """Return W, the proper signed permutation for which U W is closest to `previous`."""
     unit = wp.float64(1.0)
     m = wp.transpose(previous) * u
     best = wp.identity(n=3, dtype=wp.float64)

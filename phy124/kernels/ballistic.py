@@ -1,9 +1,7 @@
 """Moves particles that are outside the grid; no force but the uniform acceleration acts on them.
 
-A particle that is outside the grid during the scatter counts as outside for the whole substep.
-Before the gather, such a particle is moved far outside the window ("hidden") so that the gather
-ignores it. Otherwise, a particle that crosses the window's edge during the gather would be moved
-twice.
+A particle outside the grid during the scatter is hidden from the gather. Otherwise, a particle that
+crosses the window's edge during the gather would be moved twice.
 """
 
 from typing import Any
@@ -15,16 +13,12 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.transfer import first_node, in_window
 
 OUT_OF_SIGHT = wp.constant(4)
-"""Hidden particles are placed this far below the lowest node of the grid's window [nodes]. The
-gather ignores particles so far outside the window.
-"""
+"""Hidden particles are placed this far below the lowest node of the grid's window [nodes]."""
 
 
 @build_once
 def make_hide(real: Any):
-    """Kernel: hides particles from the gather if they were outside the grid's window during the
-    scatter.
-    """
+    """Kernel: hides particles that were outside the grid's window during the scatter."""
     t = types(real)
 
     @kernel(f"phy124_hide_{real.__name__}", real)

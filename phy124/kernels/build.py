@@ -1,12 +1,11 @@
 """Compiles kernels without adjoints; each variant of a kernel has a separate Warp module.
 
-Warp hashes the set of functions that a closure uses, but not the role of each function. Two
-variants that use the same functions would therefore have the same hash, so each variant needs a
-separate module name. Products and sums are contracted to fused multiply-adds, as CUDA compilers do
-by default. Contraction shortens a substep by one seventh on a CPU and reduces rounding errors.
-Operations are not reordered, but the layout of the code determines which of two products is
-contracted. For example, merging two early returns of `collide.contact` changed the last digit of
-float32 results. tests/benchmarks/fingerprints.py compares the results of two commits.
+Warp's hash does not contain the role of each function in a closure, so two variants in one module
+could have the same hash (docs/design/architecture.md).
+
+The layout of the code determines which of two products is contracted to a fused multiply-add. For
+example, merging two early returns of `collide.contact` changed the last digit of float32 results.
+tests/benchmarks/fingerprints.py compares the results of two commits.
 """
 
 import inspect
@@ -27,14 +26,14 @@ Options = ParamSpec("Options")
 Built = TypeVar("Built")
 
 BUILDING = RLock()
-"""Lock for building a variant of a kernel; reentrant, since a factory may call another factory."""
+"""Reentrant, since a factory may call another factory."""
 
 
 def build_once(make: Callable[Options, Built]) -> Callable[Options, Built]:
     """Return a factory that builds each kernel variant only once, even if several threads call it.
 
-    `functools.cache` does not suffice: if two threads called the factory at the same time, both
-    would build the variant, and the module would contain the kernel twice.
+    With `functools.cache`, two threads could build the same variant, and the module would contain
+    the kernel twice.
     """
     kept = cache(make)
 

@@ -1,7 +1,6 @@
 """Finds the particles that carry each Gaussian: the nearest neighbours, with smooth weights.
 
-The particles are sorted by cells of a grid. The search examines a box of cells around a point. The
-box grows until it certainly contains the nearest particles. Distances are in float64.
+Distances are in float64.
 """
 
 import warp as wp
@@ -12,11 +11,10 @@ CARRIERS = 8
 """Number of particles that carry each Gaussian."""
 CHOSEN = wp.constant(CARRIERS)
 FAR = wp.constant(wp.float64(1e300))
-"""Value that is stored as the squared distance if a Gaussian has fewer neighbours than requested.
-"""
+"""Squared distance of a missing neighbour."""
 SPARE = wp.constant(wp.float64(1e-9))
-"""Lower bound of the weights of the particles that carry a Gaussian. Without this bound, particles
-at equal distances from the Gaussian would all have weight 0.
+"""Lower bound of a particle's weight. Without this bound, particles at equal distances from a
+Gaussian would all have weight 0.
 """
 
 
@@ -44,7 +42,7 @@ def gap(at: wp.float64, cell: int) -> wp.float64:
 def margin(at: wp.float64, first: int, last: int, count: int) -> wp.float64:
     """Return the distance from a coordinate to the nearest end of a range of cells [cells].
 
-    Ends of the range at the border of the grid are ignored.
+    Ends at the border of the grid are ignored.
     """
     room = wp.float64(1e100)
     if first > 0:
@@ -73,8 +71,7 @@ def find_carriers(
     1.
 
     R is the distance to the nearest particle that was not chosen, within limits (see
-    `phy124.motion.binding.find_carriers`). If there are fewer particles than requested, the missing
-    particles have weight 0.
+    `phy124.motion.binding.find_carriers`). Missing particles have weight 0.
     """
     n = wp.tid()
     point = points[n]

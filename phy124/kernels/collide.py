@@ -1,15 +1,9 @@
 """Colliders: between the grid update and the gather, nodes near a wall respond to the wall.
 
-Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx. A collider is compiled for
-one distance function and one response, so unused shapes and responses cost no time.
-
-`make_contact` enforces contact exactly at the wall, which may lie between nodes
-(phy124/kernels/columns.py). At a flat wall each node belongs to a single column. At a curved wall
-columns cross, so the nodes keep their velocities until every column has computed its changes.
-`make_settle` then adds the mean change to each node, so that the result does not depend on the
-order of the nodes. Where columns request equal changes, the sum of the changes would be up to twice
-too large and would squeeze bodies flat. `make_collider` lets each node respond alone; it is used
-for regions that are fixed only in some directions.
+`make_contact` enforces contact exactly at the wall (docs/design/contact.md). At a curved wall,
+columns of nodes cross, so `make_settle` adds the mean of the changes that the columns request. The
+sum of equal changes would squeeze bodies flat. `make_collider` lets each node respond alone, for
+regions that are fixed only in some directions.
 """
 
 from typing import Any
@@ -38,9 +32,7 @@ def steepest(n: Any):
 
 @wp.func
 def inward(s: Any, axis: int):
-    """Return the index step along an axis to the next node towards the wall, whose normal is s[0]
-    to s[2].
-    """
+    """Return the index step along an axis towards a wall with the normal s[0] to s[2]."""
     step = wp.vec3i()
     step[axis] = -int(wp.sign(s[axis]))
     return step
@@ -54,34 +46,27 @@ def front(s: Any, axis: int, dx: Any):
 
 @wp.func
 def add_velocity(nodes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Change a node's velocity, but do not write its mass, because other threads read the mass."""
+    """Change a node's velocity without writing its mass, which other threads read."""
     nodes_out[n] += wp.vector(change[0], change[1], change[2], type(change[0])(0.0))
 
 
 @wp.func
 def add_wish(changes_out: wp.array(dtype=Any), n: int, change: Any):
-    """Add a velocity change requested for a node to the node's sums, weighted by the size of the
-    change.
-    """
+    """Add a velocity change to a node's sums, weighted by the size of the change."""
     weight = wp.length(change)
     changes_out[n] += weight * wp.vector(change[0], change[1], change[2], type(weight)(1.0))
 
 
 FLAT = {"half_space"}
-"""Names of wall shapes with a constant normal. At such a wall, each node of the grid belongs to a
-single column of nodes.
-"""
+"""Shapes with a constant normal. At such a wall, each node belongs to a single column."""
 
 
 @build_once
 def make_settle(real: Any):
     """Kernel over a box of nodes: adds the mean of the velocity changes that columns request.
 
-    A column is a row of three nodes at a wall, and a node can be in several columns.
-
-    `changes_out` contains the sums of the weighted changes and of the weights; the kernel resets
-    these sums to zero. A column's weight is the size of the velocity change that it requests. The
-    mean therefore varies continuously when a column begins to push.
+    Changes are weighted by their size, so that the mean varies continuously when a column begins to
+    push. The kernel resets the sums in `changes_out` to zero.
     """
     t = types(real)
 
@@ -103,22 +88,18 @@ def make_settle(real: Any):
 def make_contact(shape: str, response: str, real: Any, updating: bool = False):
     """Kernel: makes the nodes of a sub-box respond to a wall, in columns of three nodes.
 
-    Each thread handles `each` consecutive nodes of a row. The thread of a column's first node
-    handles all three nodes of the column. A node with a signed distance below `reach` [m] responds
-    alone if it lies too far behind the wall for a column, or if its column has no material in front
-    of the wall. This launch may change only the layers first <= i < last of nodes, where `span` is
-    (first, last). In columns that extend beyond these layers, nodes respond alone as well. While
-    the track `slot` is active, the shape is displaced by the track's value, and the wall moves at
-    the track's rate. If there are several materials, `lightest` is the mass of a node that is full
-    of the lightest material [kg]; if not, it is infinite. `full` is the fraction of the expected
-    mass above which material counts as touching the wall. In columns that the wall does not push,
-    nodes below the signed distance `loose` [m] respond alone. A flat wall changes `grid_out`; other
-    walls change `changes_out` (see `make_settle`).
+    Each thread handles `each` consecutive nodes of a row. A node with a signed distance below
+    `reach` [m] responds alone if it has no column. The launch may change only the layers `span`
+    (first, last) of nodes. The value of the track `slot` displaces the shape.
 
-    If `updating` is set, one kernel handles both the contact with a flat wall and the grid update.
-    The kernel reads momenta from `grid` and writes velocities to `grid_out`. The first threads of
-    this kernel handle the nodes of the sub-box, whose size is `extent`; the other threads handle
-    all nodes of the window.
+    `lightest` is the mass of a node that is full of the lightest material [kg], or infinite for a
+    single material. `full` is the fraction of the expected mass above which material touches the
+    wall. In columns that the wall does not push, nodes below the signed distance `loose` [m]
+    respond alone.
+
+    A flat wall changes `grid_out`; other walls change `changes_out` (see `make_settle`). If
+    `updating` is set, the kernel also reads momenta from `grid` and updates all nodes of the
+    window; the first threads handle the sub-box, whose size is `extent`.
 
     Args:
         shape: Name of a distance function.
@@ -386,13 +367,8 @@ def make_contact(shape: str, response: str, real: Any, updating: bool = False):
 def make_collider(shape: str, response: str, real: Any):
     """Kernel over the nodes of a sub-box: applies a wall's response to the nodes inside its shape.
 
-    A node counts as inside if its signed distance is below `reach` [m]. While the track `slot` is
-    active, the shape is displaced by the track's value, and the wall moves at the track's rate.
-
-    Args:
-        shape: Name of a distance function.
-        response: Name of a response.
-        real: wp.float32 or wp.float64.
+    A node counts as inside if its signed distance is below `reach` [m]. The value of the track
+    `slot` displaces the shape.
     """
     distance, answer = SHAPES[shape], RESPONSES[response].answer
     name = f"phy124_collide_{shape}_{response}_{real.__name__}"

@@ -1,24 +1,9 @@
 """Response of columns of nodes to a wall; a column is a row of three nodes at the wall.
 
-Contact is enforced exactly at the wall, which may lie between nodes. Along the axis closest to the
-wall's normal, the velocity relative to the wall is made linear in the distance and zero on the
-wall. A column's first node is the node nearest to the wall among the nodes that are at least half a
-cell in front of the wall. The other two nodes of a column are the next ones behind the first node.
-A node's velocity is the first node's velocity times g, the ratio of the node's distance from the
-wall to the first node's distance. Quadratic B-splines reproduce linear functions, and the splines
-of nodes further behind do not reach the wall. Momentum is projected onto velocities that are linear
-in this distance, v_1 = sum(g m v) / sum(g^2 m). The projection acts on all three nodes and never
-adds energy. Without the projection, a wall is as compliant as a layer of material one cell thick.
-B-splines with linear values behind the wall are called extended B-splines (Hoellig, Reif, Wipper
-2001). The wall acts as soon as the material has reached it. The masses of the nodes on both sides
-of the wall show when the material has reached it (see `coverage`).
-
-The surface of a clamp's region is treated like a wall. The nodes inside the region are fixed. The
-velocity of the node next to the surface is chosen so that the interpolated velocity is zero at the
-surface. The ratios are g = (1, -w0 / w1, 0), where w are the weights of the nodes at the surface.
-
-A single node responds by `sticky`, `slip` or `separate`. For a column, `all_of_it`, `none_of_it`
-and `coulomb` return the fraction of the tangential motion that the wall stops.
+The projection of a column's momentum is v_1 = sum(g m v) / sum(g^2 m), where g is the ratio of a
+node's distance from the wall to the first node's distance. Without the projection, a wall is as
+compliant as a layer of material one cell thick. B-splines with linear values behind the wall are
+called extended B-splines (Hoellig, Reif, Wipper 2001). docs/design/contact.md explains the method.
 """
 
 from typing import Any, NamedTuple
@@ -30,21 +15,19 @@ from phy124.kernels.transfer import spline
 
 @wp.func
 def sticky(v: Any, wall: Any, n: Any, friction: Any):
-    """Return the wall's velocity, because the node sticks to the wall."""
+    """Return the wall's velocity."""
     return wall
 
 
 @wp.func
 def slip(v: Any, wall: Any, n: Any, friction: Any):
-    """Remove the normal velocity relative to the wall; do not change the tangential velocity."""
+    """Return the velocity without its normal component relative to the wall."""
     return v - wp.dot(v - wall, n) * n
 
 
 @wp.func
 def separate(v: Any, wall: Any, n: Any, friction: Any):
-    """Let a departing node leave the wall; stop any other node, with friction (Stomakhin et al.
-    2013, sec. 8).
-    """
+    """Let a departing node leave; stop any other, with friction (Stomakhin et al. 2013, sec. 8)."""
     relative = v - wall
     speed = wp.dot(relative, n)
     if speed >= type(speed)(0.0):
@@ -78,23 +61,18 @@ def coulomb(along: Any, pressed: Any, friction: Any):
 
 
 NARROWING = wp.constant(1.55)
-"""Exponent in `narrow`, which estimates how much the mass of nodes falls towards a wall where a
-body narrows. The best exponent is 1.1 to 1.3 for a body that narrows to an edge, and 1.2 to 1.6 for
-a cone.
+"""Exponent in `narrow`. The best exponent is 1.1 to 1.3 for a body that narrows to an edge, and 1.2
+to 1.6 for a cone.
 """
 OUT_OF_REACH = wp.constant(-1.25)
-"""A node that lies farther behind a wall than this signed distance [cells] gets no mass from a body
-in front of the wall. In a body that touches a wall, the particles nearest to the wall are a quarter
-of a cell in front of it.
+"""Signed distance [cells] behind a wall at which a node gets no mass from a body in front. The
+particles of a touching body are at least a quarter of a cell in front of the wall.
 """
 
 
 @wp.func
 def coverage(u: Any):
-    """Return the part of a quadratic B-spline's integral that lies beyond a plane.
-
-    The plane lies u cells before the spline's centre.
-    """
+    """Return the fraction of a quadratic B-spline beyond a plane u cells before its centre."""
     unit = type(u)(1.0)
     sixth = type(u)(1.0 / 6.0)
     reach = wp.max(type(u)(1.5) - wp.abs(u), type(u)(0.0))
@@ -108,9 +86,7 @@ def coverage(u: Any):
 
 @wp.func
 def xyz(q: Any):
-    """Return the first three components of a vector, for example a velocity, a normal or a track's
-    value.
-    """
+    """Return the first three components of a vector."""
     return wp.vector(q[0], q[1], q[2])
 
 
@@ -125,11 +101,10 @@ def narrow(m: Any, farther: Any, u: Any):
     """Return the factor by which a body's mass on the next node towards a wall falls as the body
     narrows.
 
-    `m` is the mass of the body on a node u cells in front of the wall, and `farther` is its mass on
-    the next node away from the wall. For a body of constant cross-section, these masses have the
-    same ratio as the values of `coverage`. If the cross-section grows with a power of the distance
-    from the wall, the ratio is smaller by a factor f. The next ratio towards the wall is then
-    smaller by about f to the power of `NARROWING`.
+    `m` is the body's mass on a node u cells in front of the wall, and `farther` the mass on the
+    next node away from the wall. If the cross-section grows with a power of the distance, the ratio
+    of these masses is smaller by a factor f than for a constant cross-section. The next ratio
+    towards the wall is then smaller by about f to the power of `NARROWING`.
     """
     unit = type(u)(1.0)
     return wp.pow(
@@ -142,18 +117,11 @@ def has_arrived(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: An
     """Return whether material touches a wall, from the masses m of nodes at the distances u
     [cells].
 
-    If a body touches the wall, the masses of the two nodes next to the wall have a known ratio,
-    which does not depend on the body's density and width. If there is a gap, the nearer node has
-    less mass. With irregular particles the ratio varies from column to column, so contact requires
-    only the fraction `full` of the expected mass. If the whole mass were required, the body would
-    rest on the few columns with most mass. Since heavier material may lie on the body, the mass of
-    the farther node is limited to the mass of a full node of the `lightest` material.
-
-    Tips, edges and hairs have less mass on the nearer node although they touch the wall. The
-    narrowing of a tip is estimated one node farther from the wall. The narrowing at the third node
-    is estimated from the first two nodes. If a body at the wall does not reach the third node, the
-    first node and the node in front of it (mass `above`) are used instead. If there is mass behind
-    the three nodes (`beyond`), material has passed through the wall.
+    Material touches the wall if the node nearest to the wall has the fraction `full` of the
+    expected mass (docs/design/contact.md). If the whole mass were required, the body would rest on
+    the few columns with most mass. `above` is the mass in front of the three nodes, and `beyond`
+    the mass behind them. The mass of the farther node is limited to the mass of a full node of the
+    `lightest` material, since heavier material may lie on the body.
     """
     zero = type(above)(0.0)
     if m[1] <= zero:
@@ -177,20 +145,13 @@ def has_mass(m: Any, above: Any, beyond: Any, u: Any, lightest: Any, full: Any):
 
 @wp.func
 def linear(distances: Any, across: Any):
-    """Return velocities in a column that are linear in the distance from the wall and zero on the
-    wall.
-
-    They are the ratios g to the velocity of the column's first node.
-    """
+    """Return the ratios g for velocities that are linear in the distance and zero on the wall."""
     return distances / distances[0]
 
 
 @wp.func
 def ending(distances: Any, across: Any):
-    """Return velocities in a column for which the velocity is zero at the surface of a clamp's
-    region.
-
-    They are the ratios g to the velocity of the column's first node.
+    """Return the ratios g for which the velocity is zero at the surface of a clamp's region.
 
     `across` is the cell size [m].
     """
@@ -203,8 +164,7 @@ def ending(distances: Any, across: Any):
 def tie(v: Any, m: Any, g: Any):
     """Return the velocity changes [node, axis] of a column of nodes that preserve its momentum.
 
-    The new velocities have the ratios g to the velocity of the first node; m are the masses of the
-    nodes.
+    g are the ratios of the new velocities to the first node's velocity; m are masses.
     """
     weight = wp.cw_mul(g, m)
     return wp.outer(g, (wp.transpose(v) @ weight) / wp.dot(weight, g)) - v
@@ -212,10 +172,9 @@ def tie(v: Any, m: Any, g: Any):
 
 @wp.func
 def hold_back(behind: Any, front: Any, normal: Any):
-    """Return the velocity change that slows a node behind a wall to the speed of a node in front of
-    it.
+    """Return the velocity change that slows a node behind a wall to the speed of a node in front.
 
-    The change never accelerates a node, so it never adds energy.
+    The change never accelerates a node, so it adds no energy.
     """
     zero = type(normal[0])(0.0)
     fastest = wp.min(wp.dot(front, normal), zero)
@@ -224,9 +183,7 @@ def hold_back(behind: Any, front: Any, normal: Any):
 
 @wp.func
 def along_wall(change: Any, normal: Any):
-    """Return the tangential component, along a wall, of the velocity changes of nodes
-    [node, axis].
-    """
+    """Return the component along a wall of velocity changes [node, axis]."""
     return change - wp.outer(change * normal, normal)
 
 
@@ -238,15 +195,13 @@ def pressing(pressed: Any):
 
 @wp.func
 def either_way(pressed: Any):
-    """Return True: the wall acts on both approaching and departing material."""
+    """Return True, for walls that material cannot leave."""
     return True
 
 
 @wp.func
 def add_rows(nodes: wp.array(dtype=Any), first: int, step: int, m: Any, change: Any, fourth: Any):
-    """Add velocity changes [node, axis], and a fourth component, to the nodes of a column with
-    mass.
-    """
+    """Add velocity changes [node, axis], and a fourth component, to the nodes with mass."""
     for row in range(3):
         if m[row] > type(m[row])(0.0):
             nodes[first + row * step] += wp.vector(
@@ -258,23 +213,15 @@ class Response(NamedTuple):
     """Functions that define how single nodes and columns of three nodes respond to a wall."""
 
     answer: Any
-    """`(v, wall, n, friction)`: returns the new velocity of a single node near a wall."""
+    """`(v, wall, n, friction)`: new velocity of a single node near a wall."""
     acts: Any
-    """`(m, above, beyond, u, lightest, full)`: returns whether material has reached a wall, from
-    the masses `m` of the nodes at the distances `u` from the wall.
-    """
+    """`(m, above, beyond, u, lightest, full)`: whether material touches a wall (`has_arrived`)."""
     ratios: Any
-    """`(distances, across) -> g`: returns the velocities of the three nodes of a column at a wall,
-    as multiples of the velocity of the column's first node.
-    """
+    """`(distances, across) -> g`: a column's velocities relative to the first node's velocity."""
     pushes: Any
-    """`(pressed)`: returns whether a wall acts on a column of nodes; `pressed` is the impulse per
-    mass along the wall's normal.
-    """
+    """`(pressed)`: whether a wall acts on a column with this normal impulse per mass."""
     hold: Any
-    """`(along, pressed, friction)`: returns the fraction of a column's tangential motion that a
-    wall stops.
-    """
+    """`(along, pressed, friction)`: fraction of a column's tangential motion that a wall stops."""
 
 
 RESPONSES = {

@@ -1,9 +1,7 @@
 """Computes the impulses of each wall in a substep, per particle (contacts) and in total (wrenches).
 
-A wall changes the velocity of nodes. The impulse m_i (v_after - v_before) on a node is divided
-among the particles in proportion to their mass at the node: particle p receives m_p w_ip (v_after -
-v_before). The particles' impulses add up to the node's impulse, since m_i = sum_p m_p w_ip. A
-wrench is the total impulse of a wall on all nodes and its moment, in float64.
+Particle p receives m_p w_ip (v_after - v_before) of the impulse m_i (v_after - v_before) on a node.
+The particles' impulses add up to the node's impulse, since m_i = sum_p m_p w_ip.
 """
 
 from typing import Any
@@ -20,10 +18,7 @@ from phy124.kernels.transfer import first_node, in_window, spline
 
 @build_once
 def make_contact_copy(real: Any):
-    """Kernel: stores a copy of the nodes in a box before a wall acts.
-
-    Each thread handles `each` consecutive nodes of a row.
-    """
+    """Kernel: stores a copy of the nodes in a box before a wall acts."""
 
     @kernel(f"phy124_contact_copy_{real.__name__}", real, seconds=0.15)
     def contact_copy(each, box, window, grid, kept_out, low_out: Ints, high_out: Ints):
@@ -42,8 +37,7 @@ def make_contact_copy(real: Any):
 
 @build_once
 def make_contact_reach(real: Any):
-    """Kernel: replaces each stored node (`make_contact_copy`) by the velocity change that a wall
-    caused.
+    """Kernel: replaces each node stored by `make_contact_copy` by its change due to a wall.
 
     The kernel also stores the lowest and the highest node that the wall changed.
     """
@@ -117,20 +111,14 @@ def make_contacts(real: Any):
 
 
 IMPULSE, MOMENT, SUMS = 0, 3, 6
-"""Indices in the sums of a wall: first component of its impulse, and first component of its moment;
-and the number of sums.
-"""
 
 
 @build_once
 def make_wall_wrench(real: Any):
-    """Kernel over rows of nodes: adds the wrench of a wall on the nodes to the wall's total wrench.
+    """Kernel over rows of nodes: adds the wrench of a wall since `make_wall_copy` stored the nodes.
 
-    The wrench is the impulse and the moment since `make_wall_copy` stored the nodes. Each thread
-    handles a segment of a row, as in that kernel.
-
-    The moment is taken about the origin of the world. The gather preserves the angular momentum of
-    the nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.
+    The moment is about the origin of the world. The gather preserves the angular momentum of the
+    nodes (APIC, Jiang et al. 2015), so the sum equals the wrench on the material.
     """
 
     @kernel(f"phy124_wall_wrench_{real.__name__}", real, seconds=0.2)

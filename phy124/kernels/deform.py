@@ -1,12 +1,9 @@
 """Device code of `phy124.motion.deform`: makes Gaussians follow the material, in float64.
 
-One-sided Jacobi rotations (Hestenes 1958) make the columns of A = F R0 S0 V orthogonal, by plane
-rotations of at most 45 degrees. The relative accuracy of Jacobi rotations is high (Demmel, Veselic
-1992). The directions of the columns are then the axes of F Sigma0 F^T, and their lengths are the
-scales. The iteration starts from V of the previous frame. Columns that are already orthogonal to
-within `TOLERANCE` are not changed, so axes of equal length move with the material instead of
-flickering. The thin axes of needle-shaped Gaussians stay accurate; they would be lost if Sigma
-itself were decomposed. Quaternions are in wxyz order.
+Jacobi rotations (see `axes`) make the columns of A = F R0 S0 V orthogonal. The directions of the
+columns are then the axes of F Sigma0 F^T, and their lengths are the scales. Columns that are
+orthogonal to within `TOLERANCE` are not changed, so axes of equal length move with the material
+instead of flickering. The thin axes of needles would be lost if Sigma itself were decomposed.
 """
 
 from typing import Any
@@ -35,20 +32,18 @@ LARGEST = wp.constant(wp.float64(3.0e38))
 TINY = wp.constant(wp.float64(1e-12))
 SOUND_SHAPE = wp.constant(wp.float64(1.5))
 ROUND_SHAPE = wp.constant(wp.float64(4.0))
-"""Elongation, relative to rest, at which a Gaussian of plastic or fluid material has become a ball.
-Above the elongation `SOUND_SHAPE`, the Gaussian becomes gradually rounder.
-"""
+"""Elongation, relative to rest, at which a Gaussian of plastic or fluid material is a ball."""
 
 ARM = wp.constant(wp.float64(2.0))
-"""A Gaussian of plastic or fluid material is drawn at most this far from a carrying particle; the
-value is a multiple of their distance at rest.
+"""Upper bound of the distance between a Gaussian of plastic or fluid material and a carrying
+particle, relative to rest.
 """
 
 
 @wp.func
 def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
-    """Return the axis lengths of a Gaussian of plastic or fluid material; elongated Gaussians are
-    made rounder.
+    """Return the axis lengths of a Gaussian of plastic or fluid material, made rounder if
+    elongated.
 
     A ball of radius sqrt(a b), where a and b are the two longest axes, covers the same area of an
     image as the Gaussian.
@@ -67,9 +62,7 @@ def round_lengths(lengths: wp.vec3d, rest: wp.vec3d):
 def within(f: wp.mat33d, limit: wp.float64) -> wp.mat33d:
     """Return F, with its logarithmic strain scaled down if the largest stretch exceeds `limit`.
 
-    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1). The result keeps the rotation, and
-    is continuous when s_1 passes the limit. The Gaussian is then stretched as in material that is
-    not torn.
+    F = U S V^T becomes U S^p V^T with p = log(limit) / log(s_1), where s_1 is the largest stretch.
     """
     if wp.ddot(f, f) <= limit * limit:
         return f
@@ -98,11 +91,9 @@ def deform_shape(
     quats_out: wp.array(dtype=wp.vec4f),
     scales_out: wp.array(dtype=wp.vec3f),
 ):
-    """Compute V, the quaternion and the scales of a deformed Gaussian, whose covariance is Sigma_t
-    = F Sigma0 F^T.
+    """Compute V, the quaternion and the scales of a Gaussian with covariance F Sigma0 F^T.
 
-    V and the quaternion start from their values in the previous frame (`inner_out`, `quats`), so
-    that axes do not change order.
+    V and the quaternion start from the previous frame, so that axes do not change order.
     """
     s0 = wp.vec3d(scales0[i])
     last = wp.vec4d(quats[i])
@@ -134,10 +125,7 @@ def deform_shape(
 def deform_shapes(
     quats0, scales0, holds, limits, rounds, quats, deformation, inner_out, quats_out, scales_out
 ):
-    """Compute the covariances Sigma_t = F Sigma0 F^T of a frame, as quaternions and scales.
-
-    `inner_out` contains the values of the previous frame, and receives those of this frame.
-    """
+    """Compute the covariances Sigma_t = F Sigma0 F^T of a frame, as quaternions and scales."""
     deform_shape(
         wp.tid(), quats0, scales0, holds, limits, rounds, quats, deformation, inner_out,
         quats_out, scales_out,
@@ -160,9 +148,8 @@ shapes_of_eight = native_func(
     "shapes_of_eight",
     returns=int,
 )
-"""Deforms the Gaussians with the indices `8 thread` to `8 thread + 7`. Returns one bit per
-Gaussian, which is set if the vectorised code cannot handle the Gaussian; `deform_shape` then
-handles it.
+"""Deforms the Gaussians `8 thread` to `8 thread + 7`. Returns one bit per Gaussian, which is set if
+the vectorised code cannot handle the Gaussian.
 """
 
 
@@ -170,9 +157,7 @@ handles it.
 def deform_shapes_simd(
     quats0, scales0, holds, limits, rounds, quats, deformation, inner_out, quats_out, scales_out
 ):
-    """Deform eight Gaussians per thread; `deform_shape` handles Gaussians that the vectorised code
-    cannot handle.
-    """
+    """Deform eight Gaussians per thread."""
     group = wp.tid()
     left = shapes_of_eight(
         group, quats0, scales0, holds, limits, rounds, quats, deformation, inner_out,
@@ -209,12 +194,10 @@ def turn_of_material(
 
 @build_once
 def make_carry(real: Any):
-    """Kernel for particles of one precision: computes the centres and the deformation gradients F
-    of Gaussians.
+    """Kernel: computes the centres and the deformation gradients F of Gaussians.
 
     x_g = sum w_i (x_i + F_i (X_g - X_i)), F_g = sum w_i F_i over the carrying particles i. In
-    plastic or fluid material F grows without bound, so the length of the vectors F_i (X_g - X_i) is
-    limited.
+    plastic or fluid material F grows without bound, so the length of F_i (X_g - X_i) is limited.
     """
 
     @kernel(f"phy124_carry_{real.__name__}", real, seconds=0.4)
@@ -256,8 +239,7 @@ def make_carry(real: Any):
 
 @build_once
 def make_carry_simd(real: Any):
-    """Kernel for one precision of particles: computes the same as `make_carry`, with vector
-    instructions of a CPU.
+    """Kernel: computes the same as `make_carry`, with vector instructions of a CPU.
 
     Each thread handles eight Gaussians. tests/test_deform.py compares both versions.
     """
@@ -268,7 +250,7 @@ def make_carry_simd(real: Any):
 
 @build_once
 def make_follow(real: Any):
-    """Kernel for one precision: copies x and F of the particle that represents each Gaussian."""
+    """Kernel: copies x and F of the particle that represents each Gaussian."""
 
     @kernel(f"phy124_follow_{real.__name__}", real, seconds=0.2)
     def follow(
@@ -287,7 +269,7 @@ def make_follow(real: Any):
 
 @build_once
 def make_count_broken(real: Any):
-    """Kernel: counts the particles with a non-finite position and those with a non-finite F."""
+    """Kernel: counts particles with a non-finite position, and particles with a non-finite F."""
 
     @kernel(f"phy124_broken_{real.__name__}", real, seconds=0.2)
     def count_broken(position, deformation, counts_out: wp.array(dtype=wp.int32)):

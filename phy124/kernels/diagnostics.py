@@ -1,8 +1,7 @@
 """Measures momentum, energy and volume ratios of a state; detects and resets invalid particles.
 
-All sums are in float64; each thread sums several particles before it adds the result to the total.
-The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4 |C|^2), with the inertia of
-a quadratic B-spline (Jiang et al. 2017, eq. 12).
+All sums are in float64. The kinetic energy includes the energy of APIC's C: m/2 (|v|^2 + dx^2/4
+|C|^2), with the inertia of a quadratic B-spline (Jiang et al. 2017, eq. 12).
 """
 
 from typing import Any
@@ -17,19 +16,13 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law
 
 MOMENTUM, ANGULAR, KINETIC, ELASTIC, MIDDLE, POWER, SUMS = 0, 3, 6, 7, 8, 11, 12
-"""Index of each sum over the particles (for a vector, of its first component), and the number of
-sums.
-
-`MIDDLE` is the sum of mass times position; `POWER` is the power of the elastic stress, V tau : C.
+"""`MIDDLE` is the sum of mass times position, `POWER` the power of the elastic stress, V tau : C,
+and `SUMS` the number of sums. A vector's index is that of its first component.
 """
 LEAST_J, LARGEST_J = 0, 1
-"""Indices of the smallest and the largest volume ratio J of the particles. The smallest J is stored
-as the maximum of -J.
-"""
+"""The smallest J is stored as the maximum of -J."""
 BROKEN, INVERTED = 0, 1
-"""Indices in the counts of invalid particles: particles with non-finite values, and inverted
-particles.
-"""
+"""`BROKEN` particles have non-finite values."""
 
 
 @wp.func
@@ -48,7 +41,7 @@ def add3(sums: wp.array(dtype=wp.float64), at: int, a: wp.vec3d):
 
 @wp.func
 def kinetic_energy(m: wp.float64, v: wp.vec3d, C: Any, dx: Any):
-    """Return m/2 (|v|^2 + dx^2/4 |C|^2) [J], which includes the energy of APIC's C."""
+    """Return m/2 (|v|^2 + dx^2/4 |C|^2) [J]."""
     spread = wp.float64(dx * dx) / wp.float64(4.0)
     return m / wp.float64(2.0) * (wp.dot(v, v) + spread * wp.float64(wp.ddot(C, C)))
 
@@ -66,15 +59,12 @@ def spin(C: Any, dx: Any):
 def make_totals(law: Law, real: Any, on_lattice: bool = False):
     """Kernel: sums momentum, energy and the other `SUMS` over particles; counts invalid particles.
 
-    The kernel also determines the range of the volume ratio J.
-
     On lattices, C of inverted points is divided by a small positive number instead of by J
-    (`safe_volume`). The forces of laws without a barrier have the sign of J, so
-    the power is corrected accordingly.
+    (`safe_volume`). The forces of laws without a barrier have the sign of J, so the power is
+    corrected accordingly.
 
-    The power is the rate at which kinetic energy becomes elastic energy. `counts_out` receives the
-    number of invalid particles of each kind, and `first_out` the lowest index of each kind. A
-    thread sums several particles (`each`) before it writes, as in `make_measure`.
+    `counts_out` receives the number of invalid particles of each kind, and `first_out` the lowest
+    index of each kind.
     """
     energy, stress = law.energy, law.stress
     exact, all_sums = (wp.types.vector(n, wp.float64) for n in (law.width, SUMS))
@@ -214,11 +204,9 @@ def make_probe(law: Law, real: Any):
 def make_reset(real: Any):
     """Kernel: resets deformations that no law can handle to the identity.
 
-    A deformation F is valid under three conditions. The volume ratio of F is between `min_J` and
-    `max_J`, its norm is at most `max_norm`, and its smallest stretch is at least the fraction
-    `narrowest` of its largest stretch. J / |cof F| is used as the smallest stretch, and |F| as the
-    largest. `faults_out` receives the number of invalid deformations and the lowest index of an
-    invalid deformation.
+    A deformation F is valid if J is between `min_J` and `max_J`, if |F| is at most `max_norm`, and
+    if J / |cof F|, an estimate of the smallest stretch, is at least `narrowest` |F|. `faults_out`
+    receives the number and the lowest index of the invalid deformations.
     """
     t = types(real)
 
@@ -264,9 +252,8 @@ def make_limit_total(real: Any):
 def make_apart(real: Any):
     """Kernel: counts particles stretched so far that they lose contact with their neighbours.
 
-    At rest a particle fills a cube whose side is the distance between neighbours. `most` is the
-    square of the stretch above which particles lose contact. `faults_out` receives the number and
-    the lowest index of the particles above this limit; `max_out` receives the largest stretch.
+    `most` is the square of the stretch above which particles lose contact. `faults_out` receives
+    the number and the lowest index of these particles; `max_out` the largest stretch.
     """
     t = types(real)
 
@@ -286,9 +273,8 @@ def make_apart(real: Any):
 def make_neighbours_lost(real: Any):
     """Kernel: marks each particle that is too far from one of the particles next to it at rest.
 
-    `square` is the square of the distance [m^2]. Thread i examines the particle `chosen[i]`, whose
-    neighbours at rest are `neighbours[i]`. The thread sets `lost_out[i]` to 1 if the particle has
-    lost a neighbour, otherwise to 0.
+    `square` is the square of the distance [m^2]. Thread i sets `lost_out[i]` to 1 if the particle
+    `chosen[i]` has lost one of `neighbours[i]`, else to 0.
     """
     t = types(real)
 

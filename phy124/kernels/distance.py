@@ -1,8 +1,7 @@
-"""Computes the signed distance from a point to a wall, and the normal of the wall, for each shape.
+"""Signed distance from a point to a wall, and normal of the wall, for each shape.
 
-Each function takes a point x [m] and three vectors that define the shape. Each function returns the
-unit normal, which points out of the solid, and the signed distance [m], which is negative inside
-the solid.
+Each function takes a point x [m] and three vectors that define the shape. The result is the unit
+normal out of the solid, and the signed distance [m], negative inside the solid.
 """
 
 from typing import Any
@@ -12,14 +11,14 @@ import warp as wp
 
 @wp.func
 def half_space(x: Any, shape: Any):
-    """Return normal and signed distance of the plane through shape[0] with unit normal shape[1]."""
+    """Plane through shape[0] with unit normal shape[1]."""
     n = shape[1]
     return wp.vector(n[0], n[1], n[2], wp.dot(x - shape[0], n))
 
 
 @wp.func
 def sphere(x: Any, shape: Any):
-    """Return normal and signed distance of the sphere about shape[0] with radius shape[1, 0]."""
+    """Sphere about shape[0] with radius shape[1, 0]."""
     d = x - shape[0]
     r = wp.length(d)
     n = wp.vector(type(r)(0.0), type(r)(0.0), type(r)(1.0))
@@ -30,10 +29,9 @@ def sphere(x: Any, shape: Any):
 
 @wp.func
 def box(x: Any, shape: Any):
-    """Return normal and signed distance of the nearest face of the box shape[0] +- shape[1].
+    """Box shape[0] +- shape[1].
 
-    Inside the box the distance is exact; outside the box, it is the distance from the plane of the
-    nearest face.
+    Outside the box, the distance is measured from the plane of the nearest face.
     """
     d = x - shape[0]
     out = wp.vector(
@@ -55,9 +53,7 @@ def box(x: Any, shape: Any):
 
 @wp.func
 def capsule(x: Any, shape: Any):
-    """Return normal and signed distance of the capsule from shape[0] to shape[1] with radius
-    shape[2, 0].
-    """
+    """Capsule from shape[0] to shape[1] with radius shape[2, 0]."""
     axis = shape[1] - shape[0]
     zero = type(x[0])(0.0)
     s = wp.clamp(wp.dot(x - shape[0], axis) / wp.dot(axis, axis), zero, type(x[0])(1.0))
@@ -71,10 +67,9 @@ def capsule(x: Any, shape: Any):
 
 @wp.func
 def cylinder(x: Any, shape: Any):
-    """Return normal and signed distance of the nearest face of the cylinder about shape[0] along
-    shape[1].
+    """Cylinder about shape[0] along shape[1], with shape[2] = (radius, half length, 0).
 
-    shape[2] is (radius, half length, 0).
+    The distance is measured from the nearest face.
     """
     d = x - shape[0]
     along = wp.dot(d, shape[1])

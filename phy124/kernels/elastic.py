@@ -1,7 +1,6 @@
 """Elastic laws: Kirchhoff stress tau [Pa] as a function of the deformation gradient F.
 
-Every law has a stress, an energy per rest volume from which the stress derives, and a modulus. The
-modulus is an upper bound of the largest eigenvalue of d tau / d ln sigma, and limits the substep
+The modulus of a law is an upper bound of the largest eigenvalue of d tau / d ln sigma
 (docs/design/laws.md). `theta` contains the parameters of the law, `h` the history variables (unused
 by elastic laws), and `C` the velocity gradient.
 """
@@ -28,9 +27,7 @@ SMALLEST_J = wp.constant(1.0e-4)
 
 @wp.func
 def safe_volume(J: Any):
-    """Return max(J, r), where r is the volume ratio below which elastic laws replace log J by its
-    tangent.
-    """
+    """Return max(J, r); below the volume ratio r, elastic laws replace log J by its tangent."""
     return wp.max(J, type(J)(SMALLEST_J))
 
 
@@ -42,13 +39,13 @@ def signed_volume(J: Any):
 
 @wp.func
 def polar_miss(s: wp.float32):
-    """Return the largest |R|^2 - 3 for which R counts as a rotation in float32 (error 1e-6)."""
+    """Return the largest |R|^2 - 3 for which R counts as a rotation (error 1e-6)."""
     return wp.float32(2.0e-6)
 
 
 @wp.func
 def polar_miss(s: wp.float64):  # noqa: F811
-    """Return the largest |R|^2 - 3 for which R counts as a rotation in float64."""
+    """Return the largest |R|^2 - 3 for which R counts as a rotation."""
     return wp.float64(1.0e-12)
 
 
@@ -67,9 +64,9 @@ def polar_step(R: Any):
 def polar(F: Any):
     """Return the polar rotation of F by Newton's iteration (Higham 1986); det F must be positive.
 
-    After each step the singular values of R are at least 1, so |R|^2 - 3 measures the deviation of
-    R from a rotation. In float32, three steps of the iteration suffice for stretches between 0.75
-    and 1.35, and five steps for stretches between 0.3 and 4.
+    After each step the singular values of R are at least 1, so |R|^2 - 3 measures the deviation
+    from a rotation. In float32, three steps suffice for stretches between 0.75 and 1.35, and five
+    steps for stretches between 0.3 and 4.
     """
     s = F[0, 0]
     R = polar_step(polar_step(polar_step(F)))
@@ -80,13 +77,13 @@ def polar(F: Any):
 
 @wp.func
 def series_range(s: wp.float32):
-    """Return the |A|^2 up to which `root`, summed to A^5, is exact to rounding in float32."""
+    """Return the |A|^2 up to which `root`, summed to A^5, is exact to rounding."""
     return wp.float32(0.0144)
 
 
 @wp.func
 def series_range(s: wp.float64):  # noqa: F811
-    """Return the |A|^2 up to which `root`, summed to A^5, is exact to rounding in float64."""
+    """Return the |A|^2 up to which `root`, summed to A^5, is exact to rounding."""
     return wp.float64(1.0e-5)
 
 
@@ -106,9 +103,7 @@ def root(a: Any):
 
 @wp.func
 def stretch(F: Any):
-    """Return V of F = V R for any F: by a series, by Newton's iteration, or in float64 if the
-    iteration does not converge.
-    """
+    """Return V of F = V R for any F."""
     s = F[0, 0]
     strain = gram(F) - wp.identity(3, dtype=type(s))
     if wp.ddot(strain, strain) < series_range(s) and wp.determinant(F) > type(s)(0.0):
@@ -130,19 +125,17 @@ def log_volume_far(J: Any):
 
 @wp.func
 def log_volume(J: wp.float64):
-    """Return the logarithm of the volume ratio J as `log_volume_far` does, in float64."""
+    """Return the logarithm of the volume ratio J."""
     return log_volume_far(J)
 
 
 @wp.func
 def log_volume(J: wp.float32):  # noqa: F811
-    """Return the logarithm of the volume ratio J, like `log_volume_far`, but faster near J = 1.
+    """Return the logarithm of the volume ratio J.
 
-    Near J = 1, a polynomial is used that takes a third of the time of log.
-
-    The polynomial is the best approximation of log(1 + y) / y for |y| < 0.2. The polynomial's error
-    is 3e-8 (1.4e-7 with rounding errors), and the result is exactly 0 at J = 1. The polynomial's
-    two halves are independent, so a processor can compute them in parallel.
+    For |J - 1| < 0.2, the best polynomial approximation of log(1 + y) / y takes a third of the time
+    of log. The polynomial's error is 3e-8 (1.4e-7 with rounding errors), and the result is exactly
+    0 at J = 1.
     """
     y = J - 1.0
     if wp.abs(y) >= 0.2:
@@ -190,9 +183,7 @@ def neo_hookean(F: Any, C: Any, h: Any, theta: Any):
 
 @wp.func
 def neo_hookean_modulus(F: Any, h: Any, theta: Any):
-    """Return 2 mu s^2 + 3 max(lam, 0), where s is the largest stretch; lam < 0 for auxetics (nu <
-    0).
-    """
+    """Return 2 mu s^2 + 3 max(lam, 0), where s is the largest stretch; lam < 0 for auxetics."""
     zero = type(theta[0])(0.0)
     return type(zero)(2.0) * theta[0] * largest_stretch_squared(F) + type(zero)(3.0) * wp.max(
         theta[1], zero
@@ -209,10 +200,7 @@ def fixed_corotated_energy(F: Any, h: Any, theta: Any):
 
 @wp.func
 def fixed_corotated(F: Any, C: Any, h: Any, theta: Any):
-    """Return 2 mu (F - R) F^T + lam J (J - 1) I (Stomakhin et al. 2012).
-
-    (F - R) F^T = F F^T - V.
-    """
+    """Return 2 mu (F F^T - V) + lam J (J - 1) I (Stomakhin et al. 2012)."""
     J = wp.determinant(F)
     V = stretch(F)
     b = gram(F)
@@ -240,8 +228,8 @@ def fixed_corotated_modulus(F: Any, h: Any, theta: Any):
 def newtonian(F: Any, C: Any, eta: Any):
     """Return J eta (C + C^T): Kirchhoff stress of sigma = 2 eta D, with D the rate of strain.
 
-    For an inverted element the stress is zero, so that viscosity never adds energy. Values of J
-    above 1 are replaced by 1, because the limit of the substep assumes J <= 1.
+    J is limited to 0 to 1: viscosity must not add energy to an inverted element, and the limit of
+    the substep assumes J <= 1.
     """
     strength = wp.clamp(wp.determinant(F), type(eta)(0.0), type(eta)(1.0)) * eta
     return strength * (C + wp.transpose(C))

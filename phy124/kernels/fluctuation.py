@@ -1,17 +1,9 @@
 """Controls the damping of the transfers: FLIP, AFLIP and XPIC reduce it, and RPIC increases it.
 
-The grid cannot represent the whole motion of the particles. The rest of the motion is called the
-fluctuation. APIC discards the fluctuation in every substep, and thus damps the motion. The
-fluctuation is (v, C) minus (v, C) after a round trip over the grid. Hammerquist and Nairn (2017)
-write this operator as D = 1 - S S^+. FLIP restores the whole fluctuation; AFLIP (Fei et al. 2021)
-restores a fraction. XPIC(m) restores the whole fluctuation except D^m (v, C), which is only noise.
-In phy124, C makes the round trip together with v, so that the round trip changes neither momentum
-nor angular momentum.
-
-RPIC lets the symmetric part of C decay, but not the skew part, which is the spin. With
-PhysGaussian's `rpic_damping` r, (1 - r) C + r/2 (C - C^T) is scattered in each substep, and r = 1
-is RPIC (Jiang et al. 2015, section 5.1). The damping by r depends on the length of the substep. In
-phy124, the damping of RPIC is a rate [1/s] and does not depend on the substep.
+The fluctuation is (v, C) minus (v, C) after a round trip over the grid, D = 1 - S S^+ (Hammerquist
+and Nairn 2017). APIC discards the fluctuation in every substep. C makes the round trip together
+with v, so that momentum and angular momentum do not change. docs/design/physics.md describes the
+schemes.
 """
 
 from typing import Any
@@ -49,8 +41,7 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes the fluctuation, the part of (v, C) that a transfer to the grid and back
-    loses.
+    """Kernel: computes the part of (v, C) that a transfer to the grid and back loses.
 
     For particles outside the grid, this part is 0.
     """
@@ -86,10 +77,7 @@ def make_fluctuation(real: Any, form: str):
 
 @build_once
 def make_keep(real: Any):
-    """Kernel: adds a fraction of the fluctuation, without noise, to the particles' velocities.
-
-    The fluctuation is the part of the motion that a transfer to the grid and back has lost.
-    """
+    """Kernel: adds a fraction of the fluctuation, without noise, to v and C."""
     t = types(real)
 
     @kernel(f"phy124_keep_{real.__name__}", real)
@@ -116,10 +104,7 @@ def without_strain(C: Any, share: Any):
 
 @build_once
 def make_rpic(real: Any):
-    """Kernel: lets the symmetric part of the velocity gradients C decay before a scatter.
-
-    The part decays as exp(-rate t), with the rate in 1/s.
-    """
+    """Kernel: lets the symmetric part of C decay as exp(-rate t), with the rate in 1/s."""
 
     @kernel(f"phy124_rpic_{real.__name__}", real)
     def rpic(chosen, rate: real, clock, C_out):

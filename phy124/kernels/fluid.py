@@ -1,9 +1,8 @@
 """Weakly compressible fluid: pressure from the volume ratio, viscosity from the velocity gradient.
 
-The elastic F of a fluid is j I with j = J^(1/3): it contains the volume but not the shape. A
-fluid's history variable is the value of J about one relaxation time ago. The fluid is stiffer for
-faster changes, and the energy of this additional stiffness is dissipated (Mandelstam and Leontovich
-1937).
+The elastic F of a fluid is j I with j = J^(1/3). The history variable is J about one relaxation
+time ago. The fluid is stiffer for faster changes, and the energy of this additional stiffness is
+dissipated (Mandelstam and Leontovich 1937).
 """
 
 from typing import Any
@@ -13,17 +12,15 @@ import warp as wp
 MIN_J = wp.constant(1.0e-4)
 """Volume ratio of a fluid below which the pressure no longer rises."""
 TAIT_J = wp.constant(0.8)
-"""Below this volume ratio of a fluid, the product of J and pressure p rises only as log J. Impacts
-faster than a quarter of the speed of sound can compress a few particles to smaller volume ratios.
-Without this limit on the pressure, such particles would shorten the substeps of all particles.
+"""Volume ratio below which J p rises only as log J. Impacts faster than a quarter of the speed of
+sound can compress a few particles further; their pressure would shorten the substeps of all
+particles.
 """
 
 
 @wp.func
 def squeeze(F: Any):
-    """Return max(J, `TAIT_J`), and the logarithm of the compression beyond `TAIT_J` (0 if there is
-    none).
-    """
+    """Return max(J, `TAIT_J`), and the logarithm of the compression beyond `TAIT_J`."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     bounded = wp.max(J, type(J)(TAIT_J))
     return bounded, wp.log(J / bounded)
@@ -44,16 +41,16 @@ def hardness(J: Any, theta: Any):
 
 @wp.func
 def lag(F: Any, h: Any):
-    """Return log(J / J'), where J' is the volume ratio J of about one relaxation time ago."""
+    """Return log(J / J'), where J' is the volume ratio about one relaxation time ago."""
     J = wp.max(wp.determinant(F), type(F[0, 0])(MIN_J))
     return wp.log(J / wp.max(h[0], type(J)(MIN_J)))
 
 
 @wp.func
 def tait_energy(F: Any, h: Any, theta: Any):
-    """Return K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)), zero at J = 1.
+    """Return K / gamma (J + J^(1 - gamma) / (gamma - 1) - gamma / (gamma - 1)) + K' lag^2 / 2.
 
-    The result includes the energy of the lag, K' lag^2 / 2.
+    The energy is zero at J = 1.
     """
     J, more = squeeze(F)
     less = theta[1] - type(J)(1.0)
@@ -67,8 +64,8 @@ def tait_energy(F: Any, h: Any, theta: Any):
 def tait(F: Any, C: Any, h: Any, theta: Any):
     """Return the Kirchhoff stress -J p I + 2 j eta dev(sym C) + zeta tr C I + K' lag I.
 
-    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension is
-    allowed and acts as cohesion. Since j = min(J, 1), the viscosity per unit mass, which limits the
+    theta = (K [Pa], gamma, eta [Pa s], zeta [Pa s], K' [Pa], 1 / relaxation time [1/s]). Tension
+    acts as cohesion. Here j = min(J, 1), so that the viscosity per unit mass, which limits the
     substep, does not change when the fluid expands. zeta damps sound where the fluid is compressed.
     """
     unit = type(theta[0])(1.0)
@@ -94,8 +91,8 @@ def tait_modulus(F: Any, h: Any, theta: Any):
 def isotropic(F: Any, h: Any, theta: Any, dt: Any):
     """Return the F and the history of a fluid after a substep: F is replaced by (tr F / 3) I.
 
-    For F = (I + dt C) j I, the trace gives the change of volume to first order. The determinant is
-    not used: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2, so a vortex would expand.
+    The trace gives the change of volume to first order. With the determinant, a vortex would
+    expand: for a rotation, det(I + dt W) exceeds 1 by (dt omega)^2.
     """
     unit = type(dt)(1.0)
     j = wp.max(wp.trace(F) / type(dt)(3.0), type(dt)(0.0))

@@ -1,13 +1,11 @@
 """Forces on particles before the scatter: accelerations, wrenches, pulls, and a force for a test.
 
-The kick is the time step of velocities [s]. `chosen` lists the particles on which a force acts.
-`slot` is the index of the track with the force's strength. The strength is averaged over the kick,
-and is zero while the force does not act.
+The kick is the time step of velocities [s], and `chosen` the particles on which a force acts. The
+track `slot` is the force's strength, averaged over the kick and zero while the force does not act.
 
-A pull or a wrench acts on a group of particles as a whole. Each particle has a weight w from 0 to
-1. The group's centre X and velocity V are means of the positions and velocities, weighted by w m.
-The group may turn and deform freely about X. A force f gives each particle the acceleration w f /
-sum(w m); with any weights, the total force is f.
+A pull or a wrench acts on a group of particles with weights w from 0 to 1. The group's centre X and
+velocity V are means weighted by w m. A force f gives each particle the acceleration w f / sum(w m),
+so the total force is f.
 """
 
 from typing import Any
@@ -66,11 +64,9 @@ def make_zone(real: Any):
 def make_drag(real: Any):
     """Kernel: solves dv/dt = rate (u - v) exactly, so that v never overshoots the wind u.
 
-    The uniform acceleration `a` acts after the drag, on the grid, and adds `kick * a`. If drag and
-    acceleration act together, the velocity becomes v + (u + a / rate - v)(1 - exp(-rate kick)).
-    This kernel makes this change without the part kick * a. If drag and acceleration acted one
-    after the other, an object's terminal velocity in a stream would be too high by the fraction
-    `rate * kick / 2`.
+    The grid adds kick * a later. Together with the drag, the velocity becomes v + (u + a / rate -
+    v)(1 - exp(-rate kick)). If the drag ignored the acceleration a, an object's terminal velocity
+    would be too high by the fraction `rate * kick / 2`.
     """
 
     @kernel(f"phy124_drag_{real.__name__}", real)
@@ -88,11 +84,7 @@ def make_drag(real: Any):
 
 @build_once
 def make_attract(real: Any):
-    """Kernel: attracts particles to a centre.
-
-    The kernel adds kick * g d / r to v; g is linear up to `radius`, and falls as 1 / d^2 farther
-    out.
-    """
+    """Kernel: adds kick * g d / r to v; g is linear up to `radius`, then falls as 1 / d^2."""
     t = types(real)
 
     @kernel(f"phy124_attract_{real.__name__}", real)
@@ -107,12 +99,7 @@ def make_attract(real: Any):
 
 @build_once
 def make_set_velocity(real: Any):
-    """Kernel: sets the velocities of particles to a rigid motion while a track is active.
-
-    The motion is v = s (u + omega x (x - centre)) and C = s [omega]x.
-
-    The factor s is the current value of the track.
-    """
+    """Kernel: sets v = s (u + omega x (x - centre)), C = s [omega]x while the track s is active."""
     t = types(real)
 
     @kernel(f"phy124_set_velocity_{real.__name__}", real)
@@ -129,17 +116,15 @@ def make_set_velocity(real: Any):
 
 
 PLACE, SPEED = 0, 1
-"""Indices of a group's centre X and its velocity V in the array of mean values."""
 FLAT = wp.constant(wp.float64(1e-6))
-"""Fraction of the trace of the second moments that is added to the inertia tensor, to make the
-tensor of a line of particles invertible.
+"""Fraction of the trace of the second moments that is added to the inertia tensor, so that the
+tensor of a line of particles can be inverted.
 """
 
 
 @wp.func
 def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.float64):
-    """Return the force [N] of a damped spring at the end of a kick, by the implicit Euler method
-    (always stable).
+    """Return the force [N] of a damped spring at the end of a kick, by the implicit Euler method.
 
     `spring` contains the stiffness [N/m], the damping [N s/m], the mass that the spring pulls [kg]
     and the largest force [N]. `gap` and `slip` are the position and velocity of the target relative
@@ -155,8 +140,9 @@ def spring_damper(gap: wp.vec3d, slip: wp.vec3d, spring: wp.vec4d, kick: wp.floa
 
 @wp.func
 def angular_acceleration(torque: wp.vec3d, mass: wp.float64, second: wp.mat33d):
-    """Return the angular acceleration [rad/s^2] of a rigid group from its second moments per unit
-    mass [m^2].
+    """Return the angular acceleration [rad/s^2] of a rigid group.
+
+    `second` contains the second moments per unit mass [m^2].
     """
     spread = wp.trace(second)
     inertia = wp.diag(wp.vec3d(spread, spread, spread)) - second
@@ -176,7 +162,7 @@ def forget(means_out: wp.array(dtype=wp.vec3d), second_out: wp.array(dtype=wp.ma
 
 @build_once
 def make_centre(real: Any):
-    """Kernel: computes a group's centre X and its velocity V while the force's track is active."""
+    """Kernel: computes a group's centre X and velocity V while the force's track is active."""
 
     @kernel(f"phy124_held_centre_{real.__name__}", real)
     def centre(first, each, stride, chosen, share: Doubles, slot, values, x, v, means_out):

@@ -20,23 +20,18 @@ from phy124.kernels.spectral import (
 HARDEST = wp.constant(4.0)
 """Largest exponent of snow's hardening; the stiffness grows at most by a factor e^4 = 55."""
 CLOSE = wp.constant(0.1)
-"""If the square of the strain F F^T - I is at most this, the strain is computed in the precision of
-F.
-"""
+"""Largest |F F^T - I|^2 for which the strain is computed in the precision of F."""
 LOOSEST = wp.constant(1.0e6)
-"""Upper limit of snow's plastic volume ratio Jp; without it, Jp of scattered snow would
-overflow.
-"""
+"""Upper limit of snow's plastic volume ratio Jp, which would overflow in scattered snow."""
 
 
 @wp.func
 def drucker_prager(F: Any, h: Any, theta: Any, dt: Any):
-    """Project F onto the Drucker-Prager cone without cohesion (Klar et al. 2016, sec. 7; Tampubolon
-    2017).
+    """Project F onto the Drucker-Prager cone without cohesion (Klar et al. 2016, sec. 7).
 
-    Tampubolon's volume correction is included. theta = (mu, lam, alpha), alpha = sqrt(2/3) 2 sin
-    phi / (3 - sin phi). h[0] >= 0 is the logarithm of the volume that loose grains have gained. The
-    grains carry pressure again only after they have lost this volume.
+    The volume correction of Tampubolon (2017) is included. theta = (mu, lam, alpha), alpha =
+    sqrt(2/3) 2 sin phi / (3 - sin phi). h[0] >= 0 is the logarithm of the volume that loose grains
+    have gained, and must lose before they carry pressure again.
     """
     zero = type(theta[0])(0.0)
     third = type(theta[0])(1.0) / type(theta[0])(3.0)
@@ -92,18 +87,16 @@ def volume_growth(s: Any):
 
 @wp.func
 def stretch_energy(s: Any, theta: Any):
-    """Return the energy of the law `fixed_corotated_energy` for the stretches 1 + s."""
+    """Return the energy of `fixed_corotated_energy` for the stretches 1 + s."""
     growth = volume_growth(s)
     return theta[0] * wp.dot(s, s) + theta[1] / type(growth)(2.0) * growth * growth
 
 
 @wp.func
 def stretch_of(strain: Any):
-    """Return a stretch minus 1 without cancellation: sqrt(1 + strain) - 1.
+    """Return sqrt(1 + strain) - 1 without cancellation.
 
-    The strain is at least -1 + 1e-12, the value for an element that is compressed to a point.
-
-    This limit has no effect in float32.
+    The strain is at least -1 + 1e-12, for an element that is compressed to a point.
     """
     unit = type(strain)(1.0)
     least = wp.max(strain, type(strain)(1.0e-12) - unit)
@@ -114,7 +107,7 @@ def stretch_of(strain: Any):
 def limit_stretches(F: Any, strain: Any, h: Any, theta: Any, most: Any):
     """Return F with stretches limited to the range from theta[2] to 1 + `most`, and the history.
 
-    Nothing changes if that would increase the energy. `strain` is F F^T - I.
+    Nothing changes if the limits would increase the energy. `strain` is F F^T - I.
     """
     unit = type(most)(1.0)
     q, p, d, squared, x = decompose(strain)
@@ -151,10 +144,8 @@ def snow_return(F: Any, h: Any, theta: Any, dt: Any):
     """Limit stretches to [smallest, largest]; the excess changes Jp (Stomakhin 2013, eqs. 9, 10).
 
     The strain `largest - 1` at which a particle breaks differs from the material's by the fraction
-    h[1]. Stretches and hardening do not change if clamping would increase the energy, because snow
-    with a Poisson's ratio near 1/2 would otherwise gain energy by fracture. Under pressure, a
-    stretch therefore causes no fracture. Large or inverted strains, which are rare, are computed in
-    float64.
+    h[1]. Nothing changes if the limits would increase the energy, because snow with a Poisson's
+    ratio near 1/2 would otherwise gain energy by fracture.
     """
     s = F[0, 0]
     unit = type(s)(1.0)

@@ -1,7 +1,6 @@
 """Updates the grid between scatter and gather, and provides operations on rows of nodes.
 
-On a CPU, vectorised C++ loops copy, clear, add and compare rows of nodes in a box of the grid
-(native/reduction.h). On a GPU each thread handles one node.
+On a CPU, the operations on rows are vectorised (native/reduction.h).
 """
 
 from typing import Any
@@ -16,7 +15,7 @@ from phy124.kernels.reduction import load, raise_to
 
 @wp.func
 def row_in_grid(box: wp.array(dtype=wp.vec3i), window: wp.array(dtype=wp.vec3i), i: int, j: int):
-    """Return the index, among the nodes of the window, of the first node of row (i, j) of a box."""
+    """Return the index, in the window, of the first node of row (i, j) of a box."""
     low = box[0]
     size = window[1]
     return ((i + low[0]) * size[1] + j + low[1]) * size[2] + low[2]
@@ -63,9 +62,10 @@ for vec4 in (wp.vec4, wp.vec4d):
         first: int,
         end: int,
     ) -> int:
-        """Return the first index at which the velocities in two rows of nodes differ.
+        """Return the first index from `first` on at which the velocities in two rows of nodes
+        differ.
 
-        The search starts at `first`; if the rows are equal, the result is `end`.
+        If the rows are equal, the result is `end`.
         """
         ...
 
@@ -74,7 +74,7 @@ for vec4 in (wp.vec4, wp.vec4d):
 def velocity_of(q: Any, kick: Any, a: Any):
     """Return (velocity, mass) of a node with (momentum, mass) q after an acceleration a [m/s^2].
 
-    The acceleration acts for the time `kick` [s]. If the node has no mass, q is returned unchanged.
+    The acceleration acts for the time `kick` [s]. A node without mass is returned unchanged.
     """
     m = q[3]
     if m > type(m)(0.0):
@@ -97,12 +97,10 @@ def make_update(real: Any):
 
 @build_once
 def make_merge(real: Any):
-    """Kernel over rows of nodes: adds up the separate nodes to which the workers scattered.
+    """Kernel over rows of nodes: adds up the private nodes to which the workers scattered.
 
-    Each worker has a box of private nodes within the window. `boxes` contains the lowest node and
-    the extent of each box. `starts` contains the index in `pool` of each box's first node. The
-    nodes of a box are stored in the same order as the nodes of a window. The boxes are always added
-    in the same order.
+    `boxes` contains the lowest node and the extent of each worker's box, and `starts` the index in
+    `pool` of its first node. The boxes are always added in the same order.
     """
     t = types(real)
 

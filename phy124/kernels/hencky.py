@@ -1,10 +1,9 @@
 """Hencky strain (the logarithm of the stretch) and the elastic law in this strain, without an SVD.
 
-With b = F F^T and Z = (b - I)(b + I)^-1, the strain log V = 1/2 log b = atanh Z is an odd power
-series in Z. Let X = b - I, with invariants i. Then Z is a quadratic polynomial in X, Z = (i3 + (4 +
-2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In float32 the series is used for stretches between 0.72
-and 1.39 (error 3e-8), in float64 between 0.91 and 1.09 (error 2e-15). For other stretches, the
-closed form of `spectral` is used.
+With b = F F^T and Z = (b - I)(b + I)^-1, log V = 1/2 log b = atanh Z is an odd power series in Z.
+Let X = b - I, with invariants i; then Z = (i3 + (4 + 2 i1) X - 2 X^2) / (8 + 4 i1 + 2 i2 + i3). In
+float32 the series is used for stretches between 0.72 and 1.39 (error 3e-8), in float64 between 0.91
+and 1.09 (error 2e-15). For other stretches, the closed form of `spectral` is used.
 """
 
 from typing import Any
@@ -30,7 +29,7 @@ SMALLEST_STRETCH = wp.constant(1.0e-4)
 
 @wp.func
 def series_range(s: wp.float32):
-    """Return the largest |Z|^2 for which the series is used in float32.
+    """Return the largest |Z|^2 for which the series is used.
 
     The first omitted term is Z^13 / 13.
     """
@@ -39,7 +38,7 @@ def series_range(s: wp.float32):
 
 @wp.func
 def series_range(s: wp.float64):  # noqa: F811
-    """Return the largest |Z|^2 for which the series is used in float64."""
+    """Return the largest |Z|^2 for which the series is used."""
     return wp.float64(0.008)
 
 
@@ -56,11 +55,8 @@ def left_strain(F: Any):
 def inverse_tanh(z: Any):
     """Return the coefficients of a quadratic in Z that equals the series of atanh Z up to Z^11.
 
-    `z` contains the invariants of Z.
-
-    With W = Z^2, atanh Z = Z (1 + W/3 + W^2/5 + ...). The sum is first reduced to a quadratic in W;
-    then Z W = Z^3 and Z W^2 = Z^5 are reduced to quadratics in Z. The two reductions take half as
-    many steps as the reduction of a series in Z.
+    `z` contains the invariants of Z. The sum is first reduced to a quadratic in W = Z^2: atanh Z =
+    Z (1 + W/3 + W^2/5 + ...). This takes half as many steps as the reduction of a series in Z.
     """
     unit = type(z[0])(1.0)
     two = type(z[0])(2.0)
@@ -121,8 +117,7 @@ def cosh_of_difference(F: Any):
     """Return an upper bound of cosh x for the largest difference x of principal strains; 1 at rest.
 
     Scale F F^T to determinant 1, with eigenvalues e^y. The mean of the traces of the scaled matrix
-    and its inverse is sum cosh y. Since sum y = 0, sum cosh y is at least 1 + 2 cosh x, so no
-    eigenvalue is needed.
+    and its inverse is sum cosh y. Since sum y = 0, sum cosh y is at least 1 + 2 cosh x.
     """
     s = F[0, 0]
     a = wp.cross(F[1], F[2])

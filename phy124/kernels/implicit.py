@@ -1,6 +1,6 @@
 """Evaluates implicit surfaces F = 0, projects points onto a surface, and spreads the points evenly.
 
-Lengths are in pixels of the picture from which the surface was made. All values are in float64.
+Lengths are in pixels of the picture. All values are in float64.
 """
 
 from typing import Any, NamedTuple
@@ -11,15 +11,11 @@ from phy124.kernels.build import kernel
 
 Fields = wp.array3d[wp.float64]
 REACH = wp.constant(wp.float64(1.25))
-"""Distance up to which neighbouring points of a surface repel each other, relative to the target
-spacing.
-"""
+"""Distance up to which neighbours repel each other, relative to the target spacing."""
 STRENGTH = wp.constant(wp.float64(0.45))
-"""In each round, points that are too close move apart by this fraction of the missing distance."""
+"""Fraction of the missing distance by which points that are too close move apart in a round."""
 SAME_SIDE = wp.constant(wp.float64(0.3))
-"""Points of a surface count as neighbours if the cosine between their normals is at least this
-value; otherwise, they are on opposite sides of a thin part.
-"""
+"""Points with a smaller cosine between their normals are on opposite sides of a thin part."""
 COUNTED = wp.constant(6)
 """Number of nearest neighbours whose mean distance is the spacing of a point."""
 LEAST, MOST = wp.constant(wp.float64(0.6)), wp.constant(wp.float64(1.6))
@@ -31,7 +27,7 @@ class Inflated:
     """A surface F(x, y, z) = 0 with F = w(x, y) - (z - m(x, y))^2."""
 
     fields: Fields
-    """Values of w and m at each pixel, and the slopes of w and m along x and y [H,W,6]."""
+    """w, m, and the slopes of w and m along x and y [H,W,6]."""
 
 
 @wp.struct
@@ -39,17 +35,13 @@ class Hull:
     """A surface F = 0 with F = w(x, y) + s(z, y), but F < 0 beyond two end planes normal to y."""
 
     front: Fields
-    """Values of w at each pixel of the front view, and its slopes along x and y [H,W,3]; x = 0 is
-    at the middle column.
-    """
+    """w and its slopes along x and y [H,W,3]; x = 0 is at the middle column of the front view."""
     side: Fields
-    """Values of s at each pixel of the side view, and its slopes along z and y [H,D,3]; z = 0 is at
-    the middle column.
-    """
+    """s and its slopes along z and y [H,D,3]; z = 0 is at the middle column of the side view."""
     first: wp.float64
     """The y coordinate of the first row of `front` and `side`."""
     pitch: wp.float64
-    """Distance between neighbouring rows of `front` and `side` [px]."""
+    """Distance between rows of `front` and `side` [px]."""
     planes: wp.array[wp.vec3d]
     """Sign, y position and steepness of each end plane."""
 
@@ -66,9 +58,7 @@ class Corner:
 
 @wp.func
 def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
-    """Return the pixel at the upper left of a point, and the offset of the point from this
-    pixel.
-    """
+    """Return the pixel at the upper left of a point, and the point's offset from this pixel."""
     last_row, last_column = fields.shape[0] - 1, fields.shape[1] - 1
     x = wp.clamp(x, wp.float64(0.0), wp.float64(last_column))
     y = wp.clamp(y, wp.float64(0.0), wp.float64(last_row))
@@ -83,7 +73,7 @@ def corner(fields: Fields, x: wp.float64, y: wp.float64) -> Corner:
 
 @wp.func
 def sample(fields: Fields, at: Corner, channel: int) -> wp.float64:
-    """Return the value of one channel of a field, interpolated bilinearly between four pixels."""
+    """Return one channel of a field, interpolated bilinearly."""
     above = wp.lerp(
         fields[at.row, at.column, channel], fields[at.row, at.column + 1, channel], at.right
     )
@@ -131,13 +121,11 @@ class Kernels(NamedTuple):
     """The kernels for a kind of implicit surface."""
 
     evaluate: Any
-    """`(surface, points)`: returns F and the gradient of F at the points."""
+    """`(surface, points)`: F and its gradient at the points."""
     orient: Any
-    """`(surface, points)`: returns the outward unit normals at the points."""
+    """`(surface, points)`: outward unit normals at the points."""
     project: Any
-    """`(surface, rounds, points)`: moves the points onto the surface by Newton steps of at most 1
-    px.
-    """
+    """`(surface, rounds, points)`: moves points onto the surface, in Newton steps up to 1 px."""
 
 
 def _kernels(name: str, Surface: Any, gradient: Any) -> Kernels:

@@ -1,8 +1,7 @@
 """Reads items of contiguous arrays.
 
-Warp multiplies an index by a stride that it reads from memory, because arrays may have gaps. `item`
-multiplies by the size of the type instead. Kernels that read neighbouring cells then take up to a
-quarter less time.
+Warp reads the stride of an array from memory, because arrays may have gaps. `item` uses the size of
+the type instead, so kernels that read neighbouring cells take up to a quarter less time.
 """
 
 import warp as wp

@@ -1,7 +1,7 @@
 """Repeats kernel launches that Warp recorded, without copying their arguments again.
 
-In every launch Warp copies all arguments into a new structure, which takes 5 to 10 us. A substep of
-a small body consists of some 15 launches. Most launches take little longer than 10 us.
+Warp copies all arguments in every launch, which takes 5 to 10 us. Most launches of a small body
+take little longer than that.
 """
 
 import ctypes
@@ -20,7 +20,6 @@ class Repeated(wp.Launch):
     """A recorded kernel launch on a CPU, with arguments that are copied only when they change."""
 
     def __init__(self, recorded: wp.Launch) -> None:
-        """Copy a recorded kernel launch, including its arguments."""
         self.__dict__.update(recorded.__dict__)
         self._names = tuple(argument.label for argument in self.kernel.adj.args)
         values = self.params[1 : 1 + len(self._names)]
@@ -35,7 +34,7 @@ class Repeated(wp.Launch):
         self._forward(ctypes.byref(self.bounds), ctypes.byref(self._arguments))
 
     def set_param_at_index(self, index: int, value: Any, adjoint: bool = False) -> None:
-        """Set the argument with a certain index of the kernel launch."""
+        """Set the argument with a certain index."""
         super().set_param_at_index(index, value, adjoint)
         setattr(self._arguments, self._names[index], self.params[1 + index])
 
@@ -45,7 +44,7 @@ def record(
 ) -> wp.Launch | None:
     """Record a kernel launch; return None if the launch would have no threads.
 
-    `Repeated` uses internals of Warp. With unknown versions, Warp's launch is returned.
+    `Repeated` uses internals of Warp, so unknown versions of Warp get Warp's launch instead.
 
     Args:
         kernel: The Warp kernel.
@@ -63,9 +62,7 @@ def record(
 
 
 def put(array: wp.array, values: NDArray, at: NDArray[np.int64] | None = None) -> None:
-    """Copy values [K,...] to an array's first elements, or to its elements with the indices `at`
-    [K].
-    """
+    """Copy values [K,...] to an array's first elements, or to its elements `at` [K]."""
     if str(array.device) == "cpu":
         array.numpy()[slice(len(values)) if at is None else at] = values
     elif at is not None:
@@ -79,7 +76,7 @@ def put(array: wp.array, values: NDArray, at: NDArray[np.int64] | None = None) -
 def reader(array: wp.array) -> Callable[[], NDArray[Any]]:
     """Return a function that returns an array's current values: a view on a CPU, else a copy.
 
-    Creating a new view takes 3 us, and more if the processor's caches contain other data.
+    Creating a new view takes 3 us or more.
     """
     view: NDArray[Any] = array.numpy()
     return (lambda: view) if str(array.device) == "cpu" else array.numpy
@@ -87,6 +84,5 @@ def reader(array: wp.array) -> Callable[[], NDArray[Any]]:
 
 @cache
 def _structure(names: tuple[str, ...], types: tuple[type, ...]) -> type[ctypes.Structure]:
-    """Return the structure in which a kernel expects its arguments."""
     fields = list(zip(names, types, strict=True))
     return type("Arguments", (ctypes.Structure,), {"_fields_": fields})

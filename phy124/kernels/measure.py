@@ -1,7 +1,6 @@
 """Measures the particles' bounding box and the maxima that limit a substep.
 
-`timestep.make_timestep` reads the maxima on the device, and phy124/mpm/timestep.py reads them on
-the host. The lowest corner is stored as the maximum of -x.
+The lowest corner is stored as the maximum of -x.
 """
 
 from typing import Any
@@ -15,25 +14,18 @@ from phy124.kernels.reduction import finite, greater, raise_all, raise_to
 from phy124.kernels.transfer import Law, between, member
 
 SPEED = 0
-"""Index of the largest speed |v| among the measured maxima [m/s]."""
+"""Index of the largest speed |v| [m/s]."""
 GRADIENT = 1
-"""Index of the largest velocity gradient |C| among the measured maxima [1/s]."""
+"""Index of the largest velocity gradient |C| [1/s]."""
 STIFFNESS = 2
-"""Index of the largest A / rho0 among the measured maxima [m^2/s^2], where A is the modulus of the
-constitutive law.
-"""
+"""Index of the largest A / rho0 [m^2/s^2], where A is the modulus of the constitutive law."""
 LOW = 3
-"""Index of the first of three measured numbers: the lowest corner of the particles' bounding box
-[m], with negative sign.
-"""
+"""First index of the bounding box's lowest corner [m], with negative sign."""
 HIGH = 6
-"""Index of the first of three measured numbers: the highest corner of the particles' bounding box
-[m].
-"""
+"""First index of the bounding box's highest corner [m]."""
 COUNT = 9
-"""Number of measured maxima."""
 SPEEDS = 2
-"""Number of maxima that `make_measure_speeds` computes; these maxima have the first indices."""
+"""Number of maxima that `make_measure_speeds` computes; these have the first indices."""
 
 
 @build_once
@@ -41,7 +33,7 @@ def make_measure(law: Law, real: Any):
     """Kernel: measures the limits of the substep and the extent of the particles.
 
     The maxima are taken over the particles inside the domain. Particles with non-finite values
-    count as stray particles. Thread n measures the particles n `first` + k `stride`, k < `each`.
+    count as stray particles.
     """
     t = types(real)
     modulus = law.modulus
@@ -124,18 +116,13 @@ for kinds in (types(wp.float32), types(wp.float64)):
         v: kinds.vec3s,
         C: kinds.mat33s,
     ) -> kinds.vec3:
-        """Return the largest |v|^2 and |C|^2 of some particles, and the number of particles that
-        are not finite.
-        """
+        """Return the largest |v|^2 and |C|^2, and the number of non-finite particles."""
         ...
 
 
 @build_once
 def make_measure_speeds(real: Any):
-    """Kernel: measures only the largest speed and velocity gradient, over particles of all laws.
-
-    Thread i handles the same particles as thread i of `make_measure`.
-    """
+    """Kernel: measures only the largest speed and velocity gradient, over particles of all laws."""
 
     @kernel(f"phy124_measure_speeds_{real.__name__}", real)
     def measure_speeds(first, each, stride, count, chosen, v, C, maxima_out, stray_out):

@@ -1,18 +1,9 @@
 """Contact between two bodies: their velocities are made equal at nodes at which both have mass.
 
-Each body has a separate velocity field. Impulses act between two bodies at the nodes that belong to
-both (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al. 2001). The normal of an impulse is
-computed from the gradients of both bodies' volumes (Nairn 2013), so both have the same normal.
-
-Two bodies have common nodes before they touch, so contact needs another criterion. The weights of a
-quadratic B-spline have the variance dx^2 / 4 along every direction. The volume fraction of a body
-around a node therefore determines how far the body's surface is from the node, whatever the
-direction. Two surfaces meet if the fractions add up to 1. (Nairn et al. 2020 compute the distance
-by a regression over the particles.) The fraction is the ratio of the body's mass at the node to its
-mass in the interior; this accounts for the body's edges, density and compression. Three nodes in a
-row, along the axis closest to the normal, are either all in contact, or none of them is. The node
-with the largest overlap of both bodies decides for all three. At the rim of a contact, where the
-gap is curved, the mean of the gap around a node is larger than the gap at the node.
+Each body has a separate velocity field (Bardenhagen, Brackbill and Sulsky 2000; Bardenhagen et al.
+2001). The normal follows from the gradients of both volumes (Nairn 2013). Two surfaces meet if the
+bodies' volume fractions around a node add up to 1. Three nodes in a row are either all in contact,
+or none of them is. docs/design/contact.md explains the method.
 """
 
 from typing import Any
@@ -28,27 +19,20 @@ from phy124.kernels.diagnostics import add3, wide
 from phy124.kernels.window import place, strides
 
 LIGHTEST = wp.constant(1e-6)
-"""Contact of two bodies is possible at a node only if both bodies have at least this volume
-fraction there.
-"""
+"""Smallest volume fraction of both bodies at a node at which contact is possible."""
 NARROWEST = wp.constant(0.05)
 """Smallest volume fraction around a node that counts as a body's interior. The volume fraction is
-1/2 at an edge of a body and 1/4 at a corner. The volume fraction is smaller outside a body or
-around a single particle.
+1/2 at an edge of a body and 1/4 at a corner.
 """
 ROUNDING = wp.constant(0.375)
-"""Contact tolerance for curved gaps between two bodies. The gap at a node counts as closed if it is
-at most this fraction of a sum: the gaps at the four neighbouring nodes, each minus the gap at the
-node. The curvature of a gap between two splines would give a tolerance of 1/4. The larger tolerance
-that is used is fitted to measurements with balls (docs/lab/contact-force.md).
+"""Largest closed gap at a node, relative to the sum of the four neighbours' gaps, each minus the
+node's gap. The curvature of a gap between two splines would give 1/4; the value is fitted to
+measurements with balls (docs/lab/contact-force.md).
 """
 STEEPER = wp.constant(10.0)
-"""Weight that determines how close the contact normal of two bodies is to the steeper of the slopes
-of their volumes. With the weight 0, the normal would have the direction of the mean of both slopes.
-The larger the weight, the closer the normal is to the steeper slope.
-"""
+"""Weight of the steeper of two slopes in the contact normal; 0: the mean of both slopes."""
 TRUSTED = wp.constant(4.0)
-"""Factor on the squared slope of a body that never moves, in the contact normal of two bodies."""
+"""Factor on the squared slope of a body that never moves, in the contact normal."""
 
 
 @wp.func
@@ -73,8 +57,8 @@ def mass_at(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: w
 def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.vec3i, zero: Any):
     """Return `zero` plus the gradient of a body's mass at a node [kg per 32 cells].
 
-    The gradient along each axis is a mean of nine differences. With a single difference, a surface
-    roughness of a hundredth of a cell would brake sliding objects.
+    With a single difference instead of nine, a surface roughness of a hundredth of a cell would
+    brake sliding objects.
     """
     sum = zero
     for n in range(27):
@@ -87,20 +71,17 @@ def slope(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), node: wp.
 
 @wp.func
 def trust(yields: Any):
-    """Return the weight of a body's slope in the contact normal, which is larger for a
-    fixed body.
-    """
+    """Return the weight of a body's slope in the contact normal."""
     return type(yields)(TRUSTED) - (type(yields)(TRUSTED) - type(yields)(1.0)) * yields
 
 
 @wp.func
 def normal(to: Any, away: Any, yields: Any):
-    """Return the normal of the contact of two bodies at a node, from the slopes of their volumes.
+    """Return the normal of the contact of two bodies, from the slopes of their volumes.
 
-    `to` is the slope of the second body's volume, and `away` is the slope of the first body's
-    volume. The steeper slope belongs to the flatter surface and has the larger weight. (Nairn 2013
-    uses only the steeper slope; the mean of two equal slopes is smoother.) The slope of a body that
-    never moves is smooth and gets a larger weight (`trust`).
+    `to` is the slope of the second body's volume, and `away` the slope of the first body's volume.
+    The steeper slope belongs to the flatter surface and has the larger weight. (Nairn 2013 uses
+    only the steeper slope.)
     """
     a = wp.length_sq(to) * trust(yields[1])
     b = wp.length_sq(away) * trust(yields[0])
@@ -150,9 +131,8 @@ def fill_fraction(
 ):
     """Return a body's mass at a node, divided by its mass at nodes in its interior.
 
-    The interior is searched up to two nodes further inside. The ratio is -1 if the body's volume
-    fraction in the interior is less than `narrowest`. At an edge of the body, and under
-    compression, both masses change by the same factor.
+    The interior is searched up to two nodes further inside. The result is -1 if the volume fraction
+    there is less than `narrowest`. Edges and compression change both masses by the same factor.
     """
     m = mass_at(grid, window, node)
     deep = wp.max(mass_at(grid, window, node + inward), mass_at(grid, window, node + 2 * inward))
@@ -174,7 +154,7 @@ def gap(
 ):
     """Return the fraction of the volume around a node that is empty, between two bodies.
 
-    The fraction is 1 if one of the bodies is absent there.
+    The fraction is 1 if one of the bodies is absent.
     """
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
@@ -184,7 +164,7 @@ def gap(
 
 @wp.func
 def neighbour(step: wp.vec3i, n: int):
-    """Return the step to one of the four neighbours of a node that lie perpendicular to `step`."""
+    """Return the step to one of the four neighbours of a node perpendicular to `step`."""
     axis = steepest(wp.vec3(float(step[0]), float(step[1]), float(step[2])))
     to = wp.vec3i()
     to[(axis + 1 + n / 2) % 3] = 1 - 2 * (n % 2)
@@ -195,9 +175,8 @@ def neighbour(step: wp.vec3i, n: int):
 def is_closed(gap: Any, more: Any):
     """Return whether the gap between two bodies at a node counts as closed.
 
-    The gap is averaged over more than one cell. At the edge of the contact area, the mean includes
-    the wider gap outside this area. A gap up to `ROUNDING` times `more` therefore counts as closed.
-    Here `more` is the sum of the neighbours' gaps, each minus the node's gap.
+    `more` is the sum of the neighbours' gaps, each minus the node's gap. At the edge of the contact
+    area, the mean gap around a node includes the wider gap outside this area.
     """
     unit = type(gap)(1.0)
     return gap < unit and gap <= type(gap)(ROUNDING) * wp.max(more, type(gap)(0.0))
@@ -213,9 +192,7 @@ def surfaces_meet(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return whether the surfaces of two bodies meet at the node at which the bodies
-    overlap most.
-    """
+    """Return whether two surfaces meet at the node at which the bodies overlap most."""
     here = gap(first, first_window, second, second_window, at, step, fill)
     more = type(here)(0.0)
     for n in range(4):
@@ -229,10 +206,9 @@ def surfaces_meet(
 
 @wp.func
 def stop(relative: Any, n: Any, friction: Any):
-    """Return the component of the relative velocity of two bodies that their contact removes.
+    """Return the part of two bodies' relative velocity that their contact removes.
 
-    Contact removes the whole approaching velocity along the normal n, and the tangential velocity
-    as far as Coulomb friction allows.
+    Coulomb friction limits the tangential part.
     """
     approach = wp.dot(relative, n)
     if approach <= type(approach)(0.0):
@@ -245,11 +221,10 @@ def stop(relative: Any, n: Any, friction: Any):
 def make_pair(real: Any):
     """Kernel over the common nodes of two bodies: applies equal and opposite impulses to them.
 
-    `low` is the first of the common nodes. `fill` contains a factor for each body, by which a mass
-    is multiplied to get a volume fraction. `yields` is 1 for a body that can move and 0 for a body
-    that never moves. A sticky pair has one velocity at each node at which both bodies have mass.
-    `sums_out` sums the impulses of the first body on the second, and their moments about the origin
-    of the world. A thread reads only the masses of neighbouring nodes, which no thread changes.
+    `low` is the first common node. `fill` is the volume fraction per mass of each body. `yields` is
+    1 for a body that can move and 0 for a body that never moves. A sticky pair has one velocity at
+    each node at which both bodies have mass. `sums_out` sums the impulses of the first body on the
+    second, and their moments about the origin of the world.
     """
     t = types(real)
 

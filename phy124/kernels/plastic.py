@@ -1,8 +1,7 @@
 """Plasticity in terms of Hencky strain: return mappings project the elastic F onto a yield surface.
 
-The mappings change only e = log V: the new F is exp(e_new - e) F, which keeps the rotation and
-needs no singular vectors. Yield limits are stored as norms of the deviatoric Kirchhoff stress:
-limit = sqrt(2/3) sigma_Y for a uniaxial yield stress sigma_Y.
+The mappings change only e = log V: the new F is exp(e_new - e) F. Yield limits are norms of the
+deviatoric Kirchhoff stress: sqrt(2/3) sigma_Y for a uniaxial yield stress sigma_Y.
 """
 
 from typing import Any
@@ -15,8 +14,7 @@ from phy124.kernels.spectral import deviator, exponential
 
 @wp.func
 def von_mises(F: Any, h: Any, theta: Any, dt: Any):
-    """Project F by a radial return with linear hardening or softening (Simo and Hughes 1998, box
-    3.1).
+    """Project F by a radial return with linear hardening or softening (Simo, Hughes 1998, box 3.1).
 
     theta = (mu, lam, limit, slope, minimum): the limit changes by `slope` per unit of plastic
     strain, and is at least `minimum`. h[0] is the accumulated plastic strain, the sum of |d e_p|.
@@ -51,8 +49,7 @@ def remaining_fraction(log_k: Any, m: Any):
 
 @wp.func
 def herschel_bulkley(F: Any, h: Any, theta: Any, dt: Any):
-    """Project F by viscoplastic flow (Yue et al. 2015): stress above the limit decays at a finite
-    rate.
+    """Project F by viscoplastic flow (Yue et al. 2015): stress above the limit decays gradually.
 
     The step is backward Euler of d|s|/dt = -2 mu (x / eta)^(1/n), x = |s| - limit; theta = (mu,
     lam, limit, eta [Pa s^n], n). h[0] is the accumulated plastic strain.

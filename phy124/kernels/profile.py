@@ -1,10 +1,8 @@
 """Samples piecewise linear tracks (values over time) on the device, once per substep.
 
-A wall needs its current position and speed. A force is averaged over the interval of its kick, from
-half a substep ago to half a substep ahead. The intervals of successive kicks cover time without
-gaps, so the total impulse of a force is exact for any sequence of substeps. The period of a profile
-may be shorter than a substep. Means then include all periods within the substep, and the speed of a
-wall is its displacement divided by the substep.
+A force is averaged over the interval of its kick. These intervals cover time without gaps, so the
+total impulse of a force is exact for any sequence of substeps. The speed of a wall whose period is
+shorter than a substep is its displacement divided by the substep.
 """
 
 from typing import Any
@@ -15,16 +13,15 @@ from phy124.kernels.arguments import Ints, types
 from phy124.kernels.build import build_once, kernel
 
 MEAN = 1
-"""Flag of a track whose values are averaged over the kick."""
+"""The values are averaged over the kick."""
 JOINS = 2
-"""Flag of a track whose value is added to the uniform acceleration (slot 0 of the tracks)."""
+"""The value is added to the uniform acceleration (slot 0 of the tracks)."""
 LIMITED = 4
-"""Flag of a track whose effect on particles is limited by the stage that uses the track."""
+"""The stage that uses the track limits the track's effect on particles."""
 KICK = 8
-"""Flag of a track whose values are averaged over the kick even while the track is inactive."""
+"""The values are averaged over the kick even while the track is inactive."""
 DRIFT = 16
-"""Flag of a track whose values are averaged over the next substep even while the track is inactive.
-"""
+"""The values are averaged over the next substep even while the track is inactive."""
 
 
 @wp.func
@@ -38,9 +35,7 @@ def value_at(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), i: int, at: 
 def integral(
     times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any
 ):
-    """Return the integral of a track's value from a to b [s]; outside its keys, a track is
-    constant.
-    """
+    """Return the integral of a track from a to b [s]; outside its keys, a track is constant."""
     zero = a - a
     total = wp.max(wp.min(b, times[first]) - a, zero) * keys[first]
     total += wp.max(b - wp.max(a, times[last]), zero) * keys[last]
@@ -56,8 +51,9 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo a track's period. A negative time, and a time of a track without a
-    period, is unchanged.
+    """Return a time modulo a track's period; negative times are unchanged.
+
+    A period of 0 means that the track has no period.
     """
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
@@ -116,10 +112,7 @@ def read(times: wp.array(dtype=Any), keys: wp.array(dtype=Any), first: int, last
 
 @wp.func
 def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: Any):
-    """Return the number of a track's keys that are later than a [s] and not later than b.
-
-    The first key is not counted.
-    """
+    """Return the number of a track's keys, without the first, in the interval (a, b] [s]."""
     count = int(0)
     for i in range(first + 1, last + 1):
         if times[i] > a and times[i] <= b:
@@ -129,7 +122,7 @@ def keys_within(times: wp.array(dtype=Any), first: int, last: int, a: Any, b: An
 
 @wp.func
 def skips(times: wp.array(dtype=Any), first: int, last: int, at: Any, to: Any, period: Any):
-    """Return whether a whole segment between two keys of a track lies between two times [s]."""
+    """Return whether a whole segment between two keys lies between two times [s]."""
     passed = keys_within(times, first, last, at, to)
     if period > type(at)(0.0) and to > period:
         passed += keys_within(times, first, last, type(at)(0.0), to - period)

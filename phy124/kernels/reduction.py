@@ -1,14 +1,9 @@
 """Operations of many threads on common data: sums, maxima, stores, and a barrier.
 
 On a GPU, atomic operations on one address are serialised. Therefore each thread first reduces its
-own items, then the 32 threads of a warp combine their results, and one of them writes the total. If
-threads of a warp are inactive (at the end of a launch, or in another branch), each thread writes
-its own result. From compute capability 9.0 on, a GPU adds four float32 to a node in one
-transaction. Older GPUs, float64 and the CPU add each component separately.
-
-At the barrier, CPU threads that run kernels in parallel wait for each other. A waiting thread spins
-for some tens of microseconds inside a kernel, without Python's global lock. The caller then yields
-the core and tries again.
+own items, then the 32 threads of a warp combine their results. If threads of a warp are inactive,
+each thread writes its own result. At the barrier, CPU threads spin for some tens of microseconds
+without Python's global lock. The caller then yields the core and tries again.
 """
 
 from collections.abc import Iterable
@@ -23,12 +18,10 @@ EACH, MOST_THREADS, BLOCK = 32, 2**14, 256
 
 
 def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[int, int, int, int]:
-    """Return the launch of a reduction over particles: number of threads, `first`, `each` and
-    `stride`.
+    """Return the number of threads, `first`, `each` and `stride` of a reduction over particles.
 
-    A thread handles the particles `thread * first + k * stride`, k < `each`. On the CPU, a thread's
-    particles are neighbours. On a GPU, neighbouring threads have neighbouring particles, so that
-    memory reads coalesce.
+    A thread handles the particles `thread * first + k * stride`, k < `each`. On a GPU, neighbouring
+    threads have neighbouring particles, so that memory reads coalesce.
     """
     if device == "cpu":
         return -(-particles // EACH), EACH, EACH, 1
@@ -37,8 +30,7 @@ def shared_out(particles: int, device: str, most: int = MOST_THREADS) -> tuple[i
 
 
 def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int], int]:
-    """Return the shape (i, j, segment) of a kernel launch over a box of nodes, and the nodes per
-    thread.
+    """Return the shape (i, j, segment) of a launch over a box of nodes, and the nodes per thread.
 
     Each thread handles a whole row on the CPU, or one node on a GPU.
     """
@@ -48,9 +40,7 @@ def along_rows(extent: Iterable[int], device: str) -> tuple[tuple[int, int, int]
 
 @wp.func_native(code("reduction:run"))
 def run_of(node: int) -> int:
-    """Return the group of neighbouring GPU threads that add to the same nodes as this thread.
-
-    The result is 0 on a CPU.
+    """Return the group of neighbouring GPU threads that add to the same nodes; 0 on a CPU.
 
     After this call, either all threads of a warp must call `add` equally often, or none of them.
     """
@@ -59,19 +49,19 @@ def run_of(node: int) -> int:
 
 @wp.func_native(code("reduction:sum_run", "reduction:add"))
 def add(grid: wp.array(dtype=wp.vec4), node: int, value: wp.vec4, run: int):
-    """Add a value to a node in float32, once for each group of threads (`run_of`)."""
+    """Add a value to a node, once for each group of threads (`run_of`)."""
     ...
 
 
 @wp.func_native(code("reduction:sum_run") + "wp::atomic_add(grid, node, value);")
 def add(grid: wp.array(dtype=wp.vec4d), node: int, value: wp.vec4d, run: int):  # noqa: F811
-    """Add a value to a node in float64."""
+    """Add a value to a node."""
     ...
 
 
 @wp.func
 def finite(a: Any):
-    """Return whether a number is finite; on the CPU, this function is faster than `wp.isfinite`."""
+    """Return whether a number is finite; faster than `wp.isfinite` on the CPU."""
     return a - a == type(a)(0.0)
 
 
@@ -83,19 +73,19 @@ def greater(a: Any, b: Any):
 
 @wp.func_native(code("reduction:load"))
 def load(grid: wp.array(dtype=wp.vec4), node: int) -> wp.vec4:
-    """Return the value of a node; on a GPU, the four numbers are read in one access."""
+    """Return the value of a node, read in one access on a GPU."""
     ...
 
 
 @wp.func_native("return wp::index(grid, node);")
 def load(grid: wp.array(dtype=wp.vec4d), node: int) -> wp.vec4d:  # noqa: F811
-    """Return the value of a node in float64."""
+    """Return the value of a node."""
     ...
 
 
 @wp.func_native(code("reduction:sum", "reduction:warp", "reduction:add_to"))
 def add_to(sums: wp.array(dtype=wp.float64), index: int, value: wp.float64):
-    """Add the value of a thread to a sum over all threads."""
+    """Add a thread's value to a sum over all threads."""
     ...
 
 
@@ -111,25 +101,25 @@ def raise_all(maxima: wp.array(dtype=Any), values: Any):
 
 @wp.func_native(code("reduction:most", "reduction:warp", "reduction:raise_to"))
 def raise_to(maxima: wp.array(dtype=Any), index: int, value: Any):
-    """Set a maximum over all threads to a value if the value is larger than the maximum."""
+    """Raise a maximum over all threads to at least a value."""
     ...
 
 
 @wp.func_native(code("reduction:least", "reduction:warp", "reduction:lower_to"))
 def lower_to(minima: wp.array(dtype=int), index: int, value: int):
-    """Set a minimum over all threads to a value if the value is smaller than the minimum."""
+    """Lower a minimum over all threads to at most a value."""
     ...
 
 
 @wp.func_native(code("reduction:store"))
 def store(matrices: wp.array(dtype=wp.mat33), particle: int, value: wp.mat33):
-    """Write the matrix of a particle; on a GPU, 32 neighbouring particles are written together."""
+    """Write the matrix of a particle; on a GPU, 32 neighbouring particles together."""
     ...
 
 
 @wp.func_native("wp::array_store(matrices, particle, value);")
 def store(matrices: wp.array(dtype=wp.mat33d), particle: int, value: wp.mat33d):  # noqa: F811
-    """Write the matrix of a particle in float64."""
+    """Write the matrix of a particle."""
     ...
 
 
@@ -139,6 +129,6 @@ def meet(
 ):
     """Check up to `spins` times whether all threads have arrived at the barrier.
 
-    If they have, `ticket_out[0]` is cleared.
+    If all have arrived, `ticket_out[0]` is cleared.
     """
     ...

@@ -1,15 +1,10 @@
-"""Computes functions of a symmetric 3x3 matrix from its eigenvalues, without eigenvectors.
+"""Functions of a symmetric 3x3 matrix, computed from its eigenvalues without eigenvectors.
 
-The eigenvalues are the roots of a cubic (Smith 1961). A function of the matrix is then the
-quadratic polynomial that interpolates the function at the eigenvalues (Newton's divided
-differences). If eigenvalues coincide, the result remains exact up to rounding, because the error of
-each divided difference is multiplied by the gap between the eigenvalues. The laws use these
-functions only for particles for which faster formulas are not accurate, mostly in float64.
-
-The module also computes squares of symmetric 3x3 matrices, and power series by the Cayley-Hamilton
-theorem. Every power of A is a quadratic c0 I + c1 A + c2 A^2, whose coefficients follow from the
-invariants of A. Each further term of a series therefore costs a few scalar operations but no matrix
-product.
+The eigenvalues are the roots of a cubic (Smith 1961). The quadratic that interpolates a function at
+the eigenvalues (Newton's divided differences) gives the function of the matrix. If eigenvalues
+coincide, the result remains exact up to rounding, because the error of each divided difference is
+multiplied by the gap between the eigenvalues. Power series use the Cayley-Hamilton theorem: every
+power of A is a quadratic c0 I + c1 A + c2 A^2.
 """
 
 from typing import Any
@@ -18,12 +13,12 @@ import warp as wp
 
 SQRT_3 = wp.constant(wp.float64(1.7320508075688772))
 FIRST, SECOND = wp.constant(wp.float64(1 / 6)), wp.constant(wp.float64(0.016346))
-"""Coefficients of a quadratic approximation of `farthest_root`, with an error of at most 4e-3."""
+"""Coefficients of a quadratic approximation of `farthest_root` (error at most 4e-3)."""
 
 
 @wp.func
 def to_double(m: Any):
-    """Return a 3x3 matrix in float64."""
+    """Convert a 3x3 matrix to float64."""
     return wp.mat33d(
         wp.float64(m[0, 0]), wp.float64(m[0, 1]), wp.float64(m[0, 2]),
         wp.float64(m[1, 0]), wp.float64(m[1, 1]), wp.float64(m[1, 2]),
@@ -43,10 +38,10 @@ def from_double(m: wp.mat33d, like: Any):
 
 @wp.func
 def distinctness(a: Any, b: Any):
-    """Return the product of the squared differences between the eigenvalues of a symmetric matrix.
+    """Return the product of the squared differences between a symmetric matrix's eigenvalues.
 
     The product is a sum of squares of minors of the entries of I, A and A^2 (Parlett 2002). No
-    terms cancel, so it is exact to rounding even if eigenvalues almost coincide. `b` is A^2.
+    terms cancel, so the result is exact to rounding. `b` is A^2.
     """
     off = wp.vector(a[0, 1], a[0, 2], a[1, 2])
     off_b = wp.vector(b[0, 1], b[0, 2], b[1, 2])
@@ -74,9 +69,8 @@ def farthest_root(t: Any):
 def decompose(a: Any):
     """Decompose a symmetric matrix A = q I + p D; return q, p, D, D^2 and the eigenvalues x of D.
 
-    The trace of D is zero and its norm is sqrt(6). Its eigenvalues x, largest first, are exact to
-    rounding: they are the roots of x^3 - 3 x = det D, of which the farthest from zero is well
-    conditioned. If A is a multiple of I, D is zero, and x is arbitrary.
+    The trace of D is zero and its norm is sqrt(6). x, largest first, are exact to rounding: they
+    are the roots of x^3 - 3 x = det D. If A is a multiple of I, D is zero, and x is arbitrary.
     """
     s = a[0, 0]
     q = wp.trace(a) / type(s)(3.0)
@@ -104,9 +98,7 @@ def eigenvalues(a: Any):
 
 @wp.func
 def slope(rise: Any, run: Any):
-    """Return the slope rise / run of an interpolant, or 0 if the two interpolation points
-    coincide.
-    """
+    """Return rise / run, or 0 if the two interpolation points coincide."""
     if run > type(run)(0.0):
         return rise / run
     return type(run)(0.0)
@@ -139,10 +131,7 @@ def signed_stretch(F: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def floored_log(F: wp.mat33d, floor: wp.float64) -> wp.mat33d:
-    """Return log V for F = V R.
-
-    Stretches below `floor` are set to `floor`; reflections are ignored.
-    """
+    """Return log V of F = V R, with stretches of at least `floor`; reflections are ignored."""
     q, p, d, squared, x = decompose(F * wp.transpose(F))
     floor_squared = floor * floor
     logs = wp.vec3d(
@@ -172,7 +161,7 @@ def gram(a: Any):
 
 @wp.func
 def deviator(a: Any):
-    """Return the deviatoric part of A, A - tr A / 3 I."""
+    """Return A - tr A / 3 I."""
     mean = wp.trace(a) / type(a[0, 0])(3.0)
     return symmetric(a[0, 0] - mean, a[0, 1], a[0, 2], a[1, 1] - mean, a[1, 2], a[2, 2] - mean)
 
@@ -187,9 +176,7 @@ def invariants(a: Any, squared: Any):
 
 @wp.func
 def next_power(c: Any, i: Any):
-    """Return the coefficients of A (c0 I + c1 A + c2 A^2) as a quadratic in A with the invariants
-    i.
-    """
+    """Return the coefficients of A (c0 I + c1 A + c2 A^2); i are the invariants of A."""
     return wp.vector(c[2] * i[2], c[0] - c[2] * i[1], c[1] + c[2] * i[0])
 
 
@@ -208,7 +195,7 @@ def quadratic(c: Any, a: Any, squared: Any):
 
 @wp.func
 def linear_range(s: wp.float32):
-    """Return the |A|^2 below which exp A is I + A, and atanh A is A, up to rounding in float32.
+    """Return the |A|^2 below which exp A is I + A, and atanh A is A, up to rounding.
 
     Higher powers of so small a matrix A would be denormal numbers, which are slow.
     """
@@ -217,27 +204,25 @@ def linear_range(s: wp.float32):
 
 @wp.func
 def linear_range(s: wp.float64):  # noqa: F811
-    """Return the |A|^2 below which exp A is I + A, and atanh A is A, up to rounding in float64."""
+    """Return the |A|^2 below which exp A is I + A, and atanh A is A, up to rounding."""
     return wp.float64(1.0e-18)
 
 
 @wp.func
 def small_enough(s: wp.float32):
-    """Return the |A|^2 up to which exp A, summed to A^5 / 120, is exact to rounding in float32."""
+    """Return the |A|^2 up to which exp A, summed to A^5 / 120, is exact to rounding."""
     return wp.float32(0.015625)
 
 
 @wp.func
 def small_enough(s: wp.float64):  # noqa: F811
-    """Return the |A|^2 up to which exp A, summed to A^5 / 120, is exact to rounding in float64."""
+    """Return the |A|^2 up to which exp A, summed to A^5 / 120, is exact to rounding."""
     return wp.float64(2.5e-5)
 
 
 @wp.func
 def exponential(a: Any):
-    """Return exp A: halve A until it is small, sum the series up to A^5 / 120, and square the sum
-    repeatedly.
-    """
+    """Return exp A: the series up to A^5 / 120 of A / 2^n, squared n times."""
     s = a[0, 0]
     small = a
     size = wp.ddot(a, a)

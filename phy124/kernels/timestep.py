@@ -1,8 +1,7 @@
 """Chooses the next substep's length on the device, so that a frame does not wait for the host.
 
-The limits, their order and their precision (float64) are the same as in phy124/mpm/timestep.py and
-phy124/mpm/rejection.py. The substeps chosen by this module and by the host are bitwise equal if
-both run on one device and the same kernels move the nodes. A kernel that also handles a wall may
+The limits are the same as in phy124/mpm/timestep.py and phy124/mpm/rejection.py, and the substeps
+chosen here and on the host are bitwise equal on one device. A kernel that also handles a wall may
 round differently.
 """
 
@@ -20,13 +19,8 @@ next substep could move a particle too far.
 """
 LIMITS = 5
 ELASTIC, SPEED, GRADIENT, VISCOUS, USER = range(LIMITS)
-"""Index of each limit on the length of a substep: elastic waves, the speed, the velocity gradient,
-the viscosity, and the user's limit.
-"""
 BLOCK = 4
-"""Number of substeps that the CUDA graph runs as a block. The CUDA graph checks conditions only
-between blocks, not within a block.
-"""
+"""Number of substeps that the CUDA graph runs without checking conditions in between."""
 
 
 @wp.struct
@@ -34,18 +28,15 @@ class Limits:
     """Parameters of a series of substeps up to a target time, set by the host."""
 
     until: wp.float64
-    """Time at which this series of substeps ends [s]."""
+    """End of the series [s]."""
     dx: wp.float64
     """Grid spacing [m]."""
     reach: wp.float64
-    """Courant number times the grid spacing [m]; this length divided by the wave speed is the
-    elastic limit.
-    """
+    """Courant number times the grid spacing [m]; divided by the wave speed, the elastic limit."""
     stride: wp.float64
     """Largest distance that a particle may move in a substep [m]."""
     turn: wp.float64
-    """Largest allowed product of a particle's velocity gradient |C| and the length dt of a substep.
-    """
+    """Largest product of a particle's velocity gradient |C| and the substep."""
     viscous: wp.float64
     """Longest substep that is stable with the viscosity of the materials [s]."""
     ceiling: wp.float64
@@ -55,15 +46,13 @@ class Limits:
     acceleration: wp.float64
     """Upper bound of the acceleration of a particle by all forces [m/s^2]."""
     memory: wp.float64
-    """Fraction of an earlier measured stiffness that is used as a lower bound of the stiffness."""
+    """Fraction of an earlier measured stiffness that is a lower bound of the stiffness."""
     strain: wp.float64
-    """Sum of |C| dt over substeps after which control returns to the host."""
+    """Sum of |C| dt after which control returns to the host."""
     most: wp.int32
     """Number of substeps after which control returns to the host."""
     apart: wp.int32
-    """Whether particles have left the grid (1 or 0). Such particles can only be measured by the
-    host.
-    """
+    """1 if particles have left the grid, else 0; only the host can measure such particles."""
     origin: wp.vec3d
     """Position of the grid node with index 0 [m]."""
     margin: wp.int32
@@ -79,27 +68,24 @@ class Progress:
     time: wp.float64
     """Current time [s]."""
     last: wp.float64
-    """Length of the last substep of the series [s]."""
+    """Length of the last substep [s]."""
     next: wp.float64
     """Length of the next substep [s]; 0 if it has not been chosen yet."""
     speed: wp.float64
-    """Largest speed |v| of a particle at the last measurement [m/s]."""
+    """Largest speed |v| at the last measurement [m/s]."""
     gradient: wp.float64
-    """Largest velocity gradient |C| of a particle at the last measurement [1/s]."""
+    """Largest velocity gradient |C| at the last measurement [1/s]."""
     stiffness: wp.float64
-    """Largest modulus divided by rest density, A / rho0, of a particle [m^2/s^2]; values of earlier
-    measurements decay.
-    """
+    """Largest A / rho0, modulus per rest density [m^2/s^2]; earlier measurements decay."""
     fastest: wp.float64
-    """Largest speed of a particle in this series of substeps [m/s]."""
+    """Largest speed in this series [m/s]."""
     steepest: wp.float64
-    """Largest velocity gradient |C| of a particle in this series of substeps [1/s]."""
+    """Largest |C| in this series [1/s]."""
     strain: wp.float64
-    """Sum of |C| dt, a bound of the strain, over this series of substeps."""
+    """Sum of |C| dt, a bound of the strain, over this series."""
     taken: wp.int32
-    """Number of substeps taken in this series."""
     since: wp.int32
-    """Number of substeps since the last measurement of the particles."""
+    """Number of substeps since the last measurement."""
     reason: wp.int32
     """Reason why the substeps have ended; 0 while they continue."""
 
@@ -114,7 +100,7 @@ def over(a: wp.float64, b: wp.float64):
 
 @wp.func
 def finish(s: Progress, bounds: Limits):
-    """Update time, strain and number of substeps after the last substep, if a substep was taken."""
+    """Update time, strain and number of substeps, if a substep was taken."""
     if s.next > wp.float64(0.0):
         rest = bounds.until - s.time
         s.strain += s.gradient * s.next
@@ -142,9 +128,7 @@ def corner(maxima: wp.array(dtype=Any), i: int):
 
 @wp.func
 def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bounds: Limits):
-    """Return whether the margin of the grid's window around the particles has an acceptable
-    width.
-    """
+    """Return whether the margin of the window around the particles has an acceptable width."""
     fits = bool(True)
     for axis in range(3):
         first = window[0][axis]
@@ -159,10 +143,7 @@ def roomy(low: wp.vec3d, high: wp.vec3d, window: wp.array(dtype=wp.vec3i), bound
 
 @wp.func
 def limiter(s: Progress, bounds: Limits):
-    """Return the shortest of the limits on the substep [s], and its index.
-
-    If limits are equal, the first of them is returned.
-    """
+    """Return the shortest limit on the substep [s], and its index (the first of equal limits)."""
     dt = over(bounds.reach, wp.sqrt(s.stiffness))
     which = int(wp.static(ELASTIC))
     if over(bounds.stride, s.speed) < dt:
@@ -182,7 +163,7 @@ def limiter(s: Progress, bounds: Limits):
 
 @wp.func
 def violent(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether a particle or wall may move too far in a substep: more than about a cell."""
+    """Return whether a particle or wall may move more than about a cell in a substep."""
     two = wp.float64(2.0)
     return (
         two * wp.max(s.speed, bounds.wall) * dt > bounds.stride
@@ -193,12 +174,10 @@ def violent(dt: wp.float64, s: Progress, bounds: Limits):
 
 @wp.func
 def whole_block(dt: wp.float64, s: Progress, bounds: Limits):
-    """Return whether exactly `BLOCK` substeps of the length dt [s] will precede the next
-    measurement.
+    """Return whether exactly `BLOCK` substeps of about dt [s] precede the next measurement.
 
-    The result is False if the target time is reached, the particles are measured, or control
-    returns to the host before all of these substeps are taken. The lengths of the substeps may
-    differ by rounding.
+    The result is False if the target time is reached, or control returns to the host, before all of
+    these substeps are taken.
     """
     count = int(wp.static(BLOCK))
     all = wp.float64(count)
@@ -216,9 +195,8 @@ def make_timestep(real: Any):
     """Single-thread kernel: finishes a substep; chooses the next substep or stops with a reason.
 
     `look_out` is 1 if the particles have to be measured after the next substep, and `block_out` is
-    1 if a whole block of substeps follows. `limiters_out` contains, first, the number of substeps
-    that each limit determined. Then follows one sum per limit: each substep's length divided by the
-    limit, summed over the substeps.
+    1 if a whole block of substeps follows. `limiters_out` contains, for each limit, the number of
+    substeps that it determined. Then follows, for each limit, the sum of substep / limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)

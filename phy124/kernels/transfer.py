@@ -1,24 +1,15 @@
 """Transfers between particles and the grid: MLS-MPM with APIC velocities and quadratic B-splines.
 
 See Hu et al. 2018 (eqs. 16-19, 22) and Jiang et al. 2015. The grid is a flat array of four-vectors:
-(momentum, mass) after the scatter, (velocity, mass) after the grid update. The array covers only a
-window of cells around the particles. `window[0]` is the window's lowest node, and `window[1]` is
-the window's extent. `lattice` is (origin x, y, z, dx). `clock` is (kick, drift, time). The kick has
-the mean length of two successive substeps, and the drift has the length of the current substep.
-Free fall is then exact.
+(momentum, mass) after the scatter, (velocity, mass) after the grid update. `window[0]` is the
+window's lowest node, and `window[1]` its extent. `lattice` is (origin x, y, z, dx). `clock` is
+(kick, drift, time): the kick is the mean of two successive substeps, and the drift is the current
+substep, so that free fall is exact.
 
-There is one kernel per constitutive law and precision. Each variant has a separate module, because
-Warp's hash does not contain the role of each function in a kernel.
-
-The transfers process the `chosen` particles, or all particles of a slice if `chosen` is empty.
-
-By default, stress and strain are computed with the affine velocity C of a particle. C is not the
-gradient of the velocities that move the positions, so F drifts from the gradient of the motion. For
-example, a beam with a thickness of two cells, and two particles per cell and axis, bends by a
-quarter more than its F indicates. The option "spline" uses `scatter_with_stress` and
-`gather_slopes`. F then follows grad v = sum v_i (grad w_i)^T, and the force on a node is -sum V tau
-grad w_i. With this rate of F and this force, energy is balanced (Sulsky et al. 1994; Stomakhin et
-al. 2013, eq. 6).
+By default, stress and strain are computed with the affine velocity C. The option "spline" uses the
+gradients of the weights instead: F follows grad v = sum v_i (grad w_i)^T, and the force on a node
+is -sum V tau grad w_i (Sulsky et al. 1994; Stomakhin et al. 2013, eq. 6). docs/design/physics.md
+compares both.
 
 The functions of all laws have these arguments: F, the deformation gradient; C, the velocity
 gradient [1/s]; h, the history variables of the particle; theta, the parameters of the law; dt, the
@@ -39,26 +30,25 @@ class Law(NamedTuple):
     """The device functions of a constitutive law."""
 
     name: str
-    """Unique name of the law, which is part of the names of compiled modules."""
+    """Unique name, which is part of the names of compiled modules."""
     stress: Any
     """`(F, C, history, theta) -> tau`, Kirchhoff stress [Pa]."""
     modulus: Any
     """`(F, history, theta) -> A`, upper bound of the eigenvalues of d tau / d ln sigma [Pa]."""
     width: int
-    """Number of parameters of the law in `theta`."""
+    """Number of parameters in `theta`."""
     project: Any = None
     """`(F, history, theta, dt) -> (F, history)`, the return mapping; None for an elastic law."""
     energy: Any = None
     """`(F, history, theta) -> psi`, elastic energy per rest volume [J/m^3]."""
     barrier: bool = False
-    """Whether the law's energy rises steeply as det F approaches 0, so that the pressure stays
-    positive for det F < 0. If `barrier` is false, the stress of an inverted element follows from
-    its energy.
+    """Whether the energy rises steeply as det F approaches 0, so that the pressure stays positive
+    for det F < 0. Otherwise the stress of an inverted element follows from its energy.
     """
 
 
 NOWHERE = wp.constant(-1e9)
-"""Value that replaces a grid coordinate that is NaN; it is outside every window."""
+"""Replaces a grid coordinate that is NaN; outside every window."""
 
 
 @wp.func
@@ -73,9 +63,7 @@ def lowest_node(g: Any):
 
 @wp.func
 def first_node(g: Any):
-    """Return the lowest of the three nodes per axis that a particle at the grid coordinates g
-    touches.
-    """
+    """Return the lowest node that a particle at the grid coordinates g touches."""
     return wp.vec3i(lowest_node(g[0]), lowest_node(g[1]), lowest_node(g[2]))
 
 
@@ -83,8 +71,7 @@ def first_node(g: Any):
 def in_window(first: wp.vec3i, size: wp.vec3i):
     """Return whether all 27 nodes of a particle are inside the window.
 
-    Distant positions are converted to the smallest or largest integer, so adding to `first` could
-    overflow.
+    Adding to `first` could overflow, since distant positions give the smallest or largest integer.
     """
     return (
         first[0] >= 0
@@ -98,7 +85,7 @@ def in_window(first: wp.vec3i, size: wp.vec3i):
 
 @wp.func
 def member(chosen: wp.array(dtype=int), i: int):
-    """Return the index of the i-th chosen particle, or i itself if the list is empty."""
+    """Return the index of the i-th chosen particle, or i if the list is empty."""
     if chosen.shape[0] > 0:
         return chosen[i]
     return i
@@ -119,8 +106,9 @@ def between(x: Any, low: Any, high: Any):
 
 @wp.func
 def spline(f: Any):
-    """Return the quadratic B-spline weights of three nodes; f in [0.5, 1.5) is the offset from the
-    first node.
+    """Return the quadratic B-spline weights of three nodes; f is the offset from the first node.
+
+    The offset is in [0.5, 1.5).
     """
     half = type(f)(0.5)
     a = type(f)(1.5) - f
@@ -139,7 +127,7 @@ def slope(f: Any):
 def offsets(f: Any):
     """Return the vector (0, 1, 2) in the precision of f.
 
-    A loop index is not cast instead, because the cast would change the type of the index itself.
+    Casting a loop index instead would change the type of the index itself.
     """
     return wp.vector(type(f)(0.0), type(f)(1.0), type(f)(2.0))
 
@@ -158,9 +146,7 @@ def scatter_with_stress(
     force_y: Any,
     force_z: Any,
 ):
-    """Add w (base + i X + j Y + k Z) + (dw/dx) S + (dw/dy) T + (dw/dz) U to the 27 nodes of a
-    particle.
-    """
+    """Add w (base + i X + j Y + k Z) + (dw/dx) S + (dw/dy) T + (dw/dz) U to 27 nodes."""
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -262,7 +248,7 @@ def gather(grid: wp.array(dtype=Any), size: wp.vec3i, first: wp.vec3i, f: Any):
 
 @wp.func
 def columns4(a: Any, s: Any):
-    """Return the columns of a 3x3 matrix times s, as four-vectors with a mass component of zero."""
+    """Return the columns of s times a 3x3 matrix, as four-vectors with a mass component of zero."""
     z = type(s)(0.0)
     return (
         s * wp.vector(a[0, 0], a[1, 0], a[2, 0], z),
@@ -296,9 +282,8 @@ def gather_rows(
 
 SCATTERS = {"plain": scatter, "simd": scatter_rows, "spline": scatter}
 GATHERS = {"plain": gather, "simd": gather_rows, "spline": gather}
-"""Implementations of the transfers, by name: scalar code, which GPUs use, and vectorised float32
-code for CPUs. "spline" uses scalar code that computes stress and strain with the gradients of the
-weights (`scatter_with_stress`).
+""""plain" is scalar code, which GPUs use; "simd" is float32 code for CPUs. "spline" computes stress
+and strain with the gradients of the weights (`scatter_with_stress`).
 """
 
 
@@ -345,10 +330,9 @@ def make_p2g(law: Law, real: Any, form: str):
 def make_g2p(law: Law, real: Any, form: str):
     """Kernel: gathers velocities from the grid, then updates x and F.
 
-    A particle outside the window is not changed, and `missed_out` is set. Either the
-    particle is ballistic (kernels/ballistic.py), or the run is unstable. Plastic laws also update
-    F_total, which the Gaussians follow. Thread i also clears the nodes i + k `stride`, k < `each`,
-    of `momenta_out` for the next scatter.
+    A particle outside the window is not changed, and `missed_out` is set: the particle is ballistic
+    (kernels/ballistic.py), or the run is unstable. Plastic laws also update F_total, which the
+    Gaussians follow. Thread i also clears the nodes i + k `stride`, k < `each`, of `momenta_out`.
     """
     project, collect = law.project, GATHERS[form]
     plastic = project is not None

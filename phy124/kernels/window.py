@@ -1,7 +1,4 @@
-"""Positions, memory indices and masses of the nodes in a window of the grid.
-
-Node (i, j, k) of the window is at origin + (window[0] + (i, j, k)) dx.
-"""
+"""Positions, memory indices and masses of the nodes in a window of the grid."""
 
 from typing import Any
 
@@ -41,9 +38,7 @@ def node_at(n: int, size: wp.vec3i):
 
 @wp.func
 def in_box(node: wp.vec3i, extent: wp.vec3i):
-    """Return whether a node is inside a box; the node's indices are relative to the box's first
-    node.
-    """
+    """Return whether a node, relative to the first node of a box, is inside the box."""
     return (
         node[0] >= 0
         and node[1] >= 0

@@ -1,8 +1,7 @@
 """Sums the impulse and work of forces and walls, and the work of the material's stress.
 
-Impulse and work depend on the path, so they are summed in every substep, in float64. The sums are
-then compared with the change of the state (phy124/kernels/diagnostics.py). The stress in a substep
-is taken as the mean of the stresses at the start and the end. This mean is correct to second order
+Impulse and work depend on the path, so they are summed in every substep, in float64. The stress in
+a substep is the mean of the stresses at its start and its end. This mean is correct to second order
 for elastic material, and equals the yield stress during plastic flow.
 """
 
@@ -20,12 +19,9 @@ from phy124.kernels.spectral import to_double
 from phy124.kernels.transfer import Law, member
 
 IMPULSE, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 4, 5, 6
-"""Index of each sum of impulse and work (of the first component for the impulse), and the number of
-sums.
-
-`MOVED` is the sum of the norms of all impulses, and `TURNED` the sum of the absolute values of
-work. For forces on particles, each term of `MOVED` and `TURNED` is itself a sum over a thread's
-particles.
+"""`MOVED` is the sum of the norms of all impulses, and `TURNED` the sum of the absolute values of
+work. For forces on particles, each term of these sums is itself a sum over a thread's particles.
+`EXCHANGE` is the number of sums.
 """
 
 
@@ -64,19 +60,16 @@ for kinds in (types(wp.float32), types(wp.float64)):
     def change(
         first: int, each: int, stride: int, mass: kinds.reals, v: kinds.vec3s, kept: kinds.vec3s
     ) -> wp.vec4d:
-        """Return the changes of momentum and kinetic energy of some particles since `kept` was
-        stored.
+        """Return the changes of momentum and kinetic energy of particles since `kept` was stored.
 
-        `kept` contains the particles' earlier velocities.
+        `kept` contains velocities.
         """
         ...
 
 
 @build_once
 def make_push_sums_v(real: Any):
-    """Kernel: adds the changes of momentum and energy by forces that do not change C to `EXCHANGE`
-    sums.
-    """
+    """Kernel: does the same as `make_push_sums`, for forces that do not change C."""
 
     @kernel(f"phy124_push_sums_v_{real.__name__}", real)
     def push_sums_v(first, each, stride, mass, v, v_kept, exchange_out):
@@ -89,10 +82,7 @@ def make_push_sums_v(real: Any):
 
 @build_once
 def make_push_sums(real: Any):
-    """Kernel: adds the changes of momentum and energy by forces on particles to `EXCHANGE` sums.
-
-    The changes are measured since `push_copy` stored the velocities.
-    """
+    """Kernel: adds the changes of momentum and energy by forces on particles to `EXCHANGE` sums."""
     t = types(real)
 
     @kernel(f"phy124_push_sums_vC_{real.__name__}", real)
@@ -115,10 +105,7 @@ def make_push_sums(real: Any):
 
 @build_once
 def make_wall_copy(real: Any):
-    """Kernel: stores a copy of the nodes in a box before walls act.
-
-    Each thread handles `each` consecutive nodes of a row.
-    """
+    """Kernel: stores a copy of the nodes in a box before walls act."""
 
     @kernel(f"phy124_wall_copy_{real.__name__}", real, seconds=0.15)
     def wall_copy(each, box, window, grid, kept_out):
@@ -135,9 +122,8 @@ def make_wall_sums(real: Any):
     """Kernel: adds the impulse and the work of walls on the nodes of a box to the `EXCHANGE` sums.
 
     The work of an impulse J is J . v with the velocity v after the impulse, since this velocity
-    moves the material. The work of a wall is zero for walls at rest and negative for friction. If
-    the velocity before the impulse were used, stress that presses on a wall without moving the wall
-    would count as work. Each thread handles a segment of a row, as in `make_wall_copy`.
+    moves the material. With the velocity before the impulse, stress that presses on a wall without
+    moving the wall would count as work.
     """
 
     @kernel(f"phy124_wall_sums_{real.__name__}", real, seconds=0.2)
@@ -170,15 +156,13 @@ def make_wall_sums(real: Any):
 def make_uniform_sums(real: Any):
     """Single-thread kernel: adds the uniform acceleration's impulse and work in a substep to sums.
 
-    The acceleration acts after forces on particles and before walls, so `walls_out` stores the
-    walls' sums up to the previous substep. `mean_pushes` and `mean_walls` contain the work on
-    lattices and on projected liquids, which is computed with the mean velocities of a step. In
-    these cases, the work of the acceleration follows from the mean of the momenta before and after
-    the step. `base` is the momentum without the impulses that are not yet summed. Each array has
-    one row of sums per worker. Only `mean_walls` differs: it has one row per wall for a lattice,
-    and a single row for a liquid. `solids` contains the impulses of freely moving solids on
-    lattices. `pairs` contains the impulses of the first body of each pair on the second body.
-    `signs` is 1 or -1 for pairs whose first or second body is fixed, and 0 for all other pairs.
+    `walls_out` stores the walls' sums up to the previous substep. `mean_pushes` and `mean_walls`
+    contain the work on lattices and on projected liquids, which is computed with the mean
+    velocities of a step. `base` is the momentum without the impulses that are not yet summed. Each
+    array has one row of sums per worker; `mean_walls` has one row per wall for a lattice, and a
+    single row for a liquid. `solids` contains the impulses of freely moving solids on lattices.
+    `pairs` contains the impulses of the first body of each pair on the second body. `signs` is 1 or
+    -1 for pairs whose first or second body is fixed, and 0 for all other pairs.
     """
 
     @kernel(f"phy124_uniform_sums_{real.__name__}", real)
@@ -226,15 +210,12 @@ def make_uniform_sums(real: Any):
 
 
 RUBBED, STRAINED, LOST = 0, 1, 2
-"""Indices of the work [J] of rate-dependent stress and of other stress, and the number of sums."""
+"""Indices of the work [J] of rate-dependent and of other stress, and the number of sums."""
 
 
 @build_once
 def make_dissipation(law: Law, real: Any):
-    """Kernel: adds the work of the stress to the `LOST` sums; must run right after a gather.
-
-    A thread sums several particles (`each`) before it writes, as in `make_measure`.
-    """
+    """Kernel: adds the work of the stress to the `LOST` sums; must run right after a gather."""
     stress, exact = law.stress, wp.types.vector(law.width, wp.float64)
     has_history = law.project is not None
 
