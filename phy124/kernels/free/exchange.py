@@ -44,8 +44,7 @@ from phy124.kernels.window import strides
 def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
     """Return the fractions of a node's velocity relative to a surface that contact removes.
 
-    The first fraction applies to the velocity component along the normal out of the body, the
-    second to the component perpendicular to the normal.
+    The first fraction applies along the normal out of the body, the second perpendicular to it.
     """
     if sticky == 1:
         return wp.vec2d(wp.float64(1.0), wp.float64(1.0))
@@ -57,11 +56,7 @@ def shares(relative: wp.vec3d, n: wp.vec3d, friction: wp.float64, sticky: int):
 
 @build_once
 def make_begin(real: Any):
-    """Single-thread kernel: applies gravity to a free body, and initialises the solution for its
-    motion.
-
-    Gravity is applied only once per substep.
-    """
+    """Single-thread kernel: applies gravity once per substep; initialises the solution."""
 
     @kernel(f"phy124_free_begin_{real.__name__}", real)
     def begin(moments, clock, values, body_out, trial_out):
@@ -77,9 +72,7 @@ def make_begin(real: Any):
 
 @build_once
 def make_assemble(real: Any):
-    """Kernel over rows of nodes around a free body: adds contact terms to its equations of
-    motion.
-    """
+    """Kernel over rows of nodes around a free body: adds contact to its equations of motion."""
     numbers = wp.types.vector(SYSTEM, wp.float64)
 
     @kernel(f"phy124_free_assemble_{real.__name__}", real, seconds=0.6)
@@ -137,7 +130,7 @@ def make_assemble(real: Any):
 def make_apply(real: Any):
     """Kernel over rows of nodes around a free body: changes the velocities of the nodes in contact.
 
-    `exchange_out` collects the impulses on the nodes as `EXCHANGE` sums; the moment is about the
+    `exchange_out` collects the impulses on the nodes as `EXCHANGE` sums, with the moment about the
     body's centre.
     """
     t = types(real)
@@ -196,7 +189,7 @@ def make_apply(real: Any):
 def make_finish(real: Any):
     """Single-thread kernel: changes a free body's momentum by the impulses of walls and nodes.
 
-    `total_out` accumulates the impulses on the nodes of one grid since the start; the moment is
+    `total_out` accumulates the impulses on the nodes of one grid since the start, with the moment
     about the origin of the world.
     """
 

@@ -1,27 +1,22 @@
-"""Reads and writes the state and the solution of a free body; computes derived quantities."""
+"""Reads and writes the state and the solution of a free body."""
 
 from typing import Any
 
 import warp as wp
 
 PLACE, TURN, VELOCITY, ANGULAR, KICKED, SIZE = 0, 3, 7, 10, 13, 14
-"""Offsets in the array that stores the state of a free body: centre X [m], orientation q (wxyz),
-velocity V [m/s], angular momentum L [kg m^2/s], and 1 if V includes the kick of this substep.
-`SIZE` is the length of the array of a free body's state.
+"""Offsets in the state of a free body: centre X [m], orientation q (wxyz), velocity V [m/s],
+angular momentum L [kg m^2/s], and 1 if V includes the kick of this substep. `SIZE` is the state's
+length.
 """
 GUESS, PRIOR, WALLS, TRIAL = 0, 6, 12, 18
-"""Offsets in the array that stores a solution for the motion of a free body: velocity V and angular
-velocity w, the previous V and w, and the impulse and moment of the walls. `TRIAL` is the length of
-the array of such a solution.
+"""Offsets in a solution for a free body's motion: velocity V and angular velocity w, the previous V
+and w, and the impulse and moment of the walls. `TRIAL` is the solution's length.
 """
 A, B, C, LINEAR, TURNING, SYSTEM = 0, 9, 18, 27, 30, 33
-"""Offsets in the array of a free body's six equations of motion: three [3,3] blocks, then the
-right-hand side. `SYSTEM` is the length of the array of these equations.
-"""
+"""Offsets in the six equations of motion: three [3,3] blocks, then the right-hand side."""
 IMPULSE, MOMENT, WORK, MOVED, TURNED, EXCHANGE = 0, 3, 6, 7, 8, 9
-"""Offsets of the sums of a free body's impulses on nodes, as in phy124/kernels/work.py; `EXCHANGE`
-is the number of sums.
-"""
+"""Offsets of the sums of a free body's impulses on nodes, as in phy124/kernels/work.py."""
 
 
 @wp.func
@@ -65,7 +60,7 @@ def spin_of(R: wp.mat33d, moments: wp.vec3d, L: wp.vec3d):
 
 @wp.func
 def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
-    """Return the body's orientation after a rotation for `dt` [s] at angular velocity w."""
+    """Return the orientation after a rotation for `dt` [s] at angular velocity w."""
     angle = wp.length(w) * dt
     q = wp.quatd(body[TURN + 1], body[TURN + 2], body[TURN + 3], body[TURN])
     return wp.normalize(wp.quat_from_axis_angle(wp.normalize(w), angle) * q)
@@ -73,22 +68,20 @@ def turn_after(body: wp.array(dtype=wp.float64), w: wp.vec3d, dt: wp.float64):
 
 @wp.func
 def put_turn(body: wp.array(dtype=wp.float64), q: wp.quatd):
-    """Write the orientation of a free body to the array of its state."""
+    """Write the orientation of a free body to its state."""
     body[TURN] = q[3]
     put3(body, TURN + 1, wp.vec3d(q[0], q[1], q[2]))
 
 
 @wp.func
 def moving(trial: wp.array(dtype=wp.float64), which: int, r: wp.vec3d):
-    """Return the velocity of a free body in a trial solution [m/s], at a point r relative to its
-    centre.
-    """
+    """Return the velocity [m/s] of a trial solution at a point r relative to the body's centre."""
     return at3(trial, which) + wp.cross(at3(trial, which + 3), r)
 
 
 @wp.func
 def first_node(body: wp.array(dtype=wp.float64), lattice: Any, reach: int):
-    """Return the lowest node that a free body may touch, `reach` nodes below the body's centre."""
+    """Return the lowest node that a free body may touch, `reach` nodes below its centre."""
     dx = wp.float64(lattice[3])
     return wp.vec3i(
         int(wp.floor((body[PLACE] - wp.float64(lattice[0])) / dx)) - reach,

@@ -13,32 +13,28 @@ from phy124.kernels.free.numbers import arm_of, axes, first_node
 from phy124.kernels.pairs import fill_fraction, is_closed, mass_at, neighbour, outward
 
 NARROWEST = wp.constant(0.2)
-"""A cell counts as the interior of a body if the body fills more than this fraction of its volume.
-With a smaller limit, the thin rim of a jelly next to the lower edge of a box would count as
-interior, and a light box would hover one cell above the jelly.
+"""Smallest volume fraction of a cell that counts as the interior of a body. With a smaller value,
+the thin rim of a jelly next to the lower edge of a box would count as interior, and a light box
+would hover one cell above the jelly.
 """
 THINNEST = wp.constant(0.015)
-"""A node is in contact with a freely moving solid only if the solid fills at least this fraction of
-the volume around the node. At a node one cell away from a flat side of the solid, the filled
-fraction is 0.021. If nodes farther away from the solid took part in its contact, a light box under
+"""Smallest fraction of the volume around a node in contact that the solid fills. One cell away from
+a flat side the fraction is 0.021. If nodes farther away took part in the contact, a light box under
 load would creep.
 """
 ROUND = wp.constant(0.6)
-"""Factor on the contact tolerance `ROUNDING` if a particle body touches a freely moving solid,
-whose surface is sharp. The factor is fitted to the contact of a ball with a box
-(docs/lab/contact-force.md).
+"""Factor on the contact tolerance `ROUNDING` for freely moving solids, whose surface is sharp;
+fitted to the contact of a ball with a box (docs/lab/contact-force.md).
 """
 STEEP = wp.constant(1e-4)
-"""If the slope of the volume fraction that a box fills around a node is smaller than this [1/cell],
-the contact normal is the normal of the box's nearest face.
+"""Smallest slope [1/cell] of a box's volume fraction that determines the contact normal. For
+smaller slopes, the normal of the nearest face is used.
 """
 
 
 @wp.func
 def volume_of_round(d: Any, s: Any, geometry: Any, dx: Any):
-    """Return the contact normal and the filled volume fraction around a node, for a flat
-    surface.
-    """
+    """Return the contact normal, and the volume fraction around a node for a flat surface."""
     return wp.vector(s[0], s[1], s[2], coverage(-s[3] / dx))
 
 
@@ -76,9 +72,8 @@ def make_touch(shape: str, real: Any):
     """Kernel over the nodes around a free body: finds the nodes in contact, and the contact
     normals.
 
-    The criterion of contact is the same as between two particle bodies (phy124/kernels/pairs.py),
-    but the solid's volume fraction around a node is known exactly. `fill` is the volume fraction
-    per mass at a node of the material.
+    The criterion of contact is the same as between two particle bodies (phy124/kernels/pairs.py).
+    `fill` is the volume fraction per mass at a node of the material.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -86,9 +81,7 @@ def make_touch(shape: str, real: Any):
 
     @wp.func
     def solid(node: wp.vec3i, geometry: Any, lattice: Any, body: wp.array(dtype=wp.float64)):
-        """Return the contact normal, and the fraction of the volume around a node that a free body
-        fills.
-        """
+        """Return the contact normal, and the volume fraction around a node that the body fills."""
         R = axes(body)
         local = wp.transpose(R) @ arm_of(body, lattice, node)
         d = t.vec3(real(local[0]), real(local[1]), real(local[2]))
@@ -109,9 +102,6 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the node, of three in a row, at which a free body and the material overlap
-        most.
-        """
         at = node
         most = real(0.0)
         for n in range(3):
@@ -135,11 +125,7 @@ def make_touch(shape: str, real: Any):
         grid: wp.array(dtype=Any),
         window: wp.array(dtype=wp.vec3i),
     ):
-        """Return the fraction of the volume around a node that is empty, between a free body and
-        material.
-
-        The fraction is 1 if the body or the material is absent there.
-        """
+        """Return the empty fraction of the volume around a node; 1 if one of the two is absent."""
         inside = fill_fraction(grid, window, at, step, fill, type(fill)(NARROWEST))
         part = solid(at, geometry, lattice, body)[3]
         deep = part

@@ -33,7 +33,7 @@ from phy124.kernels.free.numbers import (
 )
 
 SWEEPS = wp.constant(24)
-"""Number of Gauss-Seidel sweeps over the points of the body that walls may touch."""
+"""Number of Gauss-Seidel sweeps over the points."""
 
 
 @wp.func
@@ -66,26 +66,21 @@ def arm_to(shape: int, point: int, R: wp.mat33d, half: wp.vec3d, n: wp.vec3d):
 def turn_by(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, J: wp.vec3d):
     """Return the change of a free body's angular velocity due to an impulse J at the point r.
 
-    The arguments a, b and c are blocks of the inverse matrix of the six equations.
+    a, b and c are blocks of the inverse matrix of the six equations.
     """
     return c @ (wp.cross(r, J) - wp.transpose(b) @ (a @ J))
 
 
 @wp.func
 def yielding(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return a free body's velocity change along `way`, at the point r, due to 1 N s along
-    `way`.
-    """
+    """Return the velocity change along `way`, at the point r, due to 1 N s along `way`."""
     turn = turn_by(a, b, c, r, way)
     return wp.dot(way, a @ (way - b @ turn) + wp.cross(turn, r))
 
 
 @wp.func
 def within_cone(J: wp.vec3d, push: wp.float64, n: wp.vec3d, friction: wp.float64):
-    """Return an impulse that satisfies Coulomb's law [N s].
-
-    The impulse is `push` along n, plus the tangential part of J, which friction limits.
-    """
+    """Return `push` along n plus the tangential part of J, limited by friction [N s]."""
     grip = J - wp.dot(J, n) * n
     most = friction * push
     if wp.length(grip) > most:
@@ -98,11 +93,10 @@ def make_walls(drifts: bool, real: Any):
     """Single-thread kernel: solves a free body's equations of motion with the impulses of flat
     walls.
 
-    Each wall, defined by a point and an outward normal, may act at `points` of the body (see
+    Each of the `planes` has a point and an outward normal, and may act at `points` of the body (see
     `arm_to`). The variant with `drifts` ends a substep: first the walls stop the body, then the
-    body moves. During the motion, the angular momentum L is constant. The angular velocity is
-    computed from L at half of the rotation. If a rotating corner enters a wall, the body is moved
-    out of the wall.
+    body moves with constant angular momentum L. The angular velocity is computed from L at half of
+    the rotation. If a rotating corner enters a wall, the body is moved out of the wall.
     """
     name = f"phy124_free_{'drift' if drifts else 'solve'}_{real.__name__}"
 

@@ -1,21 +1,19 @@
 """Contact of surface points with a wall, by impulses on the nodes.
 
-A point at signed distance g from the wall must not approach the wall faster than g / dt. While a
-wall presses on a point that has penetrated it, the point moves out at the speed -`restore` g, where
-`restore` is a rate [1/s]. The impulses of the last substep are applied first. Projected
-Gauss-Seidel then corrects the impulses, with Coulomb friction. The method visits the points in a
-fixed order, forwards and then backwards; consecutive points are about one cell apart
-(phy124/lattice/surface.py). An impulse J on a point changes the velocities of the point's nodes by
-w_i J / m_i, and the velocity of the point by (sum w_i^2 / m_i) J.
+A point at signed distance g from the wall must not approach the wall faster than g / dt. A pressed
+point that has penetrated the wall moves out at the speed -`restore` g, where `restore` is a rate
+[1/s]. Projected Gauss-Seidel corrects the impulses of the last substep. An impulse J on a point
+changes the velocities of the point's nodes by w_i J / m_i, and the velocity of the point by (sum
+w_i^2 / m_i) J.
 
-Impulses that are applied again and then corrected neither create nor sustain vibrations. The pass
-over all points, forwards and backwards, is a symmetric positive operator E on velocities. With C =
-E^-1 - 1, the impulses of the last substep equal the impulses of implicitly integrated springs C /
-dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is stable without
-walls. A single pass, which is not symmetric, excites vibrations. In this scheme, `restore` is the
-gain of an integral controller. A gain above omega^2 dt would excite the body's slowest vibration
-(angular frequency omega). If the gain grew for shorter substeps, a body that is squeezed hard would
-be thrown out.
+The pass over all points, forwards and backwards, is a symmetric positive operator E on velocities.
+With C = E^-1 - 1, the impulses of the last substep equal the impulses of implicitly integrated
+springs C / dt^2. The equation (1 + C) v' = v - (K + C) x is stable for every stiffness K that is
+stable without walls. A single pass, which is not symmetric, excites vibrations.
+
+`restore` is the gain of an integral controller. A gain above omega^2 dt would excite the body's
+slowest vibration (angular frequency omega). If the gain grew for shorter substeps, a body that is
+squeezed hard would be thrown out.
 
 The result of Gauss-Seidel depends on the order of the points, so these kernels use a single thread.
 """
@@ -35,18 +33,16 @@ from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.work import EXCHANGE, add_exchange
 
 LOOSE = wp.constant(0.5)
-"""Walls act on a point only if clamps leave at least this fraction of the point's mobility. Two
-bodies touch at a pair of points only if at least one of the points keeps this fraction of its
-mobility in spite of clamps.
+"""Walls act on a point only if clamps leave at least this fraction of the point's mobility. For a
+pair of points of two bodies, one of the points must keep this fraction.
 """
 NODES = 27
 """Largest number of nodes that carry a surface point."""
 SWEEPS = 16
-"""Largest number of sweeps of the Gauss-Seidel method over all points, forwards and backwards."""
+"""Largest number of sweeps over all points, forwards and backwards."""
 MOMENT, DRIVEN, SUMS = EXCHANGE, EXCHANGE + 3, 16
-"""Indices in the sums of each wall: the moment of all impulses about the origin [N m s], and the
-work by a clamp's motion [J]; and the number of sums. The first `EXCHANGE` of a wall's sums are the
-sums that phy124/kernels/work.py defines.
+"""Indices in the sums of each wall, after the sums of phy124/kernels/work.py: the moment of all
+impulses about the origin [N m s], and the work by a clamp's motion [J].
 """
 
 
@@ -55,14 +51,9 @@ def make_touch(shape: str, real: Any, rows: Rows):
     """Single-thread kernel: finds the points near a wall, and applies the last substep's impulses.
 
     `inverse` (of the mass) is zero for nodes in a clamp. `force_out` contains the mean force on
-    each point in the last substep [N]; the force is set to zero for a point that has left the wall.
-    `gap_out` is the normal and the distance of each point near the wall; for other points the
-    distance is infinite. `near` lists the points within reach.
-
-    Args:
-        shape: Name of a distance function.
-        real: wp.float32 or wp.float64.
-        rows: Functions on the nodes of a point.
+    each point in the last substep [N], and is set to zero for a point that has left the wall.
+    `gap_out` is the normal and the distance of each point near the wall; the distance of other
+    points is infinite.
     """
     t = types(real)
     moved_by, strike = rows.moved_by, rows.strike
@@ -109,11 +100,10 @@ def make_touch(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_yields(real: Any, rows: Rows):
-    """Kernel over points near a wall: computes each point's velocity change per unit impulse
-    [1/kg].
+    """Kernel over points near a wall: computes each point's velocity change per impulse [1/kg].
 
     The change is set to zero if a clamp fixes nearly all nodes of a point (`inverse` is zero, but
-    `whole` is not). Without this rule, an impulse would move the few other nodes violently.
+    `whole` is not). Otherwise, an impulse would move the few other nodes violently.
     """
     yielding = rows.yielding
 
@@ -133,18 +123,12 @@ def make_yields(real: Any, rows: Rows):
 def make_resist(response: str, real: Any, rows: Rows):
     """Single-thread kernel: forward and backward Gauss-Seidel sweeps over points near a wall.
 
-    After one sweep, a part of each change of the load is not yet balanced, so points drift into the
-    wall. Further sweeps follow if the wall holds points in both directions, or if a point is deeper
-    than `deep`. The sweeps end when no correction displaces a point by more than `exact`, at the
-    latest after `SWEEPS` sweeps.
+    Further sweeps follow if the wall holds points in both directions, or if a point is deeper than
+    `deep`: after one sweep, a part of each change of the load is not yet balanced, so points drift
+    into the wall. The sweeps end when no correction displaces a point by more than `exact`.
 
-    The wall moves at the rate of the track `slot`. Pairs of points use slot 0, which has no rate,
-    because their `gap` is relative to the opposite position.
-
-    Args:
-        response: separate (may leave, with friction), slip (stays without friction) or sticky.
-        real: wp.float32 or wp.float64.
-        rows: Functions on the nodes of a point.
+    The wall moves at the rate of the track `slot`. Pairs of points use slot 0, which has no rate.
+    `response` is separate (may leave, with friction), slip (stays, without friction) or sticky.
     """
     moved_by, strike, limit = rows.moved_by, rows.strike, LIMITS[response]
     leaves = response == "separate"
@@ -205,10 +189,7 @@ def mostly_held(
     s: int,
     first: int,
 ):
-    """Return whether clamps fix most of the nodes of a surface point.
-
-    The point's nodes begin at column `first`.
-    """
+    """Return whether clamps fix most of the nodes of a surface point, from column `first` on."""
     free = weights[s, first] * weights[s, first] * inverse[nodes[s, first]]
     total = weights[s, first] * weights[s, first] * whole[nodes[s, first]]
     for k in range(first + 1, first + wp.static(NODES)):
@@ -220,22 +201,19 @@ def mostly_held(
 
 @build_once
 def make_meet(real: Any, rows: Rows):
-    """Single-thread kernel: computes the gaps between points of two bodies, as `make_touch` does
-    for walls.
+    """Single-thread kernel: computes the gaps between points of two bodies, as `make_touch` does.
 
-    A pair is treated like a single point. The weights of a pair are the weights of the point minus
-    the weights of the opposite position. With these weights, `rest_out` and the nodes give the
-    vector from the opposite position to the point. The opposite position follows the point along
-    the surface, so that the pair's impulses have no moment. When the opposite position moves along
-    the surface, `back` converts this displacement to the coordinates of the body at rest. This
-    displacement changes the weights of the position by `slopes` times the displacement at rest. A
-    pair is ignored if a position moves farther than `far`, or if the points are farther apart than
-    `reach`.
+    The weights of a pair are the weights of the point minus the weights of the opposite position,
+    so a pair is treated like a single point. `rest_out` and the nodes then give the vector from the
+    opposite position to the point. The opposite position follows the point along the surface, so
+    that the pair's impulses have no moment. `back` converts its displacement to the body at rest;
+    `slopes` times the displacement at rest changes its weights. A pair is ignored if the position
+    moves farther than `far`, or if the points are farther apart than `reach`.
 
     For nodes in a clamp, `inverse` is zero, but `whole` is not. A pair of points of one body
     (`between` is 0) is ignored if a node of the pair is in a clamp, because the clamp's sums would
     lack the impulses of the pair. A pair of two bodies is ignored if clamps fix most nodes of both
-    points, since impulses would move the other nodes violently.
+    points.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -296,8 +274,7 @@ def make_meet(real: Any, rows: Rows):
 
 @build_once
 def make_exchange(real: Any):
-    """Single-thread kernel: adds impulses and moments between points of two bodies to a body's
-    sums.
+    """Single-thread kernel: adds impulses and moments between points of two bodies to sums.
 
     `sign` is 1 if the points belong to the body on which the summed impulse acts, and -1 otherwise.
     """
@@ -320,7 +297,7 @@ def make_exchange(real: Any):
 
 @build_once
 def make_place(real: Any, rows: Rows):
-    """Kernel over selected surface points: computes the positions of these points."""
+    """Kernel over selected surface points: computes their positions."""
     moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_place_{rows.name}{real.__name__}", real, seconds=0.3)
@@ -333,12 +310,11 @@ def make_place(real: Any, rows: Rows):
 
 @build_once
 def make_account(real: Any, rows: Rows):
-    """Kernel over the points near a wall: adds the impulse, moment and work of each point to the
-    wall's sums.
+    """Kernel over the points near a wall: adds impulse, moment and work to the wall's sums.
 
     The work is the impulse times the mean of the velocities before the kick and after the substep.
-    With this mean, the work of all impulses equals the change of the kinetic energy exactly. The
-    mean of the velocities before and after the contact would include work of the stress.
+    The work of all impulses then equals the change of the kinetic energy exactly. The mean of the
+    velocities before and after the contact would include work of the stress.
     """
     moved_by = rows.moved_by
 
@@ -358,13 +334,7 @@ def make_account(real: Any, rows: Rows):
 
 @build_once
 def make_reach(shape: str, real: Any, rows: Rows):
-    """Kernel over the surface points from `start` on: computes the distances from a wall.
-
-    Args:
-        shape: Name of a distance function.
-        real: wp.float32 or wp.float64.
-        rows: Functions on the nodes of a point.
-    """
+    """Kernel over the surface points from `start` on: computes the distances from a wall."""
     t = types(real)
     moved_by = rows.moved_by
     distance = SHAPES[shape]
@@ -381,9 +351,7 @@ def make_reach(shape: str, real: Any, rows: Rows):
 
 @build_once
 def make_distances(shape: str, real: Any):
-    """Kernel over points: computes each point's signed distance from a shape [m], and the
-    normal.
-    """
+    """Kernel over points: computes normals of a shape, and signed distances from the shape [m]."""
     t = types(real)
     distance = SHAPES[shape]
 

@@ -1,10 +1,9 @@
 """Contact of surface points with material on a grid, by impulses on the nodes of both.
 
-The surface of the material is assumed to be where the volume fraction is one half. The fraction is
-computed from the masses of the grid's nodes (phy124/lattice/coupled.py). The velocity of the
-material at a point is the mass-weighted mean velocity of the nodes around the point. The impulse is
-distributed over these nodes with the same weights. Each velocity changes by the fraction w_i / sum
-w_i m_i of the impulse, so momentum is conserved exactly.
+The surface of the material is assumed to be where the volume fraction is one half. The velocity of
+the material at a point is the mass-weighted mean velocity of the nodes around the point. An impulse
+changes the velocity of each of these nodes by the fraction w_i / sum w_i m_i, so momentum is
+conserved exactly.
 """
 
 from typing import Any
@@ -24,11 +23,9 @@ from phy124.kernels.transfer import first_node, slope, spline
 from phy124.kernels.window import strides
 
 SURFACE = wp.constant(0.5)
-"""Volume fraction at which the surface of the material on a grid is assumed to be."""
+"""Volume fraction at the assumed surface of the material on a grid."""
 THINNEST, STEEPEST = wp.constant(0.02), wp.constant(0.05)
-"""A surface point of a body touches material on a grid only if the volume fraction of the material
-and its slope [1/cell] are at least these values.
-"""
+"""Smallest volume fraction and slope [1/cell] of material that a surface point touches."""
 
 
 @build_once
@@ -53,14 +50,13 @@ def make_grid_near(real: Any, rows: Rows):
 
 @build_once
 def make_grid_touch(real: Any, rows: Rows):
-    """Single-thread kernel: finds the points that touch material, and applies the last substep's
-    impulses.
+    """Single-thread kernel: finds points that touch material, and applies the last impulses.
 
-    `fill` is the volume fraction at a node, divided by the mass of the node. For each listed point,
-    `gap_out` receives the normal of the material and the distance from the material (infinite if
-    out of reach). `on_out` receives the point's position in units of nodes, and sum w_i m_i.
-    `yields_out` receives the change of the relative velocity per unit impulse. Impulses do not
-    change the velocity of fixed material (`moves` is 0).
+    `fill` is the volume fraction per mass at a node. For each listed point, `gap_out` receives the
+    normal of the material and the distance from the material (infinite if out of reach). `on_out`
+    receives the point's position in units of nodes, and sum w_i m_i. `yields_out` receives the
+    change of the relative velocity per unit impulse. Impulses do not change the velocity of fixed
+    material (`moves` is 0).
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike
@@ -159,7 +155,7 @@ def push_back(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: A
 
 @wp.func
 def mean_velocity(grid: wp.array(dtype=Any), window: wp.array(dtype=wp.vec3i), on: Any):
-    """Return the mean velocity of the grid's nodes around a surface point, weighted by mass."""
+    """Return the mass-weighted mean velocity of the grid's nodes around a surface point."""
     first = first_node(on)
     wx = spline(on[0] - type(on[0])(first[0]))
     wy = spline(on[1] - type(on[0])(first[1]))

@@ -1,10 +1,7 @@
 """Kernels that sum the impulses of walls on surface points, and of clamps on nodes.
 
-The contact force on a point acts during the kick of a substep. The clamps change the node's
-momentum. The impulse of the clamps is this change, minus the contact impulses on the node.
-`make_add_momentum` subtracts the node's momentum before the clamps act, and adds the momentum
-afterwards. `make_pass_on` subtracts the contact impulses. The sums are float64, since a frame may
-have thousands of substeps.
+The impulse of the clamps is the change of a node's momentum, minus the contact impulses on the
+node. The sums are float64, since a frame may have thousands of substeps.
 """
 
 from typing import Any
@@ -21,9 +18,7 @@ from phy124.kernels.work import WORK, add_exchange
 
 @build_once
 def make_add_impulse(real: Any):
-    """Kernel over points near a wall: adds the wall's impulse on each point to the point's sum [N
-    s].
-    """
+    """Kernel over points near a wall: adds the wall's impulse on each point to its sum [N s]."""
 
     @kernel(f"phy124_lattice_add_impulse_{real.__name__}", real, seconds=0.2)
     def add_impulse(near, force, clock, impulse_out):
@@ -36,6 +31,7 @@ def make_add_impulse(real: Any):
 @build_once
 def make_add_momentum(real: Any):
     """Kernel over nodes in clamps: adds `sign` times each node's momentum [N s] to the node's sum.
+
     Tied nodes have no momentum.
     """
 
@@ -52,16 +48,13 @@ def make_add_momentum(real: Any):
 def make_pass_on(real: Any):
     """Kernel over points: adds the contact impulses on nodes in clamps to the clamps' sums.
 
-    Contact does not move a node in a clamp: the clamp absorbs the impulse immediately. The sums of
-    the wall or body that exerts an impulse contain the whole impulse. The opposite of the impulse
-    on each clamped node is therefore added to the clamp's sums. Impulses on clamped nodes do no
-    work, so the work that was summed for them is subtracted from the sums of a wall. If another
-    body exerts the impulse, the clamp does the work that moves this body, so this work is added to
-    the clamp's sums.
+    A clamp absorbs contact impulses on its nodes, which therefore do no work: their work is
+    subtracted from the sums of a wall. If another body exerts the impulse, the clamp does the work
+    that moves this body, so the work is added to the clamp's sums.
 
     For clamped nodes, `inverse` is zero, but `whole` is not. `holder` is the row of a node's clamp
-    in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node.
-    Either array may be empty.
+    in `clamps_out`. `sums_out` contains the work, and `impulse_out` the impulse on each node;
+    either array may be empty.
     """
 
     @kernel(f"phy124_lattice_pass_on_{real.__name__}", real, seconds=0.4)

@@ -1,8 +1,8 @@
 """Kernels that accelerate, clamp and move the nodes of a lattice.
 
 A node with almost no mass is tied: it follows heavier nodes, its donors. Two sparse matrices store
-these constraints. For each node, `donors` lists the tied nodes that depend on the node. For each
-tied node, `tied` lists its donors.
+these constraints: `donors` lists the tied nodes that depend on each node, and `tied` lists the
+donors of each tied node.
 
 `pool` contains the forces from all workers. `spans` contains three numbers for each worker: the
 first node on which the worker's forces act, the node after the last, and the index in `pool` of the
@@ -21,11 +21,10 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 RECENT = wp.constant(0.75)
-"""Viscosity acts on a weighted mean of two velocities: the present velocity, with this weight, and
-the velocity one substep earlier. Therefore, a vibration whose sign changes in every substep is
-damped only half as much as if viscosity acted on the present velocity. The longest stable substep
-is also shortened only half as much. With a smaller weight of the present velocity, vibrations whose
-sign changes every second substep would grow.
+"""Viscosity acts on a weighted mean of the present velocity (with this weight) and the velocity one
+substep earlier. A vibration whose sign changes in every substep is then damped half as much, and
+the longest stable substep is shortened half as much. With a smaller weight, vibrations whose sign
+changes every second substep would grow.
 """
 
 
@@ -42,7 +41,7 @@ def sum_workers(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), n: i
 
 @wp.func
 def force_on(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), donors: Any, n: int):
-    """Return the force on a node of a lattice, including forces on nodes that are tied to it."""
+    """Return the force on a node, including forces on nodes that are tied to it."""
     force = sum_workers(pool, spans, n)
     for k in range(donors.starts[n], donors.starts[n + 1]):
         force += donors.weights[k] * sum_workers(pool, spans, donors.nodes[k])
@@ -51,10 +50,7 @@ def force_on(pool: wp.array(dtype=Any), spans: wp.array(dtype=wp.vec3i), donors:
 
 @build_once
 def make_kick(real: Any):
-    """Kernel over the nodes `start` to `stop`: changes the velocities by forces and gravity.
-
-    `v_before_out` receives the velocities before the kick, which are needed for the work of walls.
-    """
+    """Kernel over the nodes `start` to `stop`: changes the velocities by forces and gravity."""
 
     @kernel(f"phy124_lattice_kick_{real.__name__}", real, seconds=0.3)
     def kick(start, stop, inverse, pool, spans, donors, clock, values, v_out, v_before_out):
@@ -70,7 +66,7 @@ def make_kick(real: Any):
 
 @build_once
 def make_try(real: Any):
-    """Kernel over the nodes from `start` on: computes a new trial displacement, and displaces the
+    """Kernel over the nodes from `start` on: computes a trial displacement, and displaces the
     nodes.
 
     The new trial displacement is `gain` times the old one plus `share` times the accelerations. The
@@ -104,9 +100,7 @@ def make_try(real: Any):
 
 @build_once
 def make_compare(real: Any):
-    """Kernel over the nodes from `start` on: computes how a trial displacement changes
-    accelerations.
-    """
+    """Kernel over the nodes from `start` on: subtracts the accelerations `trial` from `a`."""
     t = types(real)
 
     @kernel(f"phy124_lattice_compare_{real.__name__}", real, seconds=0.2)
@@ -119,9 +113,7 @@ def make_compare(real: Any):
 
 @wp.func
 def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)):
-    """Return whether one of the clamps is active; `slots[i]` is the track of a clamp, or -1 for no
-    clamp.
-    """
+    """Return whether a clamp is active; `slots[i]` are tracks of clamps, or -1 for no clamp."""
     for k in range(slots.shape[1]):
         slot = slots[i, k]
         if slot >= 0:
@@ -132,13 +124,11 @@ def any_active(slots: wp.array2d(dtype=int), i: int, values: wp.array(dtype=Any)
 
 @build_once
 def make_hold(real: Any):
-    """Kernel over the nodes in a clamp: sets their velocities to the clamp's velocity while the
-    clamp's track is active.
+    """Kernel over the nodes in a clamp: sets their velocities while the clamp's track is active.
 
     `movable_out` receives the inverse mass of nodes that contact may move, and 0 for nodes in the
-    clamp. `holder_out` receives the row of a node's clamp. The kernel skips nodes that belong to an
-    active clamp in `others`, so that the work of each clamp is computed with the nodes' final
-    velocities.
+    clamp. `holder_out` receives the row of a node's clamp. Nodes of an active clamp in `others` are
+    skipped, so that the work of each clamp is computed with the nodes' final velocities.
     """
     t = types(real)
 
@@ -185,11 +175,10 @@ def make_hold(real: Any):
 def make_pin(real: Any):
     """Kernel over pairs of a clamped and a free node: stops the motion at the clamp's surface.
 
-    The interpolated velocity relative to the clamp vanishes at the clamp's surface if the clamped
-    node's relative velocity is `ratio` times the free node's relative velocity. Momenta are
-    projected onto motions of this kind, as in the columns of a wall (phy124/kernels/columns.py). If
-    another clamp fixes the free node, only the velocity of the clamped node changes. If another
-    clamp fixes the clamped node, neither velocity changes.
+    The interpolated velocity vanishes there if the clamped node's velocity relative to the clamp is
+    `ratio` times the free node's. Momenta are projected onto such motions
+    (phy124/kernels/columns.py). If another clamp fixes the free node, only the velocity of the
+    clamped node changes. If another clamp fixes the clamped node, neither velocity changes.
     """
     t = types(real)
 
@@ -262,9 +251,7 @@ def make_pin(real: Any):
 def make_drift(real: Any):
     """Kernel over the nodes `start` to `stop`: moves the nodes. Tied nodes follow heavier nodes.
 
-    `lagging_out` receives the velocity on which viscosity acts in the next substep. This velocity
-    is a mean of the present velocity, with the weight `RECENT`, and the velocity one substep
-    earlier (`v_before`).
+    `lagging_out` receives the velocity on which viscosity acts in the next substep (`RECENT`).
     """
     t = types(real)
 
@@ -289,9 +276,7 @@ def make_drift(real: Any):
 
 @build_once
 def make_node_totals(real: Any):
-    """Kernel over nodes: sums momentum, angular momentum, kinetic energy, and mass times
-    position.
-    """
+    """Kernel over nodes: sums momenta, angular momenta, kinetic energy, and mass times position."""
 
     @kernel(f"phy124_lattice_node_totals_{real.__name__}", real, seconds=0.3)
     def node_totals(inverse, rest, u, v, sums_out):

@@ -12,41 +12,27 @@ from phy124.kernels.lattice.rows import Rows
 from phy124.kernels.native import code
 
 SIDEWAYS = 0.75
-"""Largest distance, along the surface, between a surface point and the position that it touches on
-another surface [cells].
-"""
+"""Largest distance along the surface between a point and the position that it touches [cells]."""
 APART = wp.constant(3.0)
-"""Two surface points of a body belong to different parts if they are farther apart than this at
-rest [cells].
-"""
+"""Distance at rest above which two points of a body belong to different parts [cells]."""
 FACING = wp.constant(1.0)
-"""Two surface points of a body face each other if, at rest, each is at least this far in front of
-the other [cells].
-"""
+"""Two points face each other if, at rest, each is this far in front of the other [cells]."""
 NEARER = wp.constant(0.6)
-"""Two sampled surface points of a body may touch if their distance is below this fraction of their
-distance at rest.
-"""
+"""Points of a body may touch if they are closer than this fraction of their distance at rest."""
 BEYOND = wp.constant(0.05)
-"""A surface point may touch a flat side of a body up to this distance beyond the edge of the side
-[cells].
-"""
+"""Distance beyond the edge of a flat side up to which a point may touch the side [cells]."""
 OTHER = wp.constant(-0.2)
-"""Two surface points are on the same side of a thin part if the cosine between their normals is at
-least this.
-"""
+"""Smallest cosine between the normals of two points on the same side of a thin part."""
 DEEPEST = wp.constant(0.5)
-"""A surface point counts as inside another body or part only up to this depth below the other
-surface [cells]. Without this limit, contact of two thin parts that lie on each other would push the
-outer side of each part through the other part, which would create energy.
+"""Largest depth of a point inside another body or part [cells]. Without this limit, contact of two
+thin parts that lie on each other would push the outer side of each part through the other part,
+which would create energy.
 """
 
 
 @wp.func
 def apart(side: wp.array(dtype=int), a: int, b: int):
-    """Return whether two surface points belong to separate pieces of a body, with copies of
-    nodes.
-    """
+    """Return whether two points belong to separate pieces of a body, with copies of nodes."""
     return side[a] > 0 and side[b] > 0 and side[a] != side[b]
 
 
@@ -61,9 +47,7 @@ def may_meet(
     a: int,
     b: int,
 ):
-    """Return whether two points may touch, because they lie on different bodies or on separate
-    parts of a body.
-    """
+    """Return whether two points may touch: on different bodies, or on separate parts of a body."""
     if between:
         return body[a] != body[b]
     if apart(side, a, b):
@@ -90,8 +74,7 @@ def touches(
     i: int,
     j: int,
 ):
-    """Return whether contact is possible near two sampled surface points that are closer than
-    `far`.
+    """Return whether contact is possible near two samples that are closer than `far`.
 
     `x` contains the current positions of the samples.
     """
@@ -113,8 +96,8 @@ def next_near(
 ) -> int:
     """Return the next sampled surface point, from `first` on, that may touch sample i.
 
-    The two samples are closer than `far`. Unless `loose` is set, they are also closer than `nearer`
-    times their distance at rest.
+    The samples are closer than `far` and, unless `loose` is set, closer than `nearer` times their
+    distance at rest.
     """
     ...
 
@@ -124,7 +107,7 @@ def make_flag(real: Any):
     """Kernel over sampled surface points from `start` on: flags those near which contact is
     possible.
 
-    `x` contains the current positions of the samples, which have been sorted into `cells`.
+    `x` contains the current positions of the samples, sorted into `cells`.
     """
 
     @kernel(f"phy124_lattice_flag_{real.__name__}", real, seconds=0.5)
@@ -148,8 +131,8 @@ def make_flag(real: Any):
 def make_flag_simd():
     """Kernel over sampled surface points, equivalent to `make_flag`, for float32 on a CPU.
 
-    The kernel compares all samples with each other, sixteen at a time. For the 1,100 samples of a
-    duck on 32 cells this is faster than a search in cells.
+    Comparing all samples, sixteen at a time, is faster than a search in cells for the 1,100 samples
+    of a duck on 32 cells.
     """
 
     @kernel("phy124_lattice_flag_simd", wp.float32, seconds=0.4)
@@ -171,9 +154,7 @@ def make_flag_simd():
 
 @build_once
 def make_expose(real: Any, rows: Rows):
-    """Kernel over surface points: computes current positions, current normals, and the cofactors of
-    F, for the points in `chosen` from `start` on.
-    """
+    """Kernel over `chosen` points from `start` on: computes positions, normals, cofactors of F."""
     moved_by = rows.moved_by
 
     @kernel(f"phy124_lattice_expose_{rows.name}{real.__name__}", real, seconds=0.5)
@@ -197,8 +178,7 @@ def make_expose(real: Any, rows: Rows):
 
 @build_once
 def make_partner(real: Any):
-    """Kernel over surface points: for each point in `chosen` from `start` on, finds the nearest
-    position on the opposite surface.
+    """Kernel over `chosen` points from `start` on: finds the nearest opposite position.
 
     `flat` says which surface points are on a flat part. `x` and `turned` contain the current
     positions and normals of the points in `chosen`. At an edge of the other part, the contact force

@@ -15,7 +15,6 @@ from phy124.kernels.elastic import safe_volume
 from phy124.kernels.transfer import slope, spline
 
 PER_CELL, ROWS = 8, 9
-"""Number of integration points in a cell of a lattice, and number of rows of nodes for a cell."""
 
 
 @wp.func
@@ -35,9 +34,7 @@ def at_point(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int, 
 
 @wp.func
 def slopes_at(values: wp.array(dtype=Any), rows: wp.array(dtype=int), cell: int, f: Any):
-    """Return the matrix with the columns sum (dw/dx) a, sum (dw/dy) a, sum (dw/dz) a, in units per
-    cell.
-    """
+    """Return the matrix with the columns sum (dw/dx) a, sum (dw/dy) a, sum (dw/dz) a, per cell."""
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -80,9 +77,7 @@ def spread(
 def spread_slopes(
     sums: wp.array(dtype=Any), low: int, rows: wp.array(dtype=int), cell: int, f: Any, P: Any
 ):
-    """Add P (dw_i/dx, dw_i/dy, dw_i/dz) to the nodes of a cell; the first element of `sums` is node
-    `low`.
-    """
+    """Add P (dw_i/dx, dw_i/dy, dw_i/dz) to the nodes of a cell; `sums` begins with node `low`."""
     wx = spline(f[0])
     wy = spline(f[1])
     wz = spline(f[2])
@@ -103,7 +98,7 @@ def spread_slopes(
 
 @wp.func
 def inverse_rows(F: Any):
-    """Return the cofactors of F, which are det F times the transpose of F's inverse."""
+    """Return the cofactors of F: det F times the transpose of F's inverse."""
     return wp.matrix_from_rows(wp.cross(F[1], F[2]), wp.cross(F[2], F[0]), wp.cross(F[0], F[1]))
 
 
@@ -145,10 +140,7 @@ def make_locate(real: Any):
 
 @build_once
 def make_push(real: Any):
-    """Kernel over points: adds the forces of pushes on the points to the forces on nodes.
-
-    The force of a push is m (v - v_kept) / kick.
-    """
+    """Kernel over points: adds the force of pushes, m (v - v_kept) / kick, to the nodes' forces."""
 
     @kernel(f"phy124_lattice_push_{real.__name__}", real, seconds=0.3)
     def push(start, low, mass, clock, rows, offset, v, v_kept, force_out):
@@ -165,11 +157,10 @@ def make_push(real: Any):
 def make_press(real: Any):
     """Kernel over points: adds the forces of a non-uniform acceleration to the nodes' forces.
 
-    `turns` are 4 / dx^2 times the moments of the acceleration around the points. Only the
-    antisymmetric part T of the moments acts, which contains the angular momentum. The symmetric
-    part would excite vibrations. The force on node i is m w_i (a + T F^-T (X_i - X)) with the
-    positions X at rest. The forces have the angular momentum of T exactly if the body is deformed
-    uniformly near the point.
+    `turns` are 4 / dx^2 times the moments of the acceleration around the points. Only their
+    antisymmetric part T acts; the symmetric part would excite vibrations. The force on node i is m
+    w_i (a + T F^-T (X_i - X)) with the positions X at rest. The angular momentum is exact if the
+    body is deformed uniformly near the point.
     """
     t = types(real)
 

@@ -1,7 +1,6 @@
 """Response of a surface to an approaching point: one step of projected Gauss-Seidel.
 
-The kernels for contact with walls, other bodies, freely moving rigid solids and material on a grid
-use these functions. phy124/kernels/lattice/contact.py explains the method.
+phy124/kernels/lattice/contact.py explains the method.
 """
 
 from typing import Any
@@ -11,8 +10,8 @@ import warp as wp
 from phy124.kernels.columns import xyz
 
 RELAXED = wp.constant(0.6)
-"""Fraction of the correction of each point's contact impulse that is applied. Neighbouring points
-have most nodes in common, so full corrections of all points would overshoot.
+"""Fraction of each correction that is applied. Neighbouring points have most nodes in common, so
+full corrections of all points would overshoot.
 """
 
 
@@ -46,9 +45,7 @@ def press_and_rub(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, frictio
 
 @wp.func
 def hold_across(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
-    """Return the impulse [N s] of a surface that points may not leave, but along which they may
-    slide.
-    """
+    """Return the impulse [N s] of a surface that points may not leave but may slide along."""
     if gap > type(gap)(0.0) and pressed == type(gap)(0.0):
         press = wp.max(press, type(gap)(0.0))
     return press * n
@@ -65,19 +62,17 @@ def hold(press: Any, pressed: Any, drag: Any, n: Any, gap: Any, friction: Any):
 
 
 LIMITS = {"separate": press_and_rub, "slip": hold_across, "sticky": hold}
-"""For each response of a surface, by name, the function that limits a corrected impulse.
+"""Functions that limit a corrected impulse, by the name of the surface's response.
 
-The arguments of these functions are the normal component of the corrected impulse, the normal
-component of the last impulse, the tangential part of the corrected impulse, the normal of the
-surface, the distance of the point from the surface, and the friction coefficient.
+The arguments are the normal component of the corrected impulse, the normal component of the last
+impulse, the tangential part of the corrected impulse, the normal of the surface, the distance of
+the point from the surface, and the friction coefficient.
 """
 
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the index, in a list, of the point to visit in a step of a pass forwards and
-    backwards.
-    """
+    """Return the index in a list of a step of a pass forwards and backwards."""
     if step < count:
         return step
     return 2 * count - 1 - step
@@ -89,10 +84,8 @@ def correct(
 ):
     """Correct the impulse of a surface on a surface point by one step of Gauss-Seidel.
 
-    The surface's response limits the impulse afterwards.
-
     The results are the normal component of the impulse, the normal component of the last impulse,
-    and the tangential part of the impulse.
+    and the tangential part of the impulse. The surface's response limits them afterwards.
 
     Args:
         relative: Velocity of the point relative to the surface [m/s].

@@ -1,8 +1,7 @@
 """Sums over the nodes of a surface point, and impulses on these nodes.
 
-The nodes of a surface point are rows of three nodes that are consecutive in memory
-(phy124/lattice/surface.py). In float32 on a CPU, the nine numbers of a row are processed as one
-AVX2 register of eight numbers and a single number (phy124/kernels/native/rows.h).
+The nodes are rows of three nodes that are consecutive in memory. In float32 on a CPU, the nine
+numbers of a row are one AVX2 register and a single number (phy124/kernels/native/rows.h).
 """
 
 from collections.abc import Callable
@@ -63,17 +62,13 @@ def strike(
 
 @wp.func_native(code("rows", "rows:moved"))
 def moved_rows(values: Vectors, nodes: Nodes, weights: Weights, s: int) -> wp.vec3:
-    """Return the displacement of a surface point as `moved_by` does, with vector instructions of a
-    CPU.
-    """
+    """Return the same as `moved_by`, with vector instructions of a CPU."""
     ...
 
 
 @wp.func_native(code("rows", "rows:yielding"))
 def yielding_rows(inverse: Numbers, nodes: Nodes, weights: Weights, s: int) -> wp.float32:
-    """Return the response of a surface point as `yielding` does, with vector instructions
-    of a CPU.
-    """
+    """Return the same as `yielding`, with vector instructions of a CPU."""
     ...
 
 
@@ -86,12 +81,10 @@ def strike_rows(
 
 
 class Rows(NamedTuple):
-    """Functions on the nodes of a surface point (`moved_by`, `yielding`, `strike`), either scalar
-    or vectorised.
-    """
+    """Functions on the nodes of a surface point, either scalar or vectorised."""
 
     name: str
-    """Prefix that these functions give to the names of Warp modules."""
+    """Prefix of the names of Warp modules."""
     moved_by: Callable[..., Any]
     yielding: Callable[..., Any]
     strike: Callable[..., Any]
@@ -102,11 +95,5 @@ SIMD = Rows("simd_", moved_rows, yielding_rows, strike_rows)
 
 
 def rows_for(real: Any, device: str, *, vectors: bool = True) -> Rows:
-    """Return the functions on the nodes of surface points for a precision and a device.
-
-    Args:
-        real: wp.float32 or wp.float64.
-        device: Name of the device.
-        vectors: Whether to use the vector instructions of a CPU.
-    """
+    """Return the functions on the nodes of surface points for a precision and a device."""
     return SIMD if vectors and real is wp.float32 and device == "cpu" else PLAIN

@@ -1,11 +1,9 @@
 """The kernels of lattice/stress.py for neo-Hookean bodies, with vector instructions of a CPU.
 
 A thread processes a block of sixteen cells. `order` [blocks,16] lists the cells of each block, full
-cells first. The cells of a block are near each other, so that their nodes stay in the cache. In the
-list of all cells, the cells of a block are `APART` cells apart, so that no two cells write to the
-same node at nearly the same time. `packed` [blocks,8,4,16] stores four numbers for each point: the
-three components of `offset`, and the volume. For each number, the values of a block's sixteen cells
-are consecutive in memory.
+cells first. In the list of all cells, the cells of a block are `APART` cells apart, so that no two
+cells write to the same node at nearly the same time. `packed` [blocks,8,4,16] stores the three
+components of `offset`, and the volume, of each point.
 """
 
 import itertools
@@ -26,23 +24,19 @@ from phy124.kernels.native import code, constants, native_kernel
 from phy124.kernels.transfer import Law
 
 CELLS = 16
-"""Number of cells of a lattice that a thread handles."""
+"""Number of cells that a thread handles."""
 APART = 4
 """Distance between the cells of a block in the list of all cells, which is sorted along z."""
 NODES = 256
-"""Number of nodes of a lattice that a thread handles."""
+"""Number of nodes that a thread handles."""
 GAUSS = 1 + np.array(list(itertools.product((-1, 1), repeat=3))) / math.sqrt(12)
-"""Positions of the Gauss points of a cell relative to its first node [8,3], cells; in the same
-order as the integration points.
+"""Positions of the Gauss points relative to a cell's first node [8,3], cells; in the order of the
+integration points.
 """
 ALIGNED = 1e-4
-"""A cell of a lattice is full only if each of its integration points is at most this far from a
-Gauss point [cells].
-"""
+"""Largest distance of an integration point of a full cell from a Gauss point [cells]."""
 MOTION = "lattice", "lattice:strains", "lattice:rates"
-"""Names of the C++ snippets that compute the strains, and the strain rates, of the points in a
-block of cells.
-"""
+"""Names of the C++ snippets that compute strains and strain rates."""
 
 
 def usable(real: Any, device: str) -> bool:
@@ -59,11 +53,9 @@ class Blocks(NamedTuple):
     """Cells of a lattice, grouped in blocks of sixteen."""
 
     order: NDArray[np.int32]
-    """Indices of the cells in each block [blocks,16]."""
+    """Cells in each block [blocks,16]."""
     packed: NDArray[np.float32]
-    """Constants of the integration points in each block [blocks,8,4,16]. If the last block has
-    fewer than sixteen cells, the points of the missing cells have no volume.
-    """
+    """Constants of the integration points [blocks,8,4,16]; missing cells have no volume."""
     full: int
     """Number of blocks in which all cells are full; these blocks come first."""
 
@@ -160,10 +152,7 @@ def make_measure_simd():
 
 @build_once
 def make_totals_simd(law: Law):
-    """Kernel over blocks of sixteen cells: computes the energy sums of `make_totals`.
-
-    Momentum and kinetic energy are computed as sums over nodes.
-    """
+    """Kernel over blocks of sixteen cells: computes the energy sums of `make_totals`."""
     numbers = f"const int width = {law.width}, ELASTIC = {ELASTIC}, POWER = {POWER};\n"
 
     @native_kernel(

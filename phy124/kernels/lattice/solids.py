@@ -1,10 +1,10 @@
 """Contact of surface points with a freely moving rigid solid, by impulses on both.
 
-The impulses are computed like the impulses of walls (phy124/kernels/lattice/contact.py), but the
-solid moves as well. An impulse J at r from the solid's centre changes the solid's velocity by -J /
-m and the angular velocity by -I^-1 (r x J). The arrays of the solid have the layout of
-phy124/kernels/free/numbers.py. `trial` contains the motion of the solid under the flat walls'
-impulses in the last substep, so that contact takes the support by the walls into account.
+The impulses are computed as in phy124/kernels/lattice/contact.py. An impulse J at r from the
+solid's centre changes the solid's velocity by -J / m and the angular velocity by -I^-1 (r x J). The
+arrays of the solid have the layout of phy124/kernels/free/numbers.py. `trial` contains the motion
+under the flat walls' impulses in the last substep, so that contact takes the support by the walls
+into account.
 """
 
 from typing import Any
@@ -35,17 +35,15 @@ from phy124.kernels.lattice.responses import LIMITS, RELAXED, largest_approach, 
 from phy124.kernels.lattice.rows import Rows
 
 ALIGNED = wp.constant(0.9)
-"""A box can touch a surface point if the cosine between the box's normal and the point's reversed
-normal is at least this value.
-"""
+"""Smallest cosine between a box's normal and a point's reversed normal in contact."""
 
 
 @build_once
 def make_solid_begin(real: Any):
-    """Single-thread kernel: applies gravity to a solid, and predicts its motion with the walls'
-    last impulses.
+    """Single-thread kernel: applies gravity; predicts a solid's motion with the walls' last
+    impulses.
 
-    `impulses` contains each wall's impulse at each of the solid's `points` that it may touch.
+    `impulses` contains each wall's impulse at each of the solid's `points`.
     """
 
     @kernel(f"phy124_lattice_solid_begin_{real.__name__}", real, seconds=0.4)
@@ -109,9 +107,7 @@ def react(
 
 @wp.func
 def solid_yields(mass: wp.float64, turning: wp.mat33d, r: wp.vec3d, way: wp.vec3d):
-    """Return the velocity change along `way`, at the point r, due to an impulse of 1 N s along
-    `way`.
-    """
+    """Return the velocity change along `way`, at r, due to an impulse of 1 N s along `way`."""
     arm = wp.cross(r, way)
     return wp.float64(1.0) / mass + wp.dot(arm, turning @ arm)
 
@@ -153,9 +149,9 @@ def make_solid_touch(shape: str, real: Any, rows: Rows):
     """Single-thread kernel: finds the points near a solid, and applies the last substep's impulses.
 
     For each listed point, `gap_out` receives the normal of the solid and the distance from the
-    solid (infinite if out of reach); `place_out` receives the position of the point. If a flat body
-    touches an edge of a box, the normal of the body at the point (`side`) is used. The normal of
-    the box, which rotates at the edge, would stop a sliding box.
+    solid (infinite if out of reach). If a flat body touches an edge of a box, the normal of the
+    body (`side`) is used. The normal of the box, which rotates at the edge, would stop a sliding
+    box.
     """
     t = types(real)
     moved_by, yielding, strike = rows.moved_by, rows.yielding, rows.strike

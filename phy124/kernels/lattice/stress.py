@@ -1,9 +1,8 @@
-"""Forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i.
+"""Forces of the stress on the nodes of a lattice: f_i = -sum V P grad w_i, P = tau F^-T.
 
-P = tau F^-T is the first Piola-Kirchhoff stress, computed from the Kirchhoff stress tau of the
-constitutive law. In inverted points (det F < 0), F^-T must have the sign of det F, unless the law
-has a barrier. Without this rule, the forces would not derive from the energy, and a few inverted
-points would add energy in every substep.
+In inverted points, F^-T must have the sign of det F, unless the law has a barrier. Otherwise the
+forces would not derive from the energy, and a few inverted points would add energy in every
+substep.
 """
 
 from typing import Any
@@ -17,33 +16,22 @@ from phy124.kernels.lattice.points import PER_CELL, inverse_rows, slopes_at, spr
 from phy124.kernels.transfer import Law
 
 SPEED, GRADIENT, CLOSING, MAXIMA = 0, 1, 2, 3
-"""Indices of the largest speed, rate of compression and closing rate in the array of maxima, and
-the number of maxima.
-"""
+"""Indices of the largest speed, rate of compression and closing rate."""
 FLAT = wp.constant(0.05)
-"""If the volume ratio of a flat or inverted point is below this value, its strain rate is
-reduced.
-"""
+"""Volume ratio below which the strain rate of a flat or inverted point is reduced."""
 
 QUADRATIC = wp.constant(2.0)
 """Coefficient of the artificial viscosity."""
 STEEPEST = wp.constant(6.0)
-"""Upper bound [1/cell^2] of the sum of |dw/dx|^2 / w over the nodes of an integration point, where
-w is the weight of a node along one axis. This bound limits the rate at which the artificial
-viscosity stops a compression. The mass of a node is at least the sum of w m over its points. The
-limited rate therefore does not depend on how much of a cell is filled.
+"""Upper bound [1/cell^2] of the sum of |dw/dx|^2 / w over the nodes of a point. The bound limits
+the rate at which the artificial viscosity stops a compression. The mass of a node is at least the
+sum of w m over its points, so the limited rate does not depend on how much of a cell is filled.
 """
 
 
 @build_once
 def make_stress(law: Law, real: Any, viscous: bool):
-    """Kernel over points: adds the forces due to the stress of a constitutive law to the nodes.
-
-    Args:
-        law: The constitutive law.
-        real: wp.float32 or wp.float64.
-        viscous: Whether the stress depends on the rate of strain.
-    """
+    """Kernel over points: adds the forces due to the stress of a constitutive law to the nodes."""
     t = types(real)
     stress = law.stress
     kind = "viscous" if viscous else "elastic"
@@ -79,11 +67,9 @@ def make_shock(real: Any):
     """Kernel over points: adds the forces of an artificial viscosity that resists fast compression.
 
     If the volume shrinks at the rate d, the pressure is `QUADRATIC` rho0 (l d)^2 (von Neumann and
-    Richtmyer 1950). This pressure spreads a shock over a few cells. The length l is the size of a
-    cell times the smallest stretch of the squeezed material, so that the longest stable substep
-    depends only on d.
-
-    The pressure is limited so that it only removes energy, even in a long kick.
+    Richtmyer 1950), which spreads a shock over a few cells. The length l is the size of a cell
+    times the smallest stretch of the squeezed material, so that the longest stable substep depends
+    only on d. The pressure is limited so that it only removes energy, even in a long kick.
     """
 
     @kernel(f"phy124_lattice_shock_{real.__name__}", real, seconds=0.4)
@@ -109,8 +95,8 @@ def make_shock(real: Any):
 def compression(C: Any):
     """Return an upper bound [1/s] of the rate of compression of a point along any direction.
 
-    If m is the mean eigenvalue of the strain rate and q the norm of its deviator, no eigenvalue is
-    below m - sqrt(2/3) q.
+    With the mean m of the eigenvalues of the strain rate, and the norm q of its deviator, no
+    eigenvalue is below m - sqrt(2/3) q.
     """
     D = type(C[0, 0])(0.5) * (C + wp.transpose(C))
     mean = wp.trace(D) / type(C[0, 0])(3.0)
@@ -122,9 +108,8 @@ def compression(C: Any):
 def make_lattice_measure(real: Any):
     """Kernel over points: finds the largest speed, rate of compression, and closing rate of cells.
 
-    The closing rate is the speed at which opposite sides of a cell approach each other, relative to
-    the side of the cell at rest. This rate is the rate of compression times the volume ratio. In
-    material that is squeezed flat, even a slow motion has a high rate of compression.
+    The closing rate is the rate of compression times the volume ratio. In material that is squeezed
+    flat, even a slow motion has a high rate of compression.
     """
 
     @kernel(f"phy124_lattice_measure_{real.__name__}", real, seconds=0.3)

@@ -1,7 +1,7 @@
 """Sums the work of forces on nodes and the work of contact, for each cause separately.
 
 The work of an impulse is the impulse times the mean of the velocities before and after the substep.
-In every substep, the work of all impulses then adds up to the change of the nodes' kinetic energy.
+The work of all impulses then adds up to the change of the nodes' kinetic energy.
 """
 
 from typing import Any
@@ -16,32 +16,27 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 STRESS, UNIFORM, PUSHED, VISCOUS, SHOCK = 0, 1, 2, 3, 4
-"""Index of the work [J] of each force: the total stress, the uniform acceleration, the forces on
-points, and two parts of the stress (viscosity and artificial viscosity).
+"""Indices of the work [J] of the total stress, the uniform acceleration, the forces on points, and
+two parts of the stress (viscosity and artificial viscosity).
 """
 WALLS, ITSELF, PAIRS, SOLIDS = 5, 8, 11, 14
-"""For each kind of contact, the index of the first of its three sums of work [J]. The kinds of
-contact are: contact of a body with walls, contact of a body with itself, contact between bodies,
-and contact with freely moving rigid solids. In the sums of contact work, a freely moving rigid
-solid counts as a wall at rest.
+"""Index of the first of three sums of work [J] for contact with walls, of a body with itself,
+between bodies, and with freely moving rigid solids. A freely moving rigid solid counts as a wall at
+rest.
 """
 DRIVEN, PRESSED, RUBBED = 0, 1, 2
-"""Indices among the three sums of work for a kind of contact: work by the wall's motion, by normal
-impulses, and by tangential impulses. The work by normal and by tangential impulses is computed with
-the velocity relative to the wall.
+"""Offsets among these three sums: work by the wall's motion, by normal impulses, and by tangential
+impulses. The last two are computed with the velocity relative to the wall.
 """
 COUNT = 17
-"""Number of sums of work on bodies on lattices."""
 
 
 @build_once
 def make_node_work(real: Any):
-    """Kernel over the nodes from `start` on: adds the work of forces on nodes to the sum number
-    `at`.
+    """Kernel over the nodes from `start` on: adds the work of forces to the sum number `at`.
 
-    The work of the uniform acceleration is added to the sum `UNIFORM`.
-    phy124/kernels/lattice/nodes.py explains `pool` and tied nodes. Tied nodes move with their
-    donors, so forces on tied nodes act on the donors.
+    The work of the uniform acceleration is added to the sum `UNIFORM`. Tied nodes move with their
+    donors, so forces on tied nodes act on the donors (phy124/kernels/lattice/nodes.py).
     """
 
     @kernel(f"phy124_lattice_node_work_{real.__name__}", real, seconds=0.3)
@@ -64,11 +59,7 @@ def make_node_work(real: Any):
 
 @build_once
 def make_push_work(real: Any):
-    """Kernel over the nodes from `start` on: sums the impulse and the work of the forces on points.
-
-    The result is added to `EXCHANGE` sums. Each thread sums over `each` nodes before it writes.
-    `make_node_work` explains the other arguments.
-    """
+    """Kernel over the nodes from `start` on: adds forces on points to `EXCHANGE` sums."""
 
     @kernel(f"phy124_lattice_push_work_{real.__name__}", real, seconds=0.3)
     def push_work(
@@ -103,14 +94,12 @@ def make_push_work(real: Any):
 
 @build_once
 def make_contact_work(real: Any):
-    """Single-thread kernel: adds the work of contact impulses on points to three sums of work.
+    """Single-thread kernel: adds the work of contact impulses on points to the sums `at` to `at` +
+    2.
 
-    The sums have the indices `at`, `at` + 1 and `at` + 2.
-
-    The three kinds are the work of the wall's motion, of the normal impulses, and of friction.
-
-    `gap` contains the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act
-    on nodes whose `inverse` is zero.
+    These are the work of the wall's motion, of the normal impulses, and of friction. `gap` contains
+    the normals, and `rates[slot]` is the velocity of the wall. Impulses do not act on nodes whose
+    `inverse` is zero.
     """
 
     @kernel(f"phy124_lattice_contact_work_{real.__name__}", real, seconds=0.3)

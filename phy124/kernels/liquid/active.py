@@ -1,9 +1,7 @@
 """Lists the active cells: the cells that particles may reach or change in this step.
 
-For each column of cells along z, the lowest and the highest cell with particles are stored. Cells
-whose B-spline lies inside fixed walls are not listed. Kernels over cells visit only listed cells,
-and no listed cell is at the border of the window. Cells that are not listed contain no liquid, and
-their velocities are unknown.
+Cells whose B-spline lies inside fixed walls are not listed, nor are cells at the border of the
+window. Cells that are not listed contain no liquid, and their velocities are unknown.
 """
 
 from typing import Any
@@ -21,16 +19,14 @@ REACH = wp.constant(4)
 cells, and the particle's B-splines reach two cells further.
 """
 EMPTY = wp.constant(1.5)
-"""Value that is stored as the distance to the surface in cells without liquid [cells]."""
+"""Distance to the surface in cells without liquid [cells]."""
 NONE = 1 << 30
-"""Value that is stored as the lowest cell with particles in a column without particles."""
+"""Lowest cell with particles in a column without particles."""
 
 
 @build_once
 def make_sweep(real: Any):
-    """Kernel over particles: extends the range of cells of each column to include the particles'
-    cells.
-    """
+    """Kernel over particles: extends the range of cells of each column to the particles' cells."""
 
     @kernel(f"phy124_liquid_sweep_{real.__name__}", real, seconds=0.2)
     def sweep(lattice, window, x, lowest_out: Ints, highest_out: Ints):
@@ -55,8 +51,10 @@ def widen(
     below_out: Ints,
     above_out: Ints,
 ):
-    """Merge the workers' ranges of cells, and extend each column's range to those of the columns
-    within `REACH` along y; `counts` contains one number for each group of columns.
+    """Merge the workers' ranges of cells; extend each column's range to columns within `REACH`
+    along y.
+
+    `counts` contains one number for each group of columns.
     """
     size = window[1]
     columns = size[0] * size[1]
@@ -76,9 +74,8 @@ def widen(
 
 @build_once
 def make_count_active(real: Any):
-    """Kernel over groups of columns of cells: extends each column's range of cells along x and z.
-
-    The ranges were extended along y by `widen`. The kernel also counts the cells.
+    """Kernel over groups of columns of cells: extends the ranges along x and z, and counts the
+    cells.
 
     Cells whose B-spline lies inside walls are counted only if `all` is set.
     """

@@ -1,10 +1,8 @@
-"""Couples particle bodies to a liquid: terms of the pressure equation, and the pressure on the
-bodies.
+"""Couples particle bodies to a liquid: terms of the pressure equation, and the pressure on bodies.
 
-A body responds to the pressure in two ways. The body moves rigidly (`solids`). In addition, the
-layer of mass at its surface moves with the change of the pressure since the last step (a Robin
-condition: Fernandez, Mullaert and Vidrascu 2013). The layer's response is zero at rest. Without the
-response, the deformation of a light or soft body would become unstable.
+A body moves rigidly (`solids`). In addition, its surface moves with the change of the pressure
+since the last step, like a layer of mass (a Robin condition: Fernandez, Mullaert and Vidrascu
+2013). Without this response, the deformation of a light or soft body would become unstable.
 """
 
 from typing import Any
@@ -23,21 +21,17 @@ from phy124.kernels.liquid.walls import centre_of
 
 MOMENTS = 16
 """Number of sums for each body: mass, mass times position [3], momentum [3], angular momentum about
-the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz."""
-LIGHT = wp.constant(0.02)
-"""Smallest mass of the surface layer of a body in a liquid, relative to the mass of a cell full of
-liquid.
+the origin [3], and second moments of the mass xx, yy, zz, xy, xz, yz.
 """
+LIGHT = wp.constant(0.02)
+"""Smallest mass of a body's surface layer, relative to the mass of a cell full of liquid."""
 Motions = wp.array2d(dtype=wp.vec3d)
 Row = wp.types.vector(MOMENTS, wp.float64)
 
 
 @build_once
 def make_moments(real: Any):
-    """Kernel: sums mass, momentum and moments over the particles of a body.
-
-    The angular momentum includes the angular momentum of the particles' C (Jiang et al. 2015).
-    """
+    """Kernel: sums mass, momentum and moments over the particles of a body."""
 
     @kernel(f"phy124_liquid_moments_{real.__name__}", real, seconds=0.3)
     def moments(first, each, stride, count, dx, mass, x, v, C, rows_out: Doubles):
@@ -69,11 +63,10 @@ def make_moments(real: Any):
 
 @wp.func
 def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size: wp.vec3i):
-    """Return which of two neighbouring cells contains more mass of a body's surface.
+    """Return which of two cells contains more mass of a body's surface.
 
-    One is the cell `n`, and the other is the next cell behind the more open face of `n`.
-
-    `row` is positive if the low face of cell `n` is more open than its high face.
+    The cells are `n`, and the next cell behind the more open face of `n`. `row` is positive if the
+    low face of `n` is more open than its high face.
     """
     m = n - stride(axis, size)
     if row > wp.float64(0.0):
@@ -83,13 +76,12 @@ def heavier(n: int, axis: int, row: wp.float64, sheet: wp.array(dtype=Any), size
 
 @build_once
 def make_yield(real: Any):
-    """Kernel over cells: adds the motion and the surface response of bodies to the pressure
-    equation.
+    """Kernel over cells: adds motion and surface response of bodies to the pressure equation.
 
     `free` is the number of rigid solids, which are numbered before the first body; `scale` is rho
     dx^3 [kg]. `present` contains the rigid motions of all solids at the start of the step, and
-    `x_guess` the last solution. In a step of length dt, a surface responds to a change of the
-    pressure like a layer of mass. This mass is the surface's mass plus `stiffness` dt^2 [kg].
+    `x_guess` the last solution. The mass of a surface layer is the surface's mass plus `stiffness`
+    dt^2 [kg].
     """
     t = types(real)
 
@@ -180,7 +172,7 @@ def make_answer(real: Any):
 def make_body_change(real: Any):
     """Kernel over a region's cells: computes a body's velocity change by the pressure [m/s].
 
-    `pressed` contains the impulse on the surface in each cell, which acts on the mass there.
+    `pressed` contains the impulse on the surface in each cell.
     """
     t = types(real)
 
@@ -212,8 +204,8 @@ def make_body_change(real: Any):
 def make_body_gather(real: Any):
     """Kernel: computes the rates of change of v and C of a body's particles due to the pressure.
 
-    As in APIC, momentum and angular momentum of the particles change as much as those of the cells.
-    `most_out` is the largest acceleration [m/s^2].
+    Momentum and angular momentum of the particles change as much as those of the cells. `most_out`
+    is the largest acceleration [m/s^2].
     """
     t = types(real)
 

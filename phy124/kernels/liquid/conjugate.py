@@ -1,9 +1,8 @@
-"""Solves the pressure equation by conjugate gradients, preconditioned with MIC(0) (a Cholesky
-method).
+"""Solves the pressure equation by conjugate gradients with a modified Cholesky factor, MIC(0).
 
-The modified incomplete Cholesky factor (Bridson 2015, "Fluid simulation for computer graphics",
-ch. 5) ignores matrix entries that couple cells of different parts (listed.py). The parts can
-therefore be processed in parallel. native/conjugate.h is used on CPUs.
+The factor (Bridson 2015, "Fluid simulation for computer graphics", ch. 5) ignores matrix entries
+that couple cells of different parts (listed.py), so the parts can be processed in parallel.
+native/conjugate.h is used on CPUs.
 """
 
 from typing import Any
@@ -17,24 +16,18 @@ from phy124.kernels.liquid.rigid import add_rigid, clear_rigid, respond, rigid_f
 from phy124.kernels.native import code, constants, native_func
 
 TUNING, SAFETY = wp.constant(wp.float64(0.97)), wp.constant(wp.float64(0.25))
-"""Two constants of MIC(0): the weight of the modification, and the smallest pivot that is used,
-relative to the diagonal entry.
-"""
+"""Constants of MIC(0): weight of the modification; smallest pivot relative to the diagonal."""
 RESIDUAL, RIGHT, STEEP = wp.constant(2), wp.constant(3), wp.constant(4)
-"""Rows in the solver's table of sums: largest residual, largest right-hand side, and s A s.
-
-Rows 0 and 1 of the table alternately contain the sum r M r of the present iteration and of the
-previous iteration.
+"""Rows of the table of sums: largest residual, largest right-hand side, and s A s. Rows 0 and 1
+alternately contain r M r of the present and of the previous iteration.
 """
 ROWS = 5
-"""Number of rows in the solver's table of sums if the liquid contains no solids."""
+"""Number of rows of the table of sums without solids."""
 
 
 @wp.func
 def multiply(n: int, row: int, layer: int, diagonal: Doubles, links: Vectors, x: Doubles):
-    """Return component n of the product A x; `row` and `layer` are the memory strides along y and
-    x.
-    """
+    """Return component n of A x; `row` and `layer` are the memory strides along y and x."""
     below = links[n - layer][0] * x[n - layer]
     below += links[n - row][1] * x[n - row] + links[n - 1][2] * x[n - 1]
     link = links[n]
@@ -53,9 +46,7 @@ def factorise(
     links: Vectors,
     inverse: Doubles,
 ):
-    """Compute the inverse square root of the preconditioner's diagonal in a part of the list of
-    cells.
-    """
+    """Compute 1 / sqrt of the preconditioner's diagonal in a part of the list of cells."""
     lowest = listed[first]
     for k in range(first, last):
         n = listed[k]
@@ -90,10 +81,7 @@ def precondition(
     residual: Doubles,
     z: Doubles,
 ):
-    """Solve M z = r in a part of the list of cells; return the part's sum of r z.
-
-    The preconditioner M is solved by forward and backward substitution.
-    """
+    """Solve M z = r in a part of the list of cells; return the part's sum of r z."""
     lowest = listed[first]
     highest = listed[last - 1]
     for k in range(first, last):
@@ -140,9 +128,7 @@ def turn(
     direction: Doubles,
     product: Doubles,
 ):
-    """Compute the direction s = z + beta s, and A s, in a part of the list of cells; return sum s A
-    s.
-    """
+    """Compute s = z + beta s, and A s, in a part of the list of cells; return sum s A s."""
     steep = wp.float64(0.0)
     for k in range(first, last):
         n = listed[k]
@@ -176,9 +162,7 @@ def descend(
     x: Doubles,
     residual: Doubles,
 ):
-    """Step along the direction s in a part of the list of cells; return the part's largest
-    residual.
-    """
+    """Step along s in a part of the list of cells; return the part's largest residual."""
     largest = wp.float64(0.0)
     for k in range(first, last):
         n = listed[k]
@@ -190,7 +174,6 @@ def descend(
 
 
 def _native(function: Any, returns: Any = None) -> Any:
-    """Return the C++ form of a function that loops over a part of the list of cells."""
     name = function.key
     body = code("conjugate", f"conjugate:{name}")
     body = constants("double", TUNING=TUNING, SAFETY=SAFETY) + body
@@ -204,14 +187,12 @@ FORMS = {
         *(_native(function, wp.float64) for function in (precondition, turn, descend)),
     ),
 }
-"""For each implementation, by name, the functions that loop over the cells of liquid in a list."""
+"""Functions that loop over a part of the list of cells, by implementation."""
 
 
 @build_once
 def make_begin(form: str):
-    """Kernel over parts of the list of cells: computes the residual of x, and factorises each
-    part's block of the matrix.
-    """
+    """Kernel over parts of the list of cells: computes the residual, and factorises the matrix."""
     factorise, precondition, _, _ = FORMS[form]
 
     @kernel(f"phy124_liquid_begin_{form}", seconds=0.5)
@@ -269,9 +250,7 @@ def make_begin(form: str):
 
 @build_once
 def make_advance(form: str):
-    """Kernel over parts of the list of cells: computes the next direction s = z + beta s
-    and A s.
-    """
+    """Kernel over parts of the list of cells: computes the direction s = z + beta s, and A s."""
     _, _, turn_in, _ = FORMS[form]
 
     @kernel(f"phy124_liquid_advance_{form}", seconds=0.3)
@@ -327,11 +306,7 @@ def make_advance(form: str):
 
 @build_once
 def make_improve(form: str):
-    """Kernel over parts of the list of cells: takes a step of conjugate gradients along the
-    direction s.
-
-    The step moves x along s to the least error. The kernel then preconditions the residual.
-    """
+    """Kernel over parts of the list of cells: takes a step along s; preconditions the residual."""
     _, precondition, _, descend = FORMS[form]
 
     @kernel(f"phy124_liquid_improve_{form}", seconds=0.4)

@@ -1,10 +1,9 @@
 """Sums the work on a liquid for each cause: viscosity, pressure, walls, and density correction.
 
 The work of an impulse is the impulse times the mean of the velocities at the start and the end of
-the step. The work of all causes then adds up to the change of a face's kinetic energy. In a liquid
-at rest, where pressure balances gravity, the work of every cause is zero. Faces behind walls and
-above the surface may carry mass of the particles. The velocities of such faces follow those of
-their neighbours in the liquid (`spread`). The work on such faces is counted, too.
+the step. The work of all causes then adds up to the change of a face's kinetic energy. Faces behind
+walls and above the surface may carry mass of the particles, so the work on such faces is counted,
+too.
 """
 
 from typing import Any
@@ -19,17 +18,15 @@ from phy124.kernels.reduction import add_to
 from phy124.kernels.work import add_exchange
 
 VISCOUS, PRESSED, SHIFTED = 0, 1, 2
-"""Indices of three sums [J]: the work of viscosity, the work of the pressure, and the work of the
-uniform acceleration along the displacements that restore the density.
+"""Indices of three sums [J]: work of viscosity, of the pressure, and of the uniform acceleration
+along the displacements that restore the density.
 """
 AT_DRAG, AT_PRESSURE, AT_END = 3, 5, 7
-"""Indices of three sums of the work of walls on a liquid in a step: from the start of the step up
-to the drag, up to the pressure, and up to the end. These sums of work are computed with the
-velocities of the walls. The sum at the next index (for example `AT_DRAG + 1`) is the same work of
-the walls, but computed with the velocities of the liquid, as in `WallImpulses`.
+"""Indices of the work of walls from the start of a step up to the drag, the pressure, and the end,
+computed with the velocities of the walls. The next index (such as `AT_DRAG + 1`) is the same work,
+computed with the velocities of the liquid.
 """
 COUNT = 9
-"""Number of sums of work on a liquid."""
 
 
 @build_once
@@ -64,9 +61,9 @@ def pressed_outside(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return the velocity change by the pressure at a face that has no pressure.
+    """Return the velocity change by the pressure at a face without pressure.
 
-    It is the mean over the adjacent faces with pressure, weighted by their masses.
+    The change is the mean over adjacent faces with pressure, weighted by mass.
     """
     gain = type(velocity[n][axis])(0.0)
     mass = type(gain)(0.0)
@@ -84,7 +81,7 @@ def pressed_outside(
 
 @wp.func
 def gain_at(gains: wp.array(dtype=Any), n: int, axis: int, step: int, count: int):
-    """Return the velocity change at a face that forces on particles in its two cells cause."""
+    """Return the velocity change at a face due to forces on particles in its two cells."""
     total = gains[n] + gains[n - step]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k] + gains[k - step]
@@ -162,8 +159,8 @@ def make_face_work(real: Any):
 def make_wall_work(real: Any):
     """Single-thread kernel: adds the work of the first `count` walls in this step to `sums_out`.
 
-    The remaining walls are freely moving solids and bodies. `at` is the index of the sum computed
-    with the walls' velocities; the next sum is computed with the liquid's velocities.
+    `at` is the index of the sum computed with the walls' velocities; the next sum is computed with
+    the liquid's velocities.
     """
     t = types(real)
 
@@ -185,13 +182,10 @@ def make_wall_work(real: Any):
 
 @build_once
 def make_shift_work(real: Any):
-    """Kernel: adds `sign` times the work of the uniform acceleration up to each particle's
-    position.
+    """Kernel: adds `sign` times acceleration, mass and position of each particle to `sums_out`.
 
-    This work is the product of acceleration, mass and position; it is added to `sums_out`.
-
-    Two launches add the work of displacements: one with the sign -1 before particles are displaced,
-    and one with the sign 1 afterwards.
+    Two launches add the work of displacements: with the sign -1 before particles are displaced, and
+    with the sign 1 afterwards.
     """
 
     @kernel(f"phy124_liquid_shift_work_{real.__name__}", real, seconds=0.2)
@@ -212,8 +206,8 @@ def make_shift_work(real: Any):
 def make_push_work(real: Any):
     """Kernel: adds impulse and work of forces on particles to the `EXCHANGE` sums after a step.
 
-    `v_kept` and `C_kept` are the values before the forces act; `v_pushed` and `C_pushed` are the
-    values afterwards. The arrays of C are empty if no force changes C.
+    `v_kept` and `C_kept` are values before the forces act; `v_pushed` and `C_pushed` are values
+    afterwards. The arrays of C are empty if no force changes C.
     """
     t = types(real)
 

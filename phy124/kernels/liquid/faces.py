@@ -1,5 +1,4 @@
-"""Computes indices and sums of the cells in a window of the staggered grid, and the particles'
-extent.
+"""Indices and sums of the cells in a window of the staggered grid, and the particles' extent.
 
 The values at a cell's three low faces and at its centre are stored as one vector.
 """
@@ -13,13 +12,9 @@ from phy124.kernels.build import build_once, kernel
 from phy124.kernels.items import item
 
 FILL = 3
-"""Index of a cell's sum of particle volumes with quadratic weights around the centre of the cell
-[m^3].
-"""
+"""Index of the sum of particle volumes with quadratic weights around a cell's centre [m^3]."""
 HAT = 7
-"""Index of a cell's sum of particle volumes with linear weights around the centre of the cell
-[m^3].
-"""
+"""Index of the sum of particle volumes with linear weights around a cell's centre [m^3]."""
 
 
 @build_once
@@ -95,8 +90,7 @@ def entry(active: wp.array(dtype=int), ends: wp.array(dtype=int), worker: int, k
 
 @build_once
 def make_sum_copies(real: Any, width: int):
-    """Kernel over active cells: adds the cells' sums of all other workers to those of the first
-    worker.
+    """Kernel over active cells: adds the sums of all other workers to those of the first worker.
 
     Copies are added in a fixed order, so the result depends only on their number.
     """
@@ -121,8 +115,7 @@ def make_sum_copies(real: Any, width: int):
 def make_extent(real: Any):
     """Kernel: computes the bounding box of the particles and their largest squared speed.
 
-    The lowest corner is stored as the maximum of -x. Thread n reads the particles n `first` +
-    k `stride`, k < `each`.
+    The lowest corner is stored as the maximum of -x.
     """
     t = types(real)
     vec7 = wp.types.vector(7, real)

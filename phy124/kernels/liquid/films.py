@@ -1,7 +1,7 @@
 """Computes areas of contact between particle bodies and fixed walls, and pressures of films there.
 
-The grid does not resolve the thin layer of liquid between a body and the wall on which the body
-lies. The pressure in this layer is therefore taken from the liquid around the contact.
+The grid does not resolve the film between a body and a wall. The pressure in the film is therefore
+taken from the liquid around the contact.
 """
 
 from typing import Any
@@ -53,8 +53,7 @@ def make_contact(real: Any):
 
 @build_once
 def make_layers(real: Any):
-    """Kernel over the cells of a region: sums the densities and counts the cells in each horizontal
-    layer.
+    """Kernel over a region's cells: sums densities and counts cells in each horizontal layer.
 
     `low` is the height of the first layer [cells].
     """
@@ -107,12 +106,10 @@ def weight_at(x: Any, a: Any, dt: Any, dx: Any, low: Any, heads: wp.array(dtype=
 def make_head(real: Any):
     """Kernel over cells: sums the pressure around a body's contact with walls.
 
-    The kernel sums the pressure solution q without its hydrostatic part.
-
-    The direction of a contact (-x, +x, -y, +y, -z or +z) is the direction in which a film pushes
-    the body. `rows_out` [6] contains three numbers for each direction. The first is the sum over
-    the cells next to the contact, weighted by the area of the body's surface in each cell. The
-    second is the total of these areas, and the third is the area of the contact.
+    The hydrostatic part of the pressure solution q is subtracted. `rows_out` [6] has a row for each
+    direction (-x, +x, -y, +y, -z, +z) in which a film pushes the body. A row contains the sum over
+    the cells next to the contact, weighted by the body's surface area in each cell; the total of
+    these areas; and the area of the contact.
     """
     t = types(real)
 
@@ -169,12 +166,10 @@ def make_head(real: Any):
 def share_of(rim: wp.vec3d, opposite: wp.vec3d):
     """Return the fraction of a body's contact with a wall on which a film acts.
 
-    `make_head` computes the arguments.
-
-    A film exists only if there is liquid along at least half of the contact's perimeter. The
-    contact is assumed to be square. If a body fills the space between two walls, films on both
-    sides would squeeze it. Therefore, a film acts only on the difference between opposite contact
-    areas.
+    `make_head` computes the arguments. A film exists only if there is liquid along at least half of
+    the contact's perimeter; the contact is assumed to be square. Films on both sides would squeeze
+    a body that fills the space between two walls, so a film acts only on the difference between
+    opposite contact areas.
     """
     unit = wp.float64(1.0)
     wet = wp.min(rim[1] / (wp.float64(2.0) * wp.sqrt(rim[2])), unit)
@@ -183,14 +178,12 @@ def share_of(rim: wp.vec3d, opposite: wp.vec3d):
 
 @build_once
 def make_film(real: Any):
-    """Kernel over the cells of a region: computes the pressure of a film between a body and walls.
+    """Kernel over a region's cells: computes the pressure of a film between a body and walls.
 
-    Where a body lies on a wall, the film is assumed to have the hydrostatic pressure of the liquid
-    around the contact. `rims` contains, for each direction, the sums over the liquid around the
-    contact (`make_head`). If a cell between body and wall contains liquid, the film has the
-    pressure of the cell. All pressures are converted to the position of the wall, with the
-    distances `fixed` from the fixed walls. The film acts on the fraction of the contact that
-    `share_of` returns.
+    The film has the hydrostatic pressure of the liquid around the contact (`rims`, from
+    `make_head`). If a cell between body and wall contains liquid, the film has the pressure of the
+    cell. All pressures are converted to the position of the wall, with the distances `fixed` from
+    the fixed walls.
     """
     t = types(real)
 

@@ -1,9 +1,8 @@
 """Sums the impulses of walls on the liquid, from the pressure in the cells next to the walls.
 
-The area vector of the solid surface inside a cell is minus the sum of the open faces' area vectors,
-since the area vectors of a closed surface add up to zero. The pressure on this surface is the
-pressure at the cell's centre, plus the weight of the liquid between the centre and the wall. Other
-forces on particles are treated like weight.
+The area vector of the solid surface inside a cell is minus the sum of the open faces' area vectors.
+The pressure on this surface is the pressure at the cell's centre, plus the weight of the liquid
+between the centre and the wall. Other forces on particles are treated like weight.
 """
 
 from typing import Any
@@ -32,9 +31,8 @@ def way_to_wall(
 ):
     """Return the distance along an axis from a cell's centre to the wall in the cell [m].
 
-    The wall lies where the signed distance, interpolated linearly between the centre and the face,
-    is zero. At edges of solids, nine parallel lines give different results; the line that ends
-    deepest in the solid is used.
+    At edges of solids, nine parallel lines give different results; the line that ends deepest in
+    the solid is used.
     """
     d = distances[point(cell, 1, 1, 1, size)]
     f = distances[solid_face(cell, axis, jump, size)]
@@ -68,9 +66,7 @@ def take_row(sums: Sums, wall: int):
 
 @wp.func
 def gain_in(gains: wp.array(dtype=Any), n: int, count: int):
-    """Return the mean velocity change by forces of the particles around a cell; `count` cells
-    exist.
-    """
+    """Return the mean velocity change by forces around a cell; `count` cells exist."""
     total = gains[n]
     for k in range(n + count, gains.shape[0], count):
         total += gains[k]
@@ -93,7 +89,7 @@ def head_along(
 ):
     """Return the change of the pressure solution q from a cell's centre to a point in the cell.
 
-    The point is at the distance `way` [m] from the centre along an axis.
+    The point is at the distance `way` [m] along an axis.
     """
     change = kick * way * a[axis] / dx * dense[n][CENTRE]
     if gains.shape[0] > 0:
@@ -104,11 +100,7 @@ def head_along(
 
 @build_once
 def make_gains(real: Any):
-    """Kernel: adds each particle's mass and its momentum gained by forces to eight surrounding
-    cells.
-
-    The gain is the change of velocity since `v_kept`, times the mass.
-    """
+    """Kernel: adds each particle's mass, and its momentum gained since `v_kept`, to eight cells."""
     t = types(real)
 
     @kernel(f"phy124_liquid_gains_{real.__name__}", real, seconds=0.3)
@@ -139,8 +131,7 @@ def make_gains(real: Any):
 def make_wall_impulses(real: Any):
     """Kernel over parts of the cells: adds the impulses of the pressure on walls to `sums_out`.
 
-    Walls from the index `bodies` on are bodies. `pressed_out` receives the impulses on these
-    bodies.
+    `pressed_out` receives the impulses on the walls from the index `bodies` on, which are bodies.
     """
     t = types(real)
 

@@ -1,7 +1,7 @@
-"""Lists the cells of liquid, and divides the list into parts.
+"""Lists the cells of liquid in memory order, and divides the list into parts of equal length.
 
-The list is in memory order. The list has parts of equal length: one part per CPU thread, or many
-parts on a GPU. Sums are added part by part, so a result depends only on the number of parts.
+There is one part per CPU thread, or many parts on a GPU. Sums are added part by part, so a result
+depends only on the number of parts.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ Table = wp.array2d(dtype=wp.float64)
 
 @wp.func
 def share(count: int, part: int, parts: int):
-    """Return the index of the first item of a part of a list, and the index after its last item."""
+    """Return the first index of a part of a list, and the index after its last item."""
     return wp.vec2i(
         int(wp.int64(count) * wp.int64(part) / wp.int64(parts)),
         int(wp.int64(count) * wp.int64(part + 1) / wp.int64(parts)),

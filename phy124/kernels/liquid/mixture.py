@@ -1,7 +1,6 @@
-"""Averages a property of several liquids (such as the density) at the faces and centres of cells.
+"""Averages a property of several liquids, such as density, at the faces and centres of cells.
 
-The property is expressed relative to a reference value. If there is a single liquid, the relative
-value is 1 everywhere.
+The property is relative to a reference value; for a single liquid, the relative value is 1.
 """
 
 from functools import cache
@@ -15,9 +14,7 @@ from phy124.kernels.items import item
 from phy124.kernels.liquid.faces import FILL, entry, stride, sums
 
 CENTRE = wp.constant(3)
-"""Index of the value at a cell's centre; the indices 0 to 2 are the values at the cell's
-low faces.
-"""
+"""Index of the value at a cell's centre; the indices 0 to 2 are the low faces."""
 
 
 @wp.func
@@ -34,11 +31,10 @@ def between(a: Any, b: Any):
 
 @cache
 def make_mix(real: Any):
-    """Kernel over cells: averages a property of liquids over the volumes around each centre and low
-    face.
+    """Kernel over cells: averages a property of liquids around each centre and low face.
 
-    `fills` contains the sums of volume times property, and `cells` the sums of the volume. In a
-    cell without liquid, the average is 1.
+    `fills` contains the sums of volume times property, and `cells` the sums of the volume. Without
+    liquid, the average is 1.
     """
     t = types(real)
     vec8 = sums(real)

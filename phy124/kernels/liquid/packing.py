@@ -1,10 +1,9 @@
 """Computes displacements out of crowded cells into empty cells, to restore the rest density.
 
-The displacements are the gradient of the solution of a linear system. The system has the matrix of
-the pressure equation, and the density error as its right-hand side (Kugelstadt et al. 2019,
-"Implicit density projection for volume conserving liquids"). Below the surface, only an excess of
-density is corrected. In the first row of cells below the surface, the density is compared with the
-density below a flat surface.
+The displacements are the gradient of the solution of a linear system with the matrix of the
+pressure equation and the density error as its right-hand side (Kugelstadt et al. 2019, "Implicit
+density projection for volume conserving liquids"). Below the surface, only an excess of density is
+corrected. The first row of cells below the surface is compared with a flat surface.
 """
 
 from typing import Any
@@ -20,7 +19,7 @@ from phy124.kernels.liquid.surface import opening
 RATE = wp.constant(0.75)
 """Fraction of a cell's density error that is removed in a step."""
 MOST = 0.5
-"""Upper limit of a cell's relative density error; and of a displacement [cells]."""
+"""Upper limit of a cell's relative density error, and of a displacement [cells]."""
 
 
 @wp.func
@@ -33,7 +32,7 @@ def is_wall(open: wp.array(dtype=Any), liquid: wp.array(dtype=int), n: int, size
 
 @wp.func
 def leads_behind(step: int, low: int, high: int):
-    """Return whether a step from a cell along an axis leads into a wall, or stays in the cell.
+    """Return whether a step along an axis leads into a wall, or stays in the cell.
 
     `low` and `high` are 1 if the neighbours on the two sides are walls.
     """
@@ -42,12 +41,10 @@ def leads_behind(step: int, low: int, high: int):
 
 @build_once
 def make_excess(real: Any):
-    """Kernel over cells: computes the part of each cell's density error that is removed in this
-    step.
+    """Kernel over cells: computes the density error of each cell that is removed in this step.
 
-    Cells inside a wall have no unknown in the linear system. The density error of such a cell is
-    therefore added to the cell in front of the wall. At an edge or corner between walls, the error
-    is added to the cell in front of all these walls.
+    Cells inside a wall have no unknown in the linear system, so their error is added to the cell in
+    front of the wall, or in front of all walls at an edge or corner.
     """
     t = types(real)
 

@@ -1,11 +1,10 @@
 """Assembles the pressure equation, and makes the velocities divergence-free by the pressure.
 
-The unknown is q = p dt / (rho dx) [m/s] with a reference density rho. The velocity at a face then
-changes by the difference of q across the face, divided by the ratio of the density at the face to
-rho. Walls are represented by the open fractions of faces (Ng, Min and Gibou 2009). At the surface
-of the liquid, p is zero where phi crosses zero between two cells (ghost fluid: Enright et al. 2003;
-Gibou 2002). Each cell is slightly compressible, like water. Without compressibility, the equation
-would be singular in a closed volume of liquid without a surface.
+The unknown is q = p dt / (rho dx) [m/s] with a reference density rho. A face's velocity changes by
+the difference of q across the face, divided by its relative density. Walls are represented by the
+open fractions of faces (Ng, Min and Gibou 2009). At the surface, p is zero where phi crosses zero
+between two cells (ghost fluid: Enright et al. 2003; Gibou 2002). Each cell is slightly
+compressible, since the equation would be singular in a closed volume without a surface.
 """
 
 from typing import Any
@@ -21,14 +20,12 @@ from phy124.kernels.liquid.walls import centre_of, speed_of, wall_across
 NEAREST = wp.constant(0.02)
 """Lower bound of a cell centre's distance from the surface [cells]; limits the pressure."""
 COMPRESSIBLE = wp.constant(1.0e-6)
-"""Compressibility of a cell: the fraction by which the diagonal matrix entry is increased."""
+"""Fraction by which the diagonal matrix entry is increased."""
 
 
 @wp.func
 def beyond(here: Any, there: Any):
-    """Return how far a cell is from the surface of the liquid, divided by the distance of two
-    cells.
-    """
+    """Return a cell's distance from the liquid's surface, relative to the distance of two cells."""
     if here >= type(here)(0.0):
         return type(here)(NEAREST)
     apart = here - there
@@ -41,8 +38,8 @@ def beyond(here: Any, there: Any):
 def make_assemble(real: Any):
     """Kernel over cells: computes the symmetric positive matrix of the pressure equation.
 
-    `diagonal_out` is zero in cells without liquid. `links_out` contains the off-diagonal entries
-    that couple each cell to the next cell along each axis.
+    `diagonal_out` is zero in cells without liquid. `links_out` couples each cell to the next cell
+    along each axis.
     """
     t = types(real)
 
@@ -167,10 +164,7 @@ def rise_to(
 
 @build_once
 def make_anticipate(real: Any):
-    """Kernel over cells: adds `factor` times the last step's pressure differences to the face
-    velocities.
-
-    The differences of the pressure solution q act on the low face of each cell along each axis.
+    """Kernel over cells: adds `factor` times the last pressure differences to the face velocities.
 
     Viscosity then acts on velocities that include the pressure, as in a steady flow (incremental
     projection, Goda 1979). The differences are subtracted again before the next solution.
@@ -211,8 +205,6 @@ def make_anticipate(real: Any):
 @build_once
 def make_gradient(real: Any):
     """Kernel over cells: subtracts the pressure differences from the velocities at the low faces.
-
-    The pressure solution q is p dt / (rho dx), so its differences are velocities.
 
     If `shifts` is above 0, the kernel writes only the negated differences, as displacements [m] of
     at most `shifts` cells. `known_out` receives a bit for each open face that touches liquid. The

@@ -11,29 +11,30 @@ from phy124.kernels.liquid.faces import cell_at, inner, local
 from phy124.kernels.liquid.walls import GAP, point, speed_of, to_frame, to_world
 
 NEAR = wp.constant(1.5)
-"""A particle can get behind a wall in a step only if it is at most this far from the wall [cells].
-"""
+"""Largest distance [cells] from which a particle can get behind a wall in a step."""
 
 
 @build_once
 def make_push_out(shape: str, real: Any):
     """Kernel: moves particles out of all walls of a shape and stops them there.
 
-    `walls` contains the indices of the shape's walls in `slots` and `frictions`, which are tables
-    of all walls; `geometries` contains their dimensions. A wall stops the normal velocity, and
-    reduces the tangential velocity by up to the coefficient of friction times the normal velocity.
-    A sticky wall also stops the tangential velocity.
-    The impulse on the particles and its work are added to `sums_out`. The work on a single drop is
-    computed with the drop's mean velocity in the step, so a floor does no work on drops that lie on
-    the floor. Pressure does not act on drops; their velocity gradient `C` is zero.
+    `walls` contains the indices of the shape's walls in `slots` and `frictions`; `geometries`
+    contains their dimensions. A wall stops the normal velocity, and reduces the tangential velocity
+    by up to the coefficient of friction times the normal velocity. A sticky wall also stops the
+    tangential velocity.
+
+    The impulse on the particles and its work are added to `sums_out`. The work on a single drop (C
+    = 0) is computed with its mean velocity in the step, so a floor does no work on drops that lie
+    on it.
     """
     t = types(real)
     distance = SHAPES[shape]
 
     @wp.func
     def stop(v: t.vec3, u: t.vec3, normal: t.vec3, rough: t.vec2):
-        """Return a particle's velocity after contact with a wall of velocity u; `rough` contains
-        the coefficient of friction, and 1 if the liquid sticks to the wall.
+        """Return a particle's velocity after contact with a wall of velocity u.
+
+        `rough` contains the coefficient of friction, and 1 if the liquid sticks to the wall.
         """
         along = wp.dot(v - u, normal)
         if along >= real(0.0):

@@ -7,8 +7,8 @@ from phy124.kernels.build import kernel
 from phy124.kernels.liquid.listed import Table, Vectors, count_of, share, total
 
 RIGID = wp.constant(5)
-"""Index in the solver's table of sums (`conjugate`): the first row of the first solid. Each solid
-has six rows in this table of sums: the force and the moment J^T s (`solids`).
+"""Row of the table of sums (`conjugate`) at which the first solid begins. Each solid has six rows:
+the force and the moment J^T s (`solids`).
 """
 
 
@@ -24,7 +24,7 @@ def rigid_sums(sums: Table, solid: int):
 
 @wp.func
 def clear_rigid(sums: Table, solids: int, p: int):
-    """Set the forces and moments that part `p` of the list of cells exerts on solids to zero."""
+    """Set the forces and moments of part `p` of the list of cells to zero."""
     for k in range(6 * solids):
         sums[RIGID + k, p] = wp.float64(0.0)
 
@@ -74,7 +74,7 @@ def rigid_flux(
     turns: Vectors,
     responses: wp.array2d(dtype=wp.vec3d),
 ):
-    """Return the flux out of a cell that the motion of a solid in response to pressures causes."""
+    """Return the flux out of a cell due to the motion of a solid in response to pressures."""
     V = wp.dot(jumps[n], responses[p, 2 * solid])
     return V + wp.dot(turns[n], responses[p, 2 * solid + 1])
 

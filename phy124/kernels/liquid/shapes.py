@@ -1,8 +1,8 @@
 """Represents a particle body immersed in a liquid as a wall of the same shape.
 
-The distance from a body's surface is computed from the fraction of each cell that the body fills,
-in the same way as the distance from the liquid's surface (`surface`). This method rounds off edges,
-so the surface is shifted outwards until it encloses the volume of the body.
+The distance from a body follows from the fraction of each cell that the body fills (as in
+`surface`). This rounds off edges, so the surface is shifted outwards until it encloses the body's
+volume.
 """
 
 from typing import Any
@@ -17,14 +17,12 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""The filled fraction of a cell determines a body's surface only if walls cover at most this
-fraction of the cell.
-"""
+"""Largest fraction of a cell inside walls at which the cell's fill determines a body's surface."""
 
 
 @wp.func
 def spline(s: Any, cell: wp.vec3i, a: int, b: int, c: int):
-    """Return the value at a point of the B-spline of a cell, the cell `cell` + (a, b, c) - 1."""
+    """Return the value at a point of the B-spline of the cell `cell` + (a, b, c) - 1."""
     weight = type(s[0])(1.0)
     at = wp.vec3i(a, b, c)
     for axis in range(3):
@@ -84,7 +82,7 @@ def make_body_scatter(real: Any):
 
 @wp.func
 def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
-    """Return the centre of an octant (an eighth) of a cell, in cells from the window's corner."""
+    """Return the centre of an eighth of a cell, in cells from the window's corner."""
     half = type(like)(0.5)
     quarter = type(like)(0.25)
     return wp.vector(
@@ -96,9 +94,7 @@ def eighth(cell: wp.vec3i, a: int, b: int, c: int, like: Any):
 
 @wp.func
 def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx: Any):
-    """Return the distance from a body's surface to a cell's centre [cells], from the cell's filled
-    fraction.
-    """
+    """Return the distance from a body to a cell's centre [cells], from the cell's fill."""
     level = type(dx)(EMPTY)
     if full[n] > type(dx)(0.0):
         level = -depth(filled_share(full[n], shares[n][1], dx))
@@ -107,11 +103,7 @@ def raw_level(full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, dx
 
 @wp.func
 def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
-    """Return the step from a cell inside walls to the neighbour that is in the direction out of the
-    walls.
-
-    The neighbour is one of 26.
-    """
+    """Return the step from a cell inside walls to the neighbour (one of 26) out of the walls."""
     slopes = wp.vector(type(shares[n][1])(0.0), type(shares[n][1])(0.0), type(shares[n][1])(0.0))
     for axis in range(3):
         step = stride(axis, size)
@@ -128,8 +120,7 @@ def way_out(shares: wp.array(dtype=Any), n: int, size: wp.vec3i):
 def level_near(
     full: wp.array(dtype=Any), shares: wp.array(dtype=Any), n: int, size: wp.vec3i, dx: Any
 ):
-    """Return the distance of a cell's centre from a body [cells]; inside walls, the distance is
-    extrapolated.
+    """Return the distance of a cell's centre from a body [cells], extrapolated inside walls.
 
     The extrapolation is linear along the line to the nearest cell outside the walls.
     """
@@ -146,10 +137,10 @@ def level_near(
 
 @build_once
 def make_body_level(real: Any):
-    """Kernel over the cells of a region: computes the distance from a body's surface [cells].
+    """Kernel over a region's cells: computes the distance from a body's surface [cells].
 
-    A body that touches a wall is extended into the wall, so that no liquid gets between body and
-    wall. The surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
+    A body that touches a wall is extended into the wall, so that no liquid gets between them. The
+    surface is shifted outwards by `shift` [cells]. The body's volume [cells] is added to
     `volumes_out`.
     """
     t = types(real)
@@ -202,11 +193,10 @@ def level_at(level: wp.array(dtype=Any), s: Any, size: wp.vec3i):
 
 @build_once
 def make_body_volume(real: Any):
-    """Kernel over the cells of a region: sums a body's volume outside walls.
+    """Kernel over a region's cells: sums a body's volume outside walls.
 
-    `volumes_out` receives this volume [cells], and the change of the volume if the surface is
-    shifted by one cell. `vacant` contains the fraction of each eighth of a cell that is outside
-    walls.
+    `volumes_out` receives this volume [cells], and its change if the surface is shifted by one
+    cell. `vacant` contains the fraction of each eighth of a cell that is outside walls.
     """
     t = types(real)
 
@@ -269,10 +259,9 @@ def make_body_distance(real: Any):
 
 @build_once
 def make_body_openings(real: Any):
-    """Kernel over the cells of a region: multiplies open fractions by those that a body leaves
-    open.
+    """Kernel over a region's cells: multiplies open fractions by those that a body leaves open.
 
-    The kernel changes the open fractions of the low faces and of the eighths of each cell.
+    These are the open fractions of the low faces and of the eighths of each cell.
     """
     t = types(real)
 
@@ -322,9 +311,7 @@ def make_body_openings(real: Any):
 
 @build_once
 def make_body_push_out(real: Any):
-    """Kernel: moves particles of liquid out of bodies; `wall` is the index of the first body among
-    the walls.
-    """
+    """Kernel: moves particles of liquid out of bodies; `wall` is the index of the first body."""
     t = types(real)
 
     @kernel(f"phy124_liquid_body_push_out_{real.__name__}", real, seconds=0.4)

@@ -1,14 +1,13 @@
 """Couples solids to a liquid: the pressure accelerates both the liquid and the solids.
 
-Let J (V, w) be the flux out of each cell through the surface of a solid with velocity V and angular
-velocity w. The pressure's impulse on the solid is rho dx^3 J^T q. With the solid's mass and inertia
-M, the pressure equation becomes (A + rho dx^3 J M^-1 J^T) q = b (Batty, Bertails and Bridson 2007).
-Each solid adds a matrix of rank six. Each iteration of conjugate gradients therefore sums J^T s and
-applies the mobility rho dx^3 M^-1 (`conjugate`). A cell is assigned to only one solid.
+Let J (V, w) be the flux out of each cell through a solid's surface, and M the solid's mass and
+inertia. The pressure equation is (A + rho dx^3 J M^-1 J^T) q = b (Batty, Bertails and Bridson
+2007). Each iteration of conjugate gradients sums J^T s and applies the mobility rho dx^3 M^-1
+(`conjugate`). A cell is assigned to only one solid.
 
-The pressure of a cell refers to the cell's centre, so the weight of the liquid between the centre
-and the solid's surface is added. Without this weight, the buoyancy would jump when the bottom of
-the solid passes a layer of cell centres.
+The weight of the liquid between a cell's centre and the solid's surface is added to the pressure.
+Without this weight, the buoyancy would jump when the bottom of the solid passes a layer of cell
+centres.
 """
 
 from typing import Any
@@ -42,9 +41,7 @@ from phy124.kernels.liquid.walls import centre_of, wall_across
 
 @build_once
 def make_motions(real: Any):
-    """Kernel over walls: computes the mean velocity in a step of each wall that moves along a
-    track.
-    """
+    """Kernel over walls: computes the mean velocity in a step of walls that move along a track."""
     t = types(real)
 
     @kernel(f"phy124_liquid_motions_{real.__name__}", real, seconds=0.15)
@@ -65,7 +62,7 @@ def make_motions(real: Any):
 
 @wp.func
 def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec3d, X: wp.vec3d):
-    """Write the velocity, angular velocity and centre of a solid to its array."""
+    """Write the velocity, angular velocity and centre of a solid."""
     like = motions[wall, 0]
     for k in range(3):
         like[k] = type(like[0])(V[k])
@@ -80,10 +77,8 @@ def put_motion(motions: wp.array2d(dtype=Any), wall: int, V: wp.vec3d, w: wp.vec
 
 @build_once
 def make_jumps(real: Any):
-    """Kernel over cells: computes each cell's flux per unit velocity and angular velocity of a
+    """Kernel over cells: computes the rows of J, fluxes per velocity and angular velocity of a
     solid.
-
-    These fluxes are the rows of the matrix J.
 
     `wall` is the index of the first wall that is a solid; all later walls are solids as well.
     """
@@ -143,8 +138,8 @@ def make_jumps(real: Any):
 def make_lift(real: Any):
     """Kernel over parts of the cells: sums the liquid's weight between cell centres and solids.
 
-    The sums are the impulse on each solid and the moment of this impulse about the solid's centre,
-    both divided by rho dx^3.
+    The sums are the impulse on each solid and its moment about the solid's centre, both divided by
+    rho dx^3.
     """
     t = types(real)
 
@@ -190,11 +185,10 @@ def make_lift(real: Any):
 
 @build_once
 def make_kick(real: Any):
-    """Single-thread kernel: applies gravity to a freely moving solid; writes its motion, mobility
-    and centre.
+    """Single-thread kernel: applies gravity to a solid; writes its motion, mobility and centre.
 
-    `scale` is rho dx^3 [kg]. The mobility consists of the number scale / M and of the matrix scale
-    I^-1 for the inertia I.
+    `scale` is rho dx^3 [kg]. The mobility consists of scale / M and of the matrix scale I^-1 for
+    the inertia I.
     """
 
     @kernel(f"phy124_liquid_kick_{real.__name__}", real, seconds=0.3)
@@ -243,8 +237,7 @@ def make_push(real: Any):
 def make_predict(real: Any):
     """Kernel over solids: writes the motion that each solid would have without the pressure.
 
-    The predicted motion is the motion without the liquid, plus the solid's response to the sums of
-    `make_lift`.
+    This is the motion without the liquid, plus the response to the sums of `make_lift`.
     """
     t = types(real)
 

@@ -1,12 +1,10 @@
 """Extrapolates velocities to faces beyond the liquid, for particles near the surface and walls.
 
-Faces that touch no liquid have no pressure. If such a face carries mass, its velocity changes in
-the step like the velocities of its known neighbours. The face thus keeps its own momentum, instead
-of losing it once per step. Viscosity then reduces the difference from the neighbours' velocities,
-as in `viscous`. Faces without mass, and faces inside freely moving bodies, get the mean velocity of
-their known neighbours. These rules act layer by layer. Faces inside walls then lose the
-velocity component normal to the wall. Wall friction acts on the first layer of faces: either
-Coulomb friction, limited to the coefficient times the pressure, or sticking.
+The velocity of a face with mass changes like the velocities of its known neighbours, so the face
+keeps its own momentum instead of losing it once per step. Viscosity reduces the difference from the
+neighbours. Faces without mass, and faces inside freely moving bodies, get the mean velocity of
+their known neighbours, layer by layer. Faces inside walls lose the velocity component normal to the
+wall; wall friction acts on the first layer of faces (docs/design/liquids.md).
 """
 
 from typing import Any
@@ -30,9 +28,7 @@ def in_body(
     axis: int,
     size: wp.vec3i,
 ):
-    """Return whether a face is inside a freely moving solid or body; `body` is the first of these
-    walls.
-    """
+    """Return whether a face is inside one of the freely moving walls, from the index `body` on."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     shut = item(open, n)[axis] == type(item(open, n)[axis])(0.0)
@@ -48,12 +44,11 @@ def around(
     row: int,
     layer: int,
 ):
-    """Sum over the neighbours, with known velocities, of each low face of a cell; one column per
-    face.
+    """Sum over the neighbours, with known velocities, of each low face of a cell.
 
-    Returns rows: the sum of the velocities; the number of neighbours; the momentum that neighbours
-    with mass gained in the step; and the mass. `cells` contains the momenta before the step and
-    the masses. If `cells` is empty, the last two rows are zero.
+    Returns one column per face, with the rows: sum of the velocities; number of neighbours;
+    momentum that neighbours with mass gained in the step; and their mass. `cells` contains the
+    momenta before the step and the masses. If `cells` is empty, the last two rows are zero.
     """
     zero = type(velocity[n][0])(0.0)
     total = wp.vector(zero, zero, zero, zero)
@@ -90,18 +85,17 @@ def around_rows(
     row: int,
     layer: int,
 ) -> wp.mat44:
-    """Sum over neighbouring faces as `around` does, with vector instructions of a CPU."""
+    """Return the same as `around`, with vector instructions of a CPU."""
     ...
 
 
 FORMS = {"plain": around, "simd": around_rows}
-"""For each implementation, by name, the function that sums over neighbouring faces."""
+"""Functions that sum over neighbouring faces, by implementation."""
 
 
 @build_once
 def make_spread(real: Any, form: str):
-    """Kernel over cells: extrapolates velocities to faces without a velocity, from neighbouring
-    faces.
+    """Kernel over cells: extrapolates velocities from neighbours to faces without a velocity.
 
     `cells` contains the sums over the particles. If `cells` is empty, `velocity_out` contains
     displacements, and every unknown face gets the mean of its known neighbours. The walls from the
@@ -172,9 +166,7 @@ def make_spread(real: Any, form: str):
 
 @wp.func
 def whole(velocity: wp.array(dtype=Any), n: int, axis: int, size: wp.vec3i):
-    """Return the velocity vector at a low face of a cell; tangential components are means of four
-    faces.
-    """
+    """Return the velocity at a cell's low face; tangential components are means of four faces."""
     q = item(velocity, n)
     v = wp.vector(q[0], q[1], q[2])
     back = stride(axis, size)
@@ -206,8 +198,7 @@ def normal_at(distances: wp.array(dtype=Any), cell: wp.vec3i, at: wp.vec3i, size
 
 @build_once
 def make_slide(real: Any):
-    """Kernel over cells: sets velocities inside walls to the walls' velocities; applies wall
-    friction.
+    """Kernel over cells: sets velocities inside walls to the walls' velocities; applies friction.
 
     `frictions` contains two numbers for each wall: the coefficient of friction, and 1 if the wall
     is sticky. The impulse of friction on the liquid is added to `sums_out`; `weight` is the mass

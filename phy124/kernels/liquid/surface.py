@@ -1,8 +1,7 @@
 """Computes the filled fraction (fill) of each cell and, from the fill, the distance to the surface.
 
-`depth` inverts the relation between the fill of a quadratic B-spline and the depth below a flat
-surface, so a flat surface is exact at any height. Near walls, the fill refers to the open part of
-the B-spline. The thickness of a layer on a wall is the volume in a column of cells.
+A flat surface is exact at any height. Near walls, the fill refers to the open part of the B-spline.
+The thickness of a layer on a wall is the volume in a column of cells.
 """
 
 from typing import Any
@@ -16,17 +15,15 @@ from phy124.kernels.liquid.faces import FILL, HAT, cell_of, entry, inner, stride
 from phy124.kernels.liquid.walls import SHUT, point
 
 LONE = wp.constant(0.3)
-"""If the filled fraction of a cell is below this value, the cell has no pressure, and its particles
-are drops in flight.
-"""
+"""Smallest fill of a cell that has pressure; below it, particles are drops in flight."""
 
 
 @wp.func
 def depth(fill: Any):
-    """Return how deep a B-spline of which a fraction is filled lies below a flat surface [cells].
+    """Return the depth below a flat surface [cells] of a B-spline with a certain fill.
 
-    The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and
-    1/2, and 1 - (3/2 - T)^3 / 6 above.
+    The fill at depth T is (T + 3/2)^3 / 6 below -1/2, 1/2 + 3 T / 4 - T^3 / 3 between -1/2 and 1/2,
+    and 1 - (3/2 - T)^3 / 6 above.
     """
     unit = type(fill)(1.0)
     sixth = unit / type(fill)(6.0)
@@ -57,9 +54,7 @@ def opening(open: wp.array(dtype=Any), n: int, size: wp.vec3i):
 
 @wp.func
 def filled_share(volume: Any, solid: Any, dx: Any):
-    """Return which fraction of a B-spline's part outside walls is filled; `solid` is the part
-    inside.
-    """
+    """Return the filled fraction of a B-spline's part outside walls; `solid` is the part inside."""
     open = wp.max(type(dx)(1.0) - solid, type(dx)(0.1))
     return wp.min(volume / (dx * dx * dx) / open, type(dx)(1.0))
 
@@ -74,8 +69,7 @@ def thickness(
     size: wp.vec3i,
     most: Any,
 ):
-    """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 if there is no
-    layer.
+    """Return the volume of a liquid layer on a wall, per cell of the wall [m^3]; 0 without layer.
 
     A layer exists only if the next cell away from the wall contains less than the volume `most`.
     """
@@ -107,9 +101,7 @@ def level(
     size: wp.vec3i,
     dx: Any,
 ):
-    """Return whether a cell is liquid, its filled fraction, and its distance from the surface.
-
-    The results are the fill, the distance of the cell's centre, and 1 if the cell is liquid.
+    """Return a cell's fill, its centre's distance from the surface, and 1 if the cell is liquid.
 
     A layer on a wall is liquid, and counts as full, even if its surface is below the centre of its
     cells. Particles in a very thin layer count as drops instead. For a cell inside a wall, only the
@@ -158,10 +150,9 @@ def level(
 def make_levels(real: Any):
     """Kernel over cells: converts sums to velocities, densities, and distance to the surface.
 
-    `known_out` contains a bit for each face that has a velocity. `liquid_out` is 1 in cells of
-    liquid. `hats_out` is the fraction of the linear kernel that is filled by liquid or solid.
-    `phi_out` is the distance to the surface [cells], negative in the liquid. The kernel also
-    applies the uniform acceleration.
+    `known_out` contains a bit for each face that has a velocity. `hats_out` is the fraction of the
+    linear kernel that is filled by liquid or solid. `phi_out` is the distance to the surface
+    [cells], negative in the liquid. The kernel also applies the uniform acceleration.
     """
     t = types(real)
     vec8 = sums(real)
@@ -217,9 +208,7 @@ def make_levels(real: Any):
 
 @build_once
 def make_refill(real: Any):
-    """Kernel over cells: computes densities and the distance to the surface from the volumes of
-    particles.
-    """
+    """Kernel over cells: computes densities and the distance to the surface from volumes."""
     t = types(real)
 
     @kernel(f"phy124_liquid_refill_{real.__name__}", real, seconds=0.3)

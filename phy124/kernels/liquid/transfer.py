@@ -1,10 +1,8 @@
 """Transfers between particles and the faces of a staggered grid: APIC with quadratic B-splines.
 
-The components of the velocity are stored at different points, so each component has separate
-weights. A particle reaches 4 x 4 x 4 cells. Along an axis, the weights of faces and centres differ
-only by a shift of half a cell, so some of the four weights are zero. See Jiang et al. 2015, "The
-affine particle-in-cell method". The scalar code in this file is used on GPUs and in float64;
-native/liquid.h is used in float32 on CPUs.
+A particle reaches 4 x 4 x 4 cells. The weights of faces and centres differ by a shift of half a
+cell, so some of the four weights along an axis are zero. See Jiang et al. 2015, "The affine
+particle-in-cell method". On CPUs, native/liquid.h is used in float32.
 """
 
 from typing import Any
@@ -33,9 +31,7 @@ def at_centres(t: Any):
 
 @wp.func
 def at_faces(t: Any):
-    """Return quadratic weights for the low faces of four cells in a row; `t` is as in
-    `at_centres`.
-    """
+    """Return quadratic weights for the low faces of four cells; `t` is as in `at_centres`."""
     zero = type(t)(0.0)
     if t < type(t)(0.5):
         w = spline(t + type(t)(1.0))
@@ -46,7 +42,7 @@ def at_faces(t: Any):
 
 @wp.func
 def at_hats(t: Any):
-    """Return linear weights for the centres of four cells in a row; `t` is as in `at_centres`."""
+    """Return linear weights for the centres of four cells; `t` is as in `at_centres`."""
     zero = type(t)(0.0)
     half = type(t)(0.5)
     if t < half:
@@ -56,9 +52,7 @@ def at_hats(t: Any):
 
 @wp.func
 def weights(t: Any, axis: int):
-    """Return weights of four cells in a row around a particle: a row per cell, a column per face or
-    centre.
-    """
+    """Return weights of four cells: a row per cell, a column per face or centre."""
     c = at_centres(t)
     f = at_faces(t)
     zero = type(t)(0.0)
@@ -75,11 +69,7 @@ def weights(t: Any, axis: int):
 
 @wp.func
 def offset(s: Any, low: wp.vec3i, axis: int):
-    """Return the distances, along an axis, from a particle to the low faces and the centre of a
-    cell.
-
-    The cell is the first of the cells around the particle.
-    """
+    """Return the distances along an axis from a particle to a cell's low faces and centre."""
     half = type(s[0])(0.5)
     d = type(s[0])(low[axis]) - s[axis] + half
     result = wp.vector(d, d, d, d)
@@ -101,8 +91,8 @@ def scatter(
 ):
     """Add w (base + i X + j Y + k Z) and the faces' masses to the 64 cells around a particle.
 
-    The offset t is the particle's position in the second of four cells along each axis [cells]. The
-    fourth component of `base` is the volume, which is also added with linear weights.
+    t is the particle's offset in the second of four cells along each axis [cells]. The fourth
+    component of `base` is the volume, which is also added with linear weights.
     """
     wx = weights(t[0], 0)
     wy = weights(t[1], 1)
@@ -214,7 +204,7 @@ def scatter_rows(
     column_y: wp.vec4,
     column_z: wp.vec4,
 ):
-    """Scatter with the vector instructions of a CPU, as `scatter` does."""
+    """Do the same as `scatter`, with vector instructions of a CPU."""
     ...
 
 
@@ -222,7 +212,7 @@ def scatter_rows(
 def scatter_volume_rows(
     fills: wp.array(dtype=wp.vec2), size: wp.vec3i, first: int, t: wp.vec3, volume: wp.float32
 ):
-    """Scatter volumes with the vector instructions of a CPU, as `scatter_volume` does."""
+    """Do the same as `scatter_volume`, with vector instructions of a CPU."""
     ...
 
 
@@ -230,13 +220,13 @@ def scatter_volume_rows(
 def gather_rows(
     velocity: wp.array(dtype=wp.vec4), size: wp.vec3i, first: int, t: wp.vec3
 ) -> wp.mat44:
-    """Gather with the vector instructions of a CPU, as `gather` does."""
+    """Return the same as `gather`, with vector instructions of a CPU."""
     ...
 
 
 @wp.func_native(code("liquid", "liquid:rows", "liquid:flow"))
 def flow_rows(velocity: wp.array(dtype=wp.vec4), size: wp.vec3i, first: int, t: wp.vec3) -> wp.vec3:
-    """Interpolate with the vector instructions of a CPU, as `flow` does."""
+    """Return the same as `flow`, with vector instructions of a CPU."""
     ...
 
 
@@ -248,9 +238,7 @@ def counted(x: Any):
 
 @wp.func
 def lowest(here: wp.vec3i, size: wp.vec3i):
-    """Return the index of the cell with the lowest indices among the 4 x 4 x 4 cells around the
-    cell `here`.
-    """
+    """Return the index of the lowest of the 4 x 4 x 4 cells around the cell `here`."""
     return number(here - wp.vec3i(1, 1, 1), size)
 
 
@@ -266,7 +254,6 @@ FORMS = {
     "plain": (scatter, scatter_volume, gather, flow),
     "simd": (scatter_rows, scatter_volume_rows, gather_rows, flow_rows),
 }
-"""For each implementation, by name, the functions of the transfers between particles and faces."""
 
 
 @build_once

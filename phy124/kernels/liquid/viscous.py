@@ -2,11 +2,9 @@
 
 Let u be the new velocity of a face, u0 its old velocity, and u' the velocities of the neighbouring
 faces. Then (1 + k sum g) u = u0 + k sum g u', with k = eta dt / (rho dx^2) and g = 1. Between two
-liquids, eta is the harmonic mean of the viscosities at both faces. No momentum diffuses across the
-surface. A sticky wall at the distance d counts as a neighbour with the wall's velocity and g = dx /
-d. A smooth wall stops only the normal velocity component. The velocity components diffuse
-independently. The coupling of the components at a surface is neglected (Batty and Bridson 2008), so
-jets do not fold or coil correctly.
+liquids, eta is the harmonic mean. A sticky wall at the distance d counts as a neighbour with the
+wall's velocity and g = dx / d. The coupling of the components at a surface is neglected (Batty and
+Bridson 2008), so jets do not fold or coil correctly.
 """
 
 from typing import Any
@@ -37,11 +35,9 @@ def wall_link(
     frictions: wp.array(dtype=Any),
     motions: wp.array2d(dtype=Any),
 ):
-    """Return the wall next to a face, and sums over walls for the viscous drag on the face.
+    """Return the sum of g, the sum of g times the wall's velocity, and the index of a wall.
 
-    The results are the index of the wall, the sum of g, and the sum of g times the wall's velocity.
-
-    Every wall stops the normal velocity component. Only a sticky wall stops the tangential
+    The sums are over the walls next to a face. Only a sticky wall stops the tangential velocity
     components.
     """
     zero = type(item(open, n)[0])(0.0)

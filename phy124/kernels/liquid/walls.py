@@ -2,7 +2,7 @@
 
 Distances are stored at the corners and at the centres of edges, faces and cells. The open fraction
 of each face (Ng, Min and Gibou 2009) and the solid volume of each eighth of a cell are computed
-from the distances. A new shape needs only a distance function (distance.py).
+from the distances.
 """
 
 from typing import Any
@@ -21,32 +21,26 @@ from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 SHUT = wp.constant(1.0e-3)
 """A face counts as closed if its open fraction is below this value."""
 GAP = wp.constant(0.02)
-"""Particles of liquid inside a wall are moved to this distance in front of the wall [cells]."""
+"""Distance to which particles inside a wall are moved in front of the wall [cells]."""
 DISTANT = wp.constant(2.0)
 """Distance [cells] beyond which a wall closes no part of a cell or of a face."""
 
 
 @wp.func
 def halves(size: wp.vec3i):
-    """Return the number of points along each axis, half a cell apart, at which distances are
-    stored.
-    """
+    """Return the number of points, half a cell apart, along each axis."""
     return wp.vec3i(2 * size[0] + 1, 2 * size[1] + 1, 2 * size[2] + 1)
 
 
 @wp.func
 def point(cell: wp.vec3i, a: int, b: int, c: int, size: wp.vec3i):
-    """Return the index of the point that is (a, b, c) half cells away from a cell's lowest
-    corner.
-    """
+    """Return the index of the point (a, b, c) half cells away from a cell's lowest corner."""
     return number(wp.vec3i(2 * cell[0] + a, 2 * cell[1] + b, 2 * cell[2] + c), halves(size))
 
 
 @wp.func
 def triangle(a: Any, b: Any, c: Any):
-    """Return the fraction of a triangle in which a linear function with corner values a, b, c is
-    positive.
-    """
+    """Return the fraction of a triangle in which a linear function (corner values) is positive."""
     zero = type(a)(0.0)
     unit = type(a)(1.0)
     low = wp.min(a, wp.min(b, c))
@@ -63,8 +57,9 @@ def triangle(a: Any, b: Any, c: Any):
 
 @wp.func
 def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
-    """Return the fraction of a square in which a function is positive. The function is interpolated
-    between values at the corners and the centre.
+    """Return the fraction of a square in which a function is positive.
+
+    The arguments are values at the corners and the centre.
     """
     return type(a)(0.25) * (
         triangle(a, b, middle)
@@ -78,8 +73,8 @@ def square(a: Any, b: Any, c: Any, d: Any, middle: Any):
 def to_frame(x: Any, slot: int, values: wp.array(dtype=Any), frame: wp.array(dtype=wp.float64)):
     """Return a position in the frame of a wall's shape, and whether the wall is active.
 
-    A wall whose slot is above 0 is displaced by the value of its track. A freely moving solid has
-    the position and orientation in its array (phy124/kernels/free/numbers.py).
+    The value of the track `slot` (above 0) displaces a wall. `frame` is the state of a freely
+    moving solid (phy124/kernels/free/numbers.py), or empty.
     """
     active = type(x[0])(1.0)
     at = x
@@ -106,10 +101,9 @@ def to_world(n: Any, frame: wp.array(dtype=wp.float64)):
 def make_wall_distance(shape: str, real: Any):
     """Kernel over points at half the grid spacing: updates the distance to the nearest wall.
 
-    `walls` contains the indices of the walls, and `geometries` their shapes. Each point stores the
-    index of the nearest wall. `slots` contains the index of each wall's displacement, or 0 for a
-    wall that never moves. A wall whose track has ended has no effect. The kernel handles the points
-    in a region of the window; `region` is the region's first cell and its size.
+    `walls` contains the indices of the walls, and `geometries` their shapes. `slots` contains the
+    index of each wall's displacement, or 0 for a wall that never moves. A wall whose track has
+    ended has no effect. `region` is the first cell and the size of a region of the window.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -156,9 +150,7 @@ def make_wall_distance(shape: str, real: Any):
 
 @wp.func
 def speed_of(motions: wp.array2d(dtype=Any), wall: int, x: Any):
-    """Return the velocity of a wall at a point [m/s]; `motions` contains V, w and centre of each
-    wall.
-    """
+    """Return the velocity of a wall at a point [m/s]; `motions` contains V, w and centre."""
     return motions[wall, 0] + wp.cross(motions[wall, 1], x - motions[wall, 2])
 
 
@@ -176,7 +168,7 @@ def centre_of(cell: wp.vec3i, lattice: Any, low: wp.vec3i):
 
 @wp.func
 def solid_face(cell: wp.vec3i, axis: int, jump: Any, size: wp.vec3i):
-    """Return the midpoint of the face, of two opposite faces of a cell, that is less open."""
+    """Return the midpoint of the less open of two opposite faces of a cell."""
     at = wp.vec3i(1, 1, 1)
     at[axis] = 0
     if jump < type(jump)(0.0):
@@ -196,10 +188,9 @@ def wall_across(
 ):
     """Return the index of the wall that closes a cell's face, or -1 if no wall closes the face.
 
-    The wall that closes a face is the wall nearest to the middle of the face. If several walls
-    meet, nine points on the face are compared. The result is the wall nearest to the point at which
-    the distance changes most along the axis. At the bottom of a tank, for example, the result is
-    the floor instead of a side.
+    Usually this is the wall nearest to the middle of the face. If several walls meet, the wall
+    nearest to the point (of nine on the face) at which the distance changes most along the axis is
+    used: at the bottom of a tank, the floor instead of a side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)
@@ -223,9 +214,9 @@ def wall_across(
 def make_openings(shape: str, real: Any):
     """Kernel over cells: multiplies the open fractions of low faces by each wall's open fraction.
 
-    For a plane, the open fraction is computed from the distances at the corners of the face. For
-    other shapes, the open fraction is computed from 64 points on the face, since distances are not
-    linear at edges. The product is exact if the walls are perpendicular to each other.
+    For a plane, the open fraction is computed from the distances at the corners of the face; for
+    other shapes, from 64 points, since distances are not linear at edges. The product is exact if
+    the walls are perpendicular to each other.
     """
     t = types(real)
     distance = SHAPES[shape]
@@ -242,10 +233,7 @@ def make_openings(shape: str, real: Any):
         values: wp.array(dtype=t.vec4),
         frame: Doubles,
     ):
-        """Return the distance from a wall to a point of a face.
-
-        The coordinates a and b of the point [m] are measured from the middle of the face.
-        """
+        """Return the distance from a wall to the point (a, b) [m from the middle] of a face."""
         x = middle
         x[(axis + 1) % 3] = middle[(axis + 1) % 3] + a
         x[(axis + 2) % 3] = middle[(axis + 2) % 3] + b
@@ -341,8 +329,6 @@ def make_openings(shape: str, real: Any):
 def make_eighths(shape: str, real: Any):
     """Kernel over the eight octants of each cell: multiplies open fractions by those of each wall.
 
-    An octant is an eighth of a cell. Its open fraction is the fraction of its volume outside walls.
-
     The product is exact if the walls are perpendicular to each other. The kernel has the same
     arguments as the kernel of `make_wall_distance`.
     """
@@ -394,11 +380,7 @@ def make_eighths(shape: str, real: Any):
 
 @build_once
 def make_solid_shares(real: Any):
-    """Kernel over cells: computes the fractions of two B-splines around each cell that are inside
-    walls.
-
-    The two B-splines are the linear and the quadratic B-spline around the cell's centre.
-    """
+    """Kernel over cells: computes the parts of a linear and a quadratic B-spline inside walls."""
     t = types(real)
     vec6 = wp.types.vector(6, real)
 

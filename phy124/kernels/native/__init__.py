@@ -1,12 +1,9 @@
 """Device functions in C++, for CPU vector instructions and GPU atomics that Warp lacks.
 
 A file `NAME.h` in this folder contains function bodies, which refer to the arguments by their names
-in the Python signature. A line `//: PIECE` begins a named piece of the file. The text is part of a
-Warp module and of the module's hash, so a change of the text causes a new compilation. Inside a
-body `float(x)` and `int(x)` are macros of Warp, so casts are written in C style.
-
-For each C++ function, a plain Python function defines the result, and a test compares both. The
-comment at the top of each file names the Python function and the test.
+in the Python signature. A line `//: PIECE` begins a named piece of the file. Inside a body
+`float(x)` and `int(x)` are macros of Warp, so casts are written in C style. A test compares each
+C++ function with the plain Python function that the file names.
 """
 
 import inspect
@@ -79,8 +76,8 @@ def native_kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that adds a kernel to a Warp module; the kernel only calls C++.
 
-    The decorated function declares the parameters. The function either has no code or is the plain
-    version of the kernel (`plain.func`).
+    The decorated function declares the parameters; it has no code, or is the plain version of the
+    kernel (`plain.func`).
 
     Args:
         module: The module's name.
@@ -104,12 +101,11 @@ def native_kernel(
 
 
 def _declare(like: Callable[..., Any]) -> str:
-    """Return the parameters of a function as source text, with types taken from `types`."""
     return ", ".join(f"{name}: types[{name!r}]" for name in inspect.signature(like).parameters)
 
 
 def _define(source: str, name: str, like: Callable[..., Any], **known: Any) -> Any:
-    """Return the function defined by a source text; register the text so that Warp can read it."""
+    """Register a source text, so that Warp can read the text of the returned function."""
     file = f"<{like.__module__}.{name}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
     space = {"wp": wp, "types": like.__annotations__, "__name__": like.__module__, **known}

@@ -1,7 +1,6 @@
 """Declares the type and meaning of each argument of the kernels that draw Gaussians.
 
-If the decorator of a kernel names this table, the kernel lists its arguments without types. Only
-types that no other kernel uses are stated in the kernel. A written array has the name of the read
+A kernel states only types that no other kernel uses. A written array has the name of the read
 array, followed by `_out`.
 """
 
@@ -54,4 +53,3 @@ _WRITTEN: dict[str, Any] = {
     "ranks": Ints,  # for each entry of the tiles' lists, the splat's position in `order`
 }
 DRAWN = {**_READ, **_WRITTEN, **{f"{name}_out": kind for name, kind in _WRITTEN.items()}}
-"""Types of the kernels' arguments, by name."""

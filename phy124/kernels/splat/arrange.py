@@ -9,16 +9,16 @@ from phy124.kernels.splat.glass import Outline, Solid
 from phy124.kernels.splat.screen import View
 
 BEFORE = wp.constant(0)
-"""Rank of glass in front of all Gaussians."""
+"""Glass in front of all Gaussians."""
 AMONG = wp.constant(1)
-"""Rank of glass that may have Gaussians both in front of it and behind it."""
+"""Glass that may have Gaussians both in front of it and behind it."""
 BEHIND = wp.constant(2)
-"""Rank of glass that is behind all Gaussians."""
+"""Glass behind all Gaussians."""
 THIN = wp.constant(0.2)
 """A box counts as a plate if its thickness is less than this fraction of its width."""
 GIVE = wp.constant(0.3)
 """The thickness of a plate is reduced by this fraction, so that an object that barely enters the
-plate counts as outside the plate.
+plate counts as outside.
 """
 
 
@@ -27,9 +27,7 @@ def rank(solid: Solid, eye: wp.vec3, low: wp.vec3, high: wp.vec3) -> int:
     """Return the rank of a solid seen from `eye`: before, among or behind the contents of a box.
 
     The rank is BEFORE or BEHIND if the plane of one of the solid's faces separates the solid from
-    the box. If the eye is on the same side of the plane as the box, a ray from the eye to the box
-    does not meet the solid before the box. If the eye is on the other side, every ray leaves the
-    solid before reaching the box.
+    the box. If the eye is on the box's side of the plane, the solid is behind the box.
     """
     if not (finite(low[0] + low[1] + low[2]) and finite(high[0] + high[1] + high[2])):
         return AMONG
@@ -77,11 +75,9 @@ def faces_camera(view: View, solid: Solid, axis: int, upper: bool) -> bool:
 
 @wp.func
 def outline(view: View, solid: Solid) -> Outline:
-    """Return the outline of a solid on the screen.
+    """Return the outline of a solid on the screen, half a pixel outside its edges.
 
-    An outline consists of the box's edges between a face that faces the camera and a face that does
-    not. The edges are moved outwards by half a pixel. A box that contains the camera, or is partly
-    behind the camera, has no outline.
+    A box that contains the camera, or is partly behind the camera, has no outline.
     """
     seen = Outline()
     seen.nearest = float(1.0e30)

@@ -1,8 +1,6 @@
 """Blends splats front to back: one thread per pixel (CUDA), or per tile in Python or C++ (CPUs).
 
-Both versions with one thread per tile use the same algorithm; tests/test_render.py compares their
-results. `gather_pixels` is the adjoint: for each splat, it sums the pixels' values, weighted by the
-splat's contribution to each pixel.
+tests/test_render.py compares both versions for tiles. `gather_pixels` is the adjoint.
 """
 
 import warp as wp
@@ -20,14 +18,11 @@ from phy124.kernels.splat.screen import (
 )
 
 PIXELS = wp.constant(256)
-"""Number of pixels of a tile."""
 
 
 @kernel("phy124_blend", types=DRAWN)
 def blend_pixels(view, background, first, starts, ends, pairs, splats, image_out, alpha_out):
-    """Blend the splats with one thread per pixel; 256 consecutive threads process a tile, from tile
-    `first` on.
-    """
+    """Blend the splats with one thread per pixel; 256 consecutive threads process a tile."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -61,9 +56,7 @@ def quantise(image, bytes_out: wp.array2d(dtype=wp.uint8)):
 
 @kernel("phy124_blend", types=DRAWN)
 def blend_tiles(view, background, first, starts, ends, pairs, splats, image_out, alpha_out):
-    """Blend the splats, one after the other, with one thread per tile; if T < 0, a pixel is
-    finished.
-    """
+    """Blend the splats with one thread per tile; a pixel with T < 0 is finished."""
     tile = first + wp.tid()
     left = (tile % view.columns) * TILE
     top = (tile / view.columns) * TILE
@@ -112,14 +105,12 @@ STORE_TILE = code("tile:store")
 blend_tiles_simd = native_kernel(
     "phy124_blend_simd", SUM_TILE + STORE_TILE, name="blend_tiles_simd"
 )(blend_tiles.func)
-"""Blend as `blend_tiles` does, with vector instructions of a CPU."""
+"""Does the same as `blend_tiles`, with vector instructions of a CPU."""
 
 
 @kernel("phy124_gather", types=DRAWN)
 def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, weights_out):
-    """Add to each splat the weighted values of its pixels, and the weights, with one thread per
-    pixel.
-    """
+    """Add weighted values of its pixels, and the weights, to each splat; one thread per pixel."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE
@@ -143,4 +134,4 @@ def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, we
 gather_tiles_simd = native_kernel(
     "phy124_gather_simd", OPEN_TILE + code("tile:gather", "tile:splats"), name="gather_tiles_simd"
 )(gather_pixels.func)
-"""Gather as `gather_pixels` does, on a CPU, tile by tile, since tiles share splats."""
+"""Does the same as `gather_pixels`, tile by tile on a CPU, since tiles share splats."""

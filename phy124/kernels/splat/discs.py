@@ -1,7 +1,7 @@
 """Computes the shapes of a liquid's Gaussians: discs on its surface, balls of spray and foam.
 
 `phy124.rendering.liquid` describes the method. Positions and lengths are in cells of the grid of
-`phy124.kernels.splat.fields`, unless stated otherwise.
+`phy124.kernels.splat.fields`, unless stated otherwise. phi is the filled fraction.
 """
 
 import warp as wp
@@ -10,174 +10,140 @@ from phy124.kernels.build import kernel
 from phy124.kernels.splat.fields import Grid, interpolate, nearest
 
 HIDDEN = wp.constant(0)
-"""Kind of a Gaussian that is not drawn."""
 DISC = wp.constant(1)
-"""Kind of a liquid's Gaussian that is drawn as a disc on the surface."""
+"""Kind of a Gaussian that is drawn as a disc on the surface."""
 BALL = wp.constant(2)
-"""Kind of a liquid's Gaussian that lies in dense spray."""
+"""Kind of a Gaussian in dense spray."""
 DROP = wp.constant(3)
-"""Kind of a Gaussian that is drawn as a drop."""
 FLECK = wp.constant(4)
 """Kind of a Gaussian that is drawn as a fleck of foam."""
 BLUR = wp.constant(0.85)
-"""Standard deviation of the filter that smooths fields of a liquid on the grid."""
+"""Standard deviation of the filter that smooths fields."""
 LEVEL = wp.constant(0.45)
-"""Fraction of space that is filled with liquid at the liquid's surface."""
+"""Filled fraction at the liquid's surface."""
 AHEAD = wp.constant(1.2)
-"""Distance outwards from a disc at which phi, the filled fraction, shows whether the disc is inside
-the liquid.
-"""
+"""Distance outwards from a disc at which phi shows whether the disc is inside the liquid."""
 FILLED = wp.constant(wp.vec2(0.22, 0.42))
-"""Two values of phi, the filled fraction, at the distance `AHEAD` from a disc.
-
-A disc of the surface begins to fade at the first value of phi, and has vanished at the second
-value.
-"""
+"""phi, at the distance `AHEAD` from a disc, at which a disc begins to fade, and has vanished."""
 STEEP = wp.constant(wp.vec2(0.2, 0.35))
-"""Two values of the gradient of phi, the filled fraction, divided by phi [1/cell].
-
-Discs are invisible below the first value of this gradient, and do not fade above the second value.
+"""Gradients of phi, divided by phi [1/cell]: discs are invisible below the first, and do not fade
+above the second.
 """
 MOVES = wp.constant(wp.vec2(-0.35, 0.9))
-"""Largest displacements of a liquid's Gaussian onto the surface: inwards and outwards."""
+"""Largest displacements onto the surface: inwards and outwards."""
 OVERLAP = wp.constant(0.95)
-"""Radius of a liquid's disc, relative to the distance between neighbouring discs."""
+"""Radius of a disc, relative to the distance between neighbouring discs."""
 NARROW = wp.constant(0.4)
-"""Lower bound of the radius of a liquid's disc."""
+"""Lower bound of the radius of a disc."""
 BROAD = wp.constant(0.55)
-"""Lower bound of the radius of a liquid's disc in a film on a wall."""
+"""Lower bound of the radius of a disc in a film on a wall."""
 WIDEST = wp.constant(0.7)
-"""Upper bound of the radius of a liquid's disc."""
+"""Upper bound of the radius of a disc."""
 STRETCHED = wp.constant(1.1)
-"""Upper bound of the radius of a liquid's disc in a film on a wall, if the film is stretched
-evenly.
-"""
+"""Upper bound of the radius of a disc in an evenly stretched film on a wall."""
 FLAT = wp.constant(0.3)
-"""Thickness of a liquid's disc, relative to its radius."""
+"""Thickness of a disc, relative to its radius."""
 EVEN = wp.constant(0.3)
 """Largest distance of a Gaussian from the midpoint between its two neighbours in an evenly
 stretched liquid, relative to the distance between rows of Gaussians.
 """
 CLOSED = wp.constant(0.5)
-"""Smallest radius of a liquid's discs, relative to the distance between rows of Gaussians."""
+"""Smallest radius of discs, relative to the distance between rows of Gaussians."""
 TOUCH = wp.constant(0.75)
-"""Largest distance from a wall at which Gaussians of a liquid are drawn on the wall."""
+"""Largest distance from a wall at which Gaussians are drawn on the wall."""
 FILM = wp.constant(wp.vec2(1.5, 2.5))
-"""Two thicknesses of a film of liquid on a wall, between which the film's face on the wall appears.
-The face begins to appear at the first thickness of the film, and is complete at the second
-thickness.
-"""
+"""Thicknesses of a film at which its face on the wall begins to appear, and is complete."""
 EDGE = wp.constant(0.5)
-"""Smallest depth below the free surface of a liquid at which Gaussians are drawn on a wall."""
+"""Smallest depth below the free surface at which Gaussians are drawn on a wall."""
 WETTED = wp.constant(0.6)
-"""Smallest filled fraction phi at which a liquid touches a wall."""
+"""Smallest phi at which a liquid touches a wall."""
 WET = wp.constant(0.03)
-"""Adjacent cells along an axis form an interval of liquid if their filled fraction phi exceeds this
-value.
-"""
+"""Adjacent cells along an axis form an interval of liquid if their phi exceeds this value."""
 LEAST_LENGTH = wp.constant(0.1)
 """Lower bound of the length of an interval of liquid along an axis [cells]."""
 LONG = wp.constant(3.0)
-"""Upper bound of the liquid's thickness at a disc. It is a multiple of the shortest of the three
-intervals of liquid through the disc's cell, which lie along the three axes.
+"""Upper bound of the liquid's thickness at a disc, relative to the shortest of the three intervals
+of liquid through the disc's cell.
 """
 RIM = wp.constant(0.3)
-"""Length of the normals of a liquid's discs at the rim of the liquid on a wall.
-
-Short normals reduce the gloss of the rim, where normals differ from disc to disc."""
-ALONE = wp.constant(0.4)
-"""Largest filled fraction phi at the centre of a drop, relative to the volume of the drop."""
-SIZE = wp.constant(0.42)
-"""Standard deviation of the Gaussian of a drop, relative to the edge of a cube with the volume of
-the drop.
+"""Length of the normals of discs at the rim of the liquid on a wall. Short normals reduce the gloss
+of the rim, where normals differ from disc to disc.
 """
+ALONE = wp.constant(0.4)
+"""Largest phi at the centre of a drop, relative to the volume of the drop."""
+SIZE = wp.constant(0.42)
+"""Standard deviation of a drop's Gaussian, relative to the edge of a cube of equal volume."""
 TORN = wp.constant(0.62)
-"""A liquid is a jet only where its spread, the factor by which smoothing lowers its filled
-fraction, is below this value (see `phy124.rendering.liquid`).
+"""A liquid is a jet only where its spread is below this value. The spread is the factor by which
+smoothing lowers phi.
 """
 THINNER = wp.constant(0.85)
-"""A liquid is a jet only where the ratio of its spread to its spread at rest is below this value.
-The spread is the factor by which smoothing lowers the filled fraction.
-"""
+"""A liquid is a jet only where the ratio of spread to spread at rest is below this value."""
 KEPT = wp.constant(0.6)
-"""Fraction of the Gaussians of a liquid's jet that are not drawn."""
+"""Fraction of the Gaussians of a jet that are not drawn."""
 GOLDEN = wp.constant(wp.float64(0.618034))
 """Golden ratio minus 1; its multiples are evenly distributed modulo 1."""
 OPAQUE = wp.constant(6.0)
-"""Largest optical depth of a Gaussian on the surface of a liquid."""
+"""Largest optical depth of a Gaussian on the surface."""
 LEAST = wp.constant(0.35)
-"""Smallest opacity of a Gaussian on the surface of a liquid."""
+"""Smallest opacity of a Gaussian on the surface."""
 LEAST_DEPTH = wp.constant(0.4307829)
-"""Optical depth that corresponds to the opacity `LEAST`: -log(1 - LEAST)."""
+"""Optical depth of the opacity `LEAST`: -log(1 - LEAST)."""
 PALE = wp.constant(wp.vec3(0.9, 0.97, 1.0))
-"""Colour of thin layers of liquid and of spray."""
+"""Colour of thin layers and of spray."""
 THIN = wp.constant(0.2)
-"""Largest fraction of the pale colour `PALE` in the colour of a thin layer of liquid."""
+"""Largest fraction of `PALE` in the colour of a thin layer."""
 SPRAY = wp.constant(0.6)
-"""Fraction of the pale colour `PALE` in the colour of a drop."""
+"""Fraction of `PALE` in the colour of a drop."""
 FAST = wp.constant(wp.vec2(0.6, 1.5))
-"""Two speeds of a liquid [m/s]: foam begins to appear at the first speed, and is complete at the
-second.
-
-Water entrains air above a speed of about this order of magnitude (Chanson 1996)."""
+"""Speeds [m/s] at which foam begins to appear, and is complete. Water entrains air above a speed of
+about this order of magnitude (Chanson 1996).
+"""
 THINNED = wp.constant(wp.vec2(0.72, 0.92))
-"""Two ratios of a liquid's spread to its spread at rest (see `TORN`): foam begins to disappear at
-the first ratio, and has disappeared at the second.
-"""
+"""Ratios of the spread to the spread at rest at which foam begins to disappear, and is gone."""
 ALOFT = wp.constant(wp.vec2(0.75, 1.5))
-"""Two distances of a liquid from a wall: foam begins to appear at the first distance, and is
-complete at the second.
-"""
+"""Distances from a wall at which foam begins to appear, and is complete."""
 FOAM = wp.constant(wp.vec3(0.96, 0.98, 1.0))
-"""Colour of foam."""
 WHITE = wp.constant(0.9)
-"""Fraction of the foam's colour in the colour of a Gaussian that is all foam."""
+"""Fraction of the foam's colour in a Gaussian that is all foam."""
 MILKY = wp.constant(0.5)
 """Smallest opacity of a disc that is all foam."""
 THICK = wp.constant(0.65)
-"""Thickness of a disc that is all foam, relative to its radius; the player draws such a disc
-without gloss.
-"""
+"""Thickness of a disc that is all foam, relative to its radius; drawn without gloss."""
 FLECKED = wp.constant(wp.vec2(0.25, 0.9))
-"""Two fractions of foam in a liquid: flecks of foam begin to appear at the first fraction, and have
-their full number at the second.
-"""
+"""Fractions of foam at which flecks begin to appear, and have their full number."""
 FLECKS = wp.constant(0.7)
 """Largest fraction of the Gaussians in foam that are drawn as flecks."""
 LITTLE = wp.constant(wp.vec2(0.07, 0.21))
 """Standard deviations of the smallest and of the largest fleck of foam."""
 FAR = wp.constant(1.0e9)
-"""Value that is stored as the distance from the nearest wall if there are no walls."""
+"""Distance from the nearest wall if there are no walls."""
 
 
 @wp.struct
 class Shape:
-    """Result of `find_surface` for a Gaussian: how the Gaussian is drawn."""
+    """How a Gaussian is drawn (`find_surface`)."""
 
     kind: int
     normal: wp.vec3
-    """Outward unit normal of the liquid's surface at the Gaussian."""
+    """Outward unit normal of the liquid's surface."""
     gloss: wp.vec3
-    """Normal that the Gaussian's reflections use. A normal shorter than 1 makes the Gaussian
-    reflect less light.
-    """
+    """Normal for reflections; a Gaussian with a normal shorter than 1 reflects less light."""
     move: float
-    """Distance from the Gaussian to the surface of the liquid, along the normal."""
+    """Distance from the Gaussian to the surface, along the normal."""
     fade: float
-    """Fraction of its opacity with which the Gaussian is drawn if it is a disc."""
+    """Fraction of its opacity with which a disc is drawn."""
     lower: float
     """Fraction with which the liquid's face on the wall is drawn."""
     here: float
-    """Value of phi, the filled fraction, at the Gaussian."""
+    """phi at the Gaussian."""
     foam: float
     """Fraction of foam in the liquid around the Gaussian."""
 
 
 @wp.func
 def smoothstep(x: float, ends: wp.vec2) -> float:
-    """Return a smooth cubic step: 0 up to the first of two values, and 1 from the second
-    value on.
-    """
+    """Return a smooth cubic step: 0 up to the first of two values, and 1 from the second on."""
     t = wp.clamp((x - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -215,8 +181,7 @@ def measure_lengths(
 def thickness(lengths: wp.vec3, normal: wp.vec3) -> float:
     """Return the thickness of the liquid at a disc, along the normal of the disc.
 
-    The thickness is interpolated between the lengths along the three axes. The interpolated
-    thickness is limited, so that the edge of a film is as pale as the rest of the film.
+    The result is limited, so that the edge of a film is as pale as the rest of the film.
     """
     total = float(0.0)
     for axis in range(3):
@@ -328,17 +293,14 @@ def find_surface(
 
 @wp.func
 def chance(n: int) -> float:
-    """Return a number between 0 and 1 that depends on the index of a Gaussian, like a random
-    number.
-    """
+    """Return a pseudo-random number between 0 and 1 that depends on the index of a Gaussian."""
     multiple = GOLDEN * wp.float64(n)
     return float(multiple - wp.floor(multiple))
 
 
 @wp.func
 def row_distance(means: wp.array(dtype=wp.vec3), rows: wp.array3d(dtype=int), n: int) -> float:
-    """Return the distance from a Gaussian to its farthest neighbour in the rows of Gaussians at
-    rest, m.
+    """Return the distance from a Gaussian to its farthest neighbour in the rows at rest, m.
 
     Neighbours count only while the Gaussian is between them, because only then has the liquid been
     stretched evenly.

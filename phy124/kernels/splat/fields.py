@@ -1,7 +1,6 @@
 """Fields on a grid: adds up the volumes of Gaussians, and computes values and gradients.
 
-A field has one value per cell of a grid, and is stored as a flat array. Positions and lengths are
-in cells of this grid, unless stated otherwise.
+Positions and lengths are in cells of the grid, unless stated otherwise.
 """
 
 from typing import Any
@@ -16,11 +15,11 @@ class Grid:
     """Position and size of the grid of a field."""
 
     corner: wp.vec3
-    """Centre of the first cell of the field's grid, m."""
+    """Centre of the first cell, m."""
     cell: float
-    """Edge of a cell of the field's grid, m."""
+    """Edge of a cell, m."""
     size: wp.vec3i
-    """Number of cells of the field's grid along each axis."""
+    """Number of cells along each axis."""
 
 
 @wp.func
@@ -75,7 +74,7 @@ def weight(corner: int, upper: wp.vec3) -> float:
 
 @wp.func
 def interpolate(cells: Grid, field: wp.array(dtype=Any), position: wp.vec3):
-    """Interpolate a field linearly; outside the grid, the values at its boundary are used."""
+    """Interpolate a field linearly; outside the grid, the values at the boundary are used."""
     at = inside(cells, position)
     low = lowest(cells, at)
     upper = at - wp.vec3(float(low[0]), float(low[1]), float(low[2]))

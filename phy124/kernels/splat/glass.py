@@ -8,20 +8,18 @@ import warp as wp
 from phy124.kernels.native import code, constants
 
 FACE = wp.constant(0.10)
-"""Opacity of a flat face of glass."""
+"""Opacity of a flat face."""
 LINE = wp.constant(0.45)
-"""Opacity of an edge of glass."""
+"""Opacity of an edge."""
 RIM = wp.constant(0.50)
 """Opacity of a round face seen at a grazing angle."""
 WIDTH = wp.constant(1.5)
-"""Width of an edge, and width of the soft outline of a face [px]."""
+"""Width of an edge, and of the soft outline of a face [px]."""
 NEARLY = wp.constant(0.9999)
-"""A ray of light ignores a face of glass that almost coincides with the surface behind the face.
-The face is ignored if its distance along the ray is more than this fraction of the surface's
-distance.
+"""A ray ignores a face whose distance is more than this fraction of the distance of the surface
+behind it, because the two almost coincide.
 """
 TINT = wp.constant(wp.vec3(0.36, 0.44, 0.52))
-"""Colour of the glass."""
 
 
 @wp.struct
@@ -56,11 +54,7 @@ class Hit:
 
 @wp.func
 def edge(solid: Solid, at: wp.vec3, pixel: float) -> float:
-    """Return the opacity of a box's face at a point in the box's axes; edges are more opaque.
-
-    A point on a face has one coordinate at its limit. Of the other two coordinates, the one closer
-    to its limit determines the nearest edge.
-    """
+    """Return the opacity of a box's face at a point in the box's axes; edges are more opaque."""
     a = wp.abs(solid.half[0] - wp.abs(at[0]))
     b = wp.abs(solid.half[1] - wp.abs(at[1]))
     c = wp.abs(solid.half[2] - wp.abs(at[2]))
@@ -108,9 +102,7 @@ def from_axis(solid: Solid, point: wp.vec3) -> wp.vec3:
 
 @wp.func
 def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> wp.vec2:
-    """Return the distances at which a ray enters and leaves a ball; if the ray misses, the first is
-    larger.
-    """
+    """Return the distances at which a ray enters and leaves a ball; (1, -1) if the ray misses."""
     o = origin - centre
     a = wp.dot(ray, ray)
     b = wp.dot(o, ray)
@@ -126,7 +118,7 @@ def ball_hit(centre: wp.vec3, radius: float, origin: wp.vec3, ray: wp.vec3) -> w
 
 @wp.func
 def capsule_hit(solid: Solid, origin: wp.vec3, ray: wp.vec3) -> Hit:
-    """Intersect a ray and a capsule, the convex union of two balls and the tube between them."""
+    """Intersect a ray and a capsule, the union of two balls and the tube between them."""
     hit = Hit()
     axis = solid.axes[0]
     ends = ball_hit(solid.centre - solid.half[0] * axis, solid.radius, origin, ray)

@@ -1,7 +1,7 @@
 """Projects Gaussians to the screen, evaluates their colours, and assigns each splat to its tiles.
 
-The projection is EWA splatting (Zwicker et al. 2001). A counting sort lists the splats that touch a
-tile from front to back.
+The projection is EWA splatting (Zwicker et al. 2001). The splats of a tile are listed from front to
+back.
 """
 
 import warp as wp
@@ -22,9 +22,7 @@ C3 = wp.constant(wp.types.vector(7, float)(*SH_C3))
 
 @wp.func
 def colour_towards(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
-    """Return the unclamped colour of Gaussian i along direction d, with the sign convention of
-    phy124.gaussians.
-    """
+    """Return the unclamped colour of Gaussian i along direction d; signs as in phy124.gaussians."""
     rgb = wp.vec3(0.5, 0.5, 0.5) + C0 * sh[i, 0]
     if degree > 0:
         x = d[0]
@@ -88,9 +86,7 @@ def box_around(mean: wp.vec2, reach: wp.vec2, view: View) -> wp.vec4i:
 
 @wp.func
 def splat_of(p: wp.vec3, quat: wp.vec4, scale: wp.vec3, opacity: float, view: View) -> Splat:
-    """Return the splat without colour; the splat's box is empty if the splat is invisible or not
-    finite.
-    """
+    """Return the splat without colour; its box is empty if the splat is invisible or not finite."""
     splat = Splat()
     # The conditions are written so that NaN fails all of them.
     if not (p[2] > view.near and opacity >= MIN_ALPHA):
@@ -142,9 +138,7 @@ def project(
     order_out,
     corners_out,
 ):
-    """Project one Gaussian per thread; write +1 and -1 to `corners_out` at the corners of the
-    Gaussian's tiles.
-    """
+    """Project one Gaussian per thread; write +1 and -1 to `corners_out` at its tiles' corners."""
     i = wp.tid()
     p = view.rotation * means[i] + view.translation
     splat = splat_of(p, quats[i], scales[i], opacities[i], view)
@@ -219,16 +213,14 @@ def project_simd(
 def bin_serial(count: int, columns, first, last, order, tiles, ends_out, pairs_out):
     """Fill the lists of all tiles in a single thread, for CPUs.
 
-    `ends_out` contains the start of each tile's list before, and the list's end afterwards.
+    `ends_out` contains the start of each tile's list before, and its end afterwards.
     """
     ...
 
 
 @kernel("phy124_bin")
 def sum_columns(corners_out: wp.array2d(dtype=int)):
-    """Replace the corner marks of each column by their cumulative sums, with one thread per
-    column.
-    """
+    """Replace the corner marks of each column by cumulative sums, with one thread per column."""
     column = wp.tid()
     total = int(0)
     for row in range(corners_out.shape[0]):
@@ -238,9 +230,7 @@ def sum_columns(corners_out: wp.array2d(dtype=int)):
 
 @kernel("phy124_bin", types=DRAWN)
 def count_splats(columns, sums: wp.array2d(dtype=int), counts_out):
-    """Count the splats of each tile from the sums of the columns, with one thread per row of
-    tiles.
-    """
+    """Count the splats of each tile from the sums of the columns, with one thread per row."""
     row = wp.tid()
     count = int(0)
     for column in range(columns):
@@ -252,7 +242,7 @@ def count_splats(columns, sums: wp.array2d(dtype=int), counts_out):
 def start_lists(room, before: wp.array(dtype=int), starts_out, ends_out):
     """Set the start of each tile's list after the entries of all previous tiles.
 
-    All lists together have space for `room` entries. A start beyond this space is set to its end.
+    All lists together have space for `room` entries; a start is never beyond this space.
     """
     tile = wp.tid()
     start = wp.min(before[tile], room)
@@ -264,8 +254,8 @@ def start_lists(room, before: wp.array(dtype=int), starts_out, ends_out):
 def bin_parallel(columns, first, last, room, total, order, tiles, ends_out, ranks_out, pairs_out):
     """Fill the lists of all tiles with one thread per splat, for GPUs; the caller sorts the lists.
 
-    `ends_out` contains the start of each tile's list before, and the list's end afterwards. If the
-    number of entries, `total`, exceeds the available space, `room`, the lists stay empty.
+    `ends_out` contains the start of each tile's list before, and its end afterwards. If there is no
+    `room` for the `total` of entries, the lists stay empty.
     """
     if total[0] > room:
         return

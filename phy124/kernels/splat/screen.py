@@ -1,6 +1,6 @@
 """The camera, a splat on the screen, and the splat's alpha at a pixel, for all stages.
 
-The conventions follow Kerbl et al. 2023 (3D Gaussian Splatting, section 4). Alpha is limited to
+The conventions follow Kerbl et al. 2023 (3D Gaussian Splatting, section 4): alpha is limited to
 0.99, and contributions below 1/255 are skipped. A pixel is finished before its transmittance falls
 below 1e-4. Pixel (x, y) is sampled at its centre (x + 0.5, y + 0.5).
 """
@@ -38,9 +38,9 @@ class View:
 class Splat:
     """A Gaussian on the screen.
 
-    With the screen covariance ((a, b), (b, d)) the exponent is a sum of two squares, -1/2 ((dx -
-    shear dy)^2 precision_x + dy^2 precision_y), shear = b/d, precision_x = d/det, precision_y =
-    1/d. Unlike the expanded conic, this form is never positive, and is exact for needles.
+    With the screen covariance ((a, b), (b, d)) the exponent is -1/2 ((dx - shear dy)^2 precision_x
+    + dy^2 precision_y), shear = b/d, precision_x = d/det, precision_y = 1/d. Unlike the expanded
+    conic, this form is never positive, and is exact for needles.
     """
 
     mean: wp.vec2  # [px]
@@ -55,9 +55,7 @@ class Splat:
 
 @wp.func
 def alpha_at(splat: Splat, x: int, y: int) -> float:
-    """Return the alpha of a splat at the centre of a pixel; values below 1/255 become 0, as in
-    3DGS.
-    """
+    """Return the alpha of a splat at the centre of a pixel; values below 1/255 become 0."""
     dy = float(y) + 0.5 - splat.mean[1]
     dx = float(x) + 0.5 - splat.mean[0] - splat.shear * dy
     power = -0.5 * (splat.precision_x * dx * dx + splat.precision_y * dy * dy)

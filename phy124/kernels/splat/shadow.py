@@ -8,9 +8,7 @@ from phy124.kernels.reduction import finite
 from phy124.kernels.splat.arguments import DRAWN
 
 NARROW = wp.constant(0.9)
-"""Width of a Gaussian on the shadow map [cells] below which it is treated as a point between four
-cells. The point is ignored unless all four cells are on the shadow map.
-"""
+"""Width of a Gaussian [cells] below which it is treated as a point between four cells."""
 REACH = wp.constant(3.0)
 """Distance up to which a wider Gaussian is evaluated [standard deviations]."""
 
@@ -46,8 +44,7 @@ def cover(
     scales,
     layers_out: wp.array3d(dtype=float),
 ):
-    """Add the optical depth of each Gaussian to the layers [layers, cells, cells], with one thread
-    per Gaussian.
+    """Add the optical depth of each Gaussian to the layers [layers, cells, cells]; one thread each.
 
     Layer k is at height tallest (k / last)^2 above the floor. `origin` is the corner of the map on
     the floor. `slope` is the horizontal displacement of the light's rays per metre of descent.
@@ -124,7 +121,6 @@ cover_simd = native_kernel(
     + code("shadow"),
     name="cover_simd",
 )(cover.func)
-"""Add optical depth as `cover` does, with vector instructions of a CPU, for maps of at least
-sixteen cells. Each thread handles sixteen Gaussians. The vectorised and the plain version are
-compared by tests/test_stage_shadow.py.
+"""Does the same as `cover`, with vector instructions of a CPU, for maps of at least sixteen cells.
+tests/test_stage_shadow.py compares both versions.
 """

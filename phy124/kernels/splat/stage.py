@@ -1,9 +1,8 @@
 """Draws the surroundings of the object: backdrop, floor with shadow, and boundaries as glass.
 
-The backdrop and the floor are drawn behind all Gaussians, and glass in front of all Gaussians is
-blended over their light. If glass is among the Gaussians, the Gaussians behind the glass are tinted
-with the colour of the glass instead. Blending is linear, so this has the same effect as blending
-the glass at its depth, but needs no depth per pixel.
+If glass is among the Gaussians, the Gaussians behind it are tinted with the colour of the glass.
+Blending is linear, so this has the same effect as blending the glass at its depth, but needs no
+depth per pixel.
 """
 
 import warp as wp
@@ -79,8 +78,7 @@ def floor_along(setting: Setting, eye: wp.vec3, ray: wp.vec3) -> float:
 def draw_setting(
     view, setting: Setting, shade, picture, before, solids, outlines, coverage, image_out
 ):
-    """Draw the surroundings with one thread per pixel. This kernel is the plain version of
-    `blend_staged_simd`, and also runs on GPUs.
+    """Draw the surroundings with one thread per pixel: the plain version of `blend_staged_simd`.
 
     `image_out` contains the light of the Gaussians before, and the whole frame afterwards. The
     solids are sorted by depth; the first `before` of them are in front of all Gaussians.
@@ -123,10 +121,7 @@ def draw_setting(
 
 @kernel("phy124_stage", types=DRAWN)
 def tint_splats(view, first, last, solids, outlines, means, splats_out):
-    """Tint Gaussians behind glass solids that are among Gaussians, with one thread per Gaussian.
-
-    The solids `first` <= k < `last` are the glass among the Gaussians.
-    """
+    """Tint Gaussians behind the glass solids `first` <= k < `last`; one thread per Gaussian."""
     i = wp.tid()
     mean = splats_out[i].mean
     ray = means[i] - view.eye
@@ -168,4 +163,4 @@ def blend_staged_simd(
 tint_splats_simd = native_kernel(
     "phy124_stage_simd", VEIL + code("stage:tint"), name="tint_splats_simd"
 )(tint_splats.func)
-"""Tint as `tint_splats` does, with vector instructions of a CPU; sixteen Gaussians per thread."""
+"""Does the same as `tint_splats`, with vector instructions of a CPU."""
