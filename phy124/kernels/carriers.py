@@ -1,7 +1,4 @@
-"""Finds the particles that carry each Gaussian: the nearest neighbours, with smooth weights.
-
-Distances are in float64.
-"""
+"""Finds the particles that carry each Gaussian: the nearest neighbours, with smooth weights."""
 
 import warp as wp
 

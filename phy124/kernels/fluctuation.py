@@ -41,10 +41,7 @@ def make_carry(real: Any, form: str):
 
 @build_once
 def make_fluctuation(real: Any, form: str):
-    """Kernel: computes the part of (v, C) that a transfer to the grid and back loses.
-
-    For particles outside the grid, this part is 0.
-    """
+    """Kernel: computes what a transfer to the grid and back loses of (v, C); 0 outside the grid."""
     t = types(real)
     collect = GATHERS[form]
 

@@ -100,7 +100,7 @@ def make_merge(real: Any):
     """Kernel over rows of nodes: adds up the private nodes to which the workers scattered.
 
     `boxes` contains the lowest node and the extent of each worker's box, and `starts` the index in
-    `pool` of its first node. The boxes are always added in the same order.
+    `pool` of the box's first node. The boxes are always added in the same order.
     """
     t = types(real)
 

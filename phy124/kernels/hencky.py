@@ -56,7 +56,8 @@ def inverse_tanh(z: Any):
     """Return the coefficients of a quadratic in Z that equals the series of atanh Z up to Z^11.
 
     `z` contains the invariants of Z. The sum is first reduced to a quadratic in W = Z^2: atanh Z =
-    Z (1 + W/3 + W^2/5 + ...). This takes half as many steps as the reduction of a series in Z.
+    Z (1 + W/3 + W^2/5 + ...). This reduction takes half as many steps as the reduction of a series
+    in Z.
     """
     unit = type(z[0])(1.0)
     two = type(z[0])(2.0)

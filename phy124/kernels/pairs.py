@@ -152,10 +152,7 @@ def gap(
     step: wp.vec3i,
     fill: Any,
 ):
-    """Return the fraction of the volume around a node that is empty, between two bodies.
-
-    The fraction is 1 if one of the bodies is absent.
-    """
+    """Return the empty fraction of the volume around a node; 1 if one of the bodies is absent."""
     a = fill_fraction(first, first_window, at, -step, fill[0], type(fill[0])(NARROWEST))
     b = fill_fraction(second, second_window, at, step, fill[1], type(fill[1])(NARROWEST))
     unit = type(a)(1.0)
@@ -206,10 +203,7 @@ def surfaces_meet(
 
 @wp.func
 def stop(relative: Any, n: Any, friction: Any):
-    """Return the part of two bodies' relative velocity that their contact removes.
-
-    Coulomb friction limits the tangential part.
-    """
+    """Return the part of two bodies' relative velocity that contact with friction removes."""
     approach = wp.dot(relative, n)
     if approach <= type(approach)(0.0):
         return type(relative)()

@@ -51,10 +51,7 @@ def integral(
 
 @wp.func
 def fold(at: Any, period: Any):
-    """Return a time modulo a track's period; negative times are unchanged.
-
-    A period of 0 means that the track has no period.
-    """
+    """Return a time modulo a track's period (0: no period); negative times are unchanged."""
     if period > type(at)(0.0) and at > type(at)(0.0):
         return at - period * wp.floor(at / period)
     return at

@@ -69,8 +69,9 @@ def farthest_root(t: Any):
 def decompose(a: Any):
     """Decompose a symmetric matrix A = q I + p D; return q, p, D, D^2 and the eigenvalues x of D.
 
-    The trace of D is zero and its norm is sqrt(6). x, largest first, are exact to rounding: they
-    are the roots of x^3 - 3 x = det D. If A is a multiple of I, D is zero, and x is arbitrary.
+    The trace of D is zero and its norm is sqrt(6). The eigenvalues x, largest first, are exact to
+    rounding: they are the roots of x^3 - 3 x = det D. If A is a multiple of I, D is zero, and x is
+    arbitrary.
     """
     s = a[0, 0]
     q = wp.trace(a) / type(s)(3.0)
@@ -114,10 +115,7 @@ def interpolant(x: Any, f: Any):
 
 @wp.func
 def signed_stretch(F: wp.mat33d) -> wp.mat33d:
-    """Return V of F = V R, where R is a rotation even if F is singular or inverted.
-
-    The smallest stretch has the sign of det F.
-    """
+    """Return V of F = V R with a rotation R; the smallest stretch has the sign of det F."""
     q, p, d, squared, x = decompose(F * wp.transpose(F))
     zero = wp.float64(0.0)
     smallest = wp.sqrt(wp.max(q + p * x[2], zero))

@@ -195,8 +195,8 @@ def make_timestep(real: Any):
     """Single-thread kernel: finishes a substep; chooses the next substep or stops with a reason.
 
     `look_out` is 1 if the particles have to be measured after the next substep, and `block_out` is
-    1 if a whole block of substeps follows. `limiters_out` contains, for each limit, the number of
-    substeps that it determined. Then follows, for each limit, the sum of substep / limit.
+    1 if a whole block of substeps follows. `limiters_out` contains two numbers for each limit:
+    first the counts of substeps that each limit determined, then the sums of substep / limit.
     """
 
     @kernel(f"phy124_timestep_{real.__name__}", real)

@@ -106,10 +106,7 @@ def between(x: Any, low: Any, high: Any):
 
 @wp.func
 def spline(f: Any):
-    """Return the quadratic B-spline weights of three nodes; f is the offset from the first node.
-
-    The offset is in [0.5, 1.5).
-    """
+    """Return B-spline weights of three nodes; f in [0.5, 1.5) is the offset from the first node."""
     half = type(f)(0.5)
     a = type(f)(1.5) - f
     b = f - type(f)(1.0)

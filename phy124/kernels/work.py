@@ -60,10 +60,7 @@ for kinds in (types(wp.float32), types(wp.float64)):
     def change(
         first: int, each: int, stride: int, mass: kinds.reals, v: kinds.vec3s, kept: kinds.vec3s
     ) -> wp.vec4d:
-        """Return the changes of momentum and kinetic energy of particles since `kept` was stored.
-
-        `kept` contains velocities.
-        """
+        """Return the changes of momentum and kinetic energy since the velocities were `kept`."""
         ...
 
 

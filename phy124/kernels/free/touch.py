@@ -18,9 +18,9 @@ the thin rim of a jelly next to the lower edge of a box would count as interior,
 would hover one cell above the jelly.
 """
 THINNEST = wp.constant(0.015)
-"""Smallest fraction of the volume around a node in contact that the solid fills. One cell away from
-a flat side the fraction is 0.021. If nodes farther away took part in the contact, a light box under
-load would creep.
+"""A node is in contact only if the solid fills at least this fraction of the volume around the
+node. One cell away from a flat side the fraction is 0.021. If nodes farther away took part in the
+contact, a light box under load would creep.
 """
 ROUND = wp.constant(0.6)
 """Factor on the contact tolerance `ROUNDING` for freely moving solids, whose surface is sharp;

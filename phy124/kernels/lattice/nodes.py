@@ -175,10 +175,10 @@ def make_hold(real: Any):
 def make_pin(real: Any):
     """Kernel over pairs of a clamped and a free node: stops the motion at the clamp's surface.
 
-    The interpolated velocity vanishes there if the clamped node's velocity relative to the clamp is
-    `ratio` times the free node's. Momenta are projected onto such motions
-    (phy124/kernels/columns.py). If another clamp fixes the free node, only the velocity of the
-    clamped node changes. If another clamp fixes the clamped node, neither velocity changes.
+    The interpolated velocity is zero at the surface if the clamped node's velocity relative to the
+    clamp is `ratio` times the free node's relative velocity. Momenta are projected onto such
+    motions (phy124/kernels/columns.py). If another clamp fixes the free node, only the velocity of
+    the clamped node changes. If another clamp fixes the clamped node, neither velocity changes.
     """
     t = types(real)
 

@@ -72,7 +72,7 @@ the point from the surface, and the friction coefficient.
 
 @wp.func
 def there_and_back(step: int, count: int):
-    """Return the index in a list of a step of a pass forwards and backwards."""
+    """Return the index of the point to visit in a step of a pass forwards and backwards."""
     if step < count:
         return step
     return 2 * count - 1 - step

@@ -182,7 +182,7 @@ def make_wall_work(real: Any):
 
 @build_once
 def make_shift_work(real: Any):
-    """Kernel: adds `sign` times acceleration, mass and position of each particle to `sums_out`.
+    """Kernel: adds `sign` times the sum of mass times acceleration times position to `sums_out`.
 
     Two launches add the work of displacements: with the sign -1 before particles are displaced, and
     with the sign 1 afterwards.

@@ -107,9 +107,9 @@ def make_head(real: Any):
     """Kernel over cells: sums the pressure around a body's contact with walls.
 
     The hydrostatic part of the pressure solution q is subtracted. `rows_out` [6] has a row for each
-    direction (-x, +x, -y, +y, -z, +z) in which a film pushes the body. A row contains the sum over
-    the cells next to the contact, weighted by the body's surface area in each cell; the total of
-    these areas; and the area of the contact.
+    direction (-x, +x, -y, +y, -z, +z) in which a film pushes the body. A row contains the sum of
+    the pressure over the cells next to the contact, weighted by the body's surface area in each
+    cell; the total of these areas; and the area of the contact.
     """
     t = types(real)
 

@@ -150,10 +150,7 @@ def rise_to(
     liquid: wp.array(dtype=int),
     pressure: wp.array(dtype=wp.float64),
 ):
-    """Return the increase of the pressure solution q from a cell m to the next cell n.
-
-    One of the two cells may be empty.
-    """
+    """Return the increase of the pressure solution q from cell m to cell n; one may be empty."""
     rise = type(item(phi, n))(item(pressure, n) - item(pressure, m))
     if item(liquid, n) == 0:
         rise = -type(item(phi, n))(item(pressure, m)) / beyond(item(phi, m), item(phi, n))

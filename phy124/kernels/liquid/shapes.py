@@ -17,7 +17,7 @@ from phy124.kernels.liquid.surface import depth, filled_share
 from phy124.kernels.liquid.walls import GAP, SHUT, centre_of, halves, square
 
 BURIED = wp.constant(0.7)
-"""Largest fraction of a cell inside walls at which the cell's fill determines a body's surface."""
+"""A cell's fill determines a body's surface only if walls cover at most this part of the cell."""
 
 
 @wp.func

@@ -47,8 +47,9 @@ def around(
     """Sum over the neighbours, with known velocities, of each low face of a cell.
 
     Returns one column per face, with the rows: sum of the velocities; number of neighbours;
-    momentum that neighbours with mass gained in the step; and their mass. `cells` contains the
-    momenta before the step and the masses. If `cells` is empty, the last two rows are zero.
+    momentum that neighbours with mass gained in the step; and the mass of these neighbours. `cells`
+    contains the momenta before the step and the masses. If `cells` is empty, the last two rows are
+    zero.
     """
     zero = type(velocity[n][0])(0.0)
     total = wp.vector(zero, zero, zero, zero)

@@ -21,7 +21,7 @@ from phy124.kernels.liquid.faces import cell_of, inner, number, stride
 SHUT = wp.constant(1.0e-3)
 """A face counts as closed if its open fraction is below this value."""
 GAP = wp.constant(0.02)
-"""Distance to which particles inside a wall are moved in front of the wall [cells]."""
+"""Particles inside a wall are moved this far in front of the wall [cells]."""
 DISTANT = wp.constant(2.0)
 """Distance [cells] beyond which a wall closes no part of a cell or of a face."""
 
@@ -188,9 +188,10 @@ def wall_across(
 ):
     """Return the index of the wall that closes a cell's face, or -1 if no wall closes the face.
 
-    Usually this is the wall nearest to the middle of the face. If several walls meet, the wall
-    nearest to the point (of nine on the face) at which the distance changes most along the axis is
-    used: at the bottom of a tank, the floor instead of a side.
+    Usually this is the wall nearest to the middle of the face. If several walls meet, nine points
+    on the face are compared: the result is the wall nearest to the point at which the distance
+    changes most along the axis. At the bottom of a tank, for example, the result is the floor
+    instead of a side.
     """
     points = halves(size)
     middle = solid_face(cell, axis, jump, size)

@@ -110,7 +110,7 @@ blend_tiles_simd = native_kernel(
 
 @kernel("phy124_gather", types=DRAWN)
 def gather_pixels(view, first, values, starts, ends, pairs, splats, sums_out, weights_out):
-    """Add weighted values of its pixels, and the weights, to each splat; one thread per pixel."""
+    """Add to each splat the weighted values of the splat's pixels, and the weights."""
     thread = wp.tid()
     tile = first + thread / PIXELS
     x = (tile % view.columns) * TILE + thread % TILE

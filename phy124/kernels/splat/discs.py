@@ -24,11 +24,9 @@ LEVEL = wp.constant(0.45)
 AHEAD = wp.constant(1.2)
 """Distance outwards from a disc at which phi shows whether the disc is inside the liquid."""
 FILLED = wp.constant(wp.vec2(0.22, 0.42))
-"""phi, at the distance `AHEAD` from a disc, at which a disc begins to fade, and has vanished."""
+"""Values of phi at the distance `AHEAD` at which a disc begins to fade, and has vanished."""
 STEEP = wp.constant(wp.vec2(0.2, 0.35))
-"""Gradients of phi, divided by phi [1/cell]: discs are invisible below the first, and do not fade
-above the second.
-"""
+"""Gradients of phi, divided by phi [1/cell], at which discs are invisible, and do not fade."""
 MOVES = wp.constant(wp.vec2(-0.35, 0.9))
 """Largest displacements onto the surface: inwards and outwards."""
 OVERLAP = wp.constant(0.95)
@@ -132,7 +130,7 @@ class Shape:
     move: float
     """Distance from the Gaussian to the surface, along the normal."""
     fade: float
-    """Fraction of its opacity with which a disc is drawn."""
+    """Factor on the opacity of a disc."""
     lower: float
     """Fraction with which the liquid's face on the wall is drawn."""
     here: float
