@@ -1,7 +1,4 @@
-"""Opens PNG, TIFF and HEIC files without most metadata, since Pillow fails if metadata is damaged.
-
-HEIC, the format of many phones, is decoded by libheif (package pi-heif).
-"""
+"""Opens PNG, TIFF and HEIC files without metadata that would make Pillow fail if damaged."""
 
 import io
 import struct
@@ -13,22 +10,17 @@ from PIL import Image
 from PIL.TiffImagePlugin import TiffImageFile
 
 TIFF_BEGINNINGS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-"""First bytes that a TIFF file may have."""
 PNG_START = 8
-"""Number of bytes before the first chunk of a PNG file."""
 CHUNK_FRAME = 12
-"""Number of bytes that a PNG chunk has besides its content: length, kind and checksum."""
+"""Length, kind and checksum of a PNG chunk [bytes]."""
 TRANSPARENCY = b"tRNS"
 """The only optional chunk of a PNG file that changes the pixels."""
 USEFUL = (b"iCCP", b"eXIf", b"acTL", b"fcTL")
-"""Optional chunks of a PNG file that phy124 uses; their checksums are corrected."""
+"""Optional chunks that phy124 uses; their checksums are corrected."""
 
 
 def strip_png(data: bytes) -> bytes:
-    """Return a PNG file with only the chunks that contain its pixels and the chunks in `USEFUL`.
-
-    Pillow checks every chunk, and refuses an image if any chunk is damaged, even an unused chunk.
-    """
+    """Return a PNG file without unused chunks, because Pillow refuses damaged chunks."""
     kept, place = [data[:PNG_START]], PNG_START
     while place < len(data):
         end = place + CHUNK_FRAME + int.from_bytes(data[place : place + 4], "big")
@@ -43,13 +35,10 @@ def strip_png(data: bytes) -> bytes:
 
 
 class PlainTiff(TiffImageFile):
-    """A TIFF image in its stored orientation.
-
-    Pillow would rotate the image, and fail if EXIF is damaged.
-    """
+    """A TIFF image that Pillow does not rotate, because Pillow would fail if EXIF is damaged."""
 
     def load_end(self) -> None:
-        """Do nothing after decoding, because Pillow would rotate the image in this method."""
+        """Do nothing, because Pillow would rotate the image."""
 
 
 def open_tiff(data: bytes) -> TiffImageFile:

@@ -34,28 +34,21 @@ Alpha = NDArray[np.uint8]
 MINIMUM, MAXIMUM = 0.003, 0.97
 """Smallest and largest fraction of the image that an object may cover."""
 TINY, MUCH = 0.02, 0.85
-"""Fractions of the image; if an object covers less or more, a warning is shown."""
+"""A warning is shown if the object covers less or more than these fractions of the image."""
 SIDES = 3
-"""A cut-out is suspicious if it touches at least this number of image edges.
-
-For example, a table in the foreground of a picture touches three edges of the picture.
-"""
+"""A warning is shown if a cut-out touches this number of image edges, as a table often does."""
 PIECES = 4
-"""A cut-out is suspicious if it consists of at least this number of separate pieces."""
+"""A warning is shown if a cut-out has this number of pieces."""
 UNSEEN = 0.12
-"""Largest fraction of a cut-out's outline that may lie where the image has no edge.
-
-In correct cut-outs, 0.05 of the outline lies where the image has no edge.
+"""Largest fraction of the outline that may lie where the image has no edge. In correct cut-outs,
+the fraction is 0.05.
 """
 ALIKE = 0.1
-"""A cut-out is suspicious if more than this fraction of its surroundings has the object's colours.
-
-In correct cut-outs, 0.09 of the surroundings has the object's colours.
+"""Largest fraction of the surroundings that may have the object's colours. In correct cut-outs, the
+fraction is 0.09.
 """
 UNDECIDED = 0.02
-"""A network's cut-out is suspicious if its half-transparent area away from the outline, divided by
-the object's area, exceeds this value.
-"""
+"""A warning is shown if `undecided` exceeds this value in a network's cut-out."""
 FAINT = "No part of the picture is opaque; its most opaque part is treated as opaque."
 REMEDY = (
     "Use a picture that shows one whole object on a plain background, give a mask (white where "
@@ -68,18 +61,15 @@ class Method(NamedTuple):
     """A method that segments the object of an image."""
 
     applies: Callable[[Image.Image], bool]
-    """Function that returns whether "auto" may choose this method for an image."""
+    """Tests whether "auto" may choose this method for an image."""
     find: Callable[[Image.Image, isolated.Deadline], Alpha]
-    """Function that computes the alpha [H,W] of the object; it runs native code by
-    `phy124.runtime.isolated`.
-    """
+    """Returns the alpha [H,W] of the object."""
     title: str = ""
-    """Name of the segmentation method in messages."""
 
 
 @dataclass(frozen=True)
 class Cutout:
-    """An image whose alpha channel is the mask of the object, with measures of plausibility."""
+    """An RGBA image whose alpha is the mask of the object, with measures of plausibility."""
 
     picture: Image.Image
     """The image in mode RGBA, with straight (not premultiplied) alpha."""
@@ -88,41 +78,35 @@ class Cutout:
     corrected the cut-out.
     """
     coverage: float
-    """Fraction of the image that the object covers."""
     pieces: int
-    """Number of connected pieces of which the cut-out object consists."""
+    """Number of connected pieces."""
     touches: tuple[str, ...]
-    """Names of the image edges that the object nearly reaches: left, top, right, bottom."""
+    """Image edges that the object nearly reaches: left, top, right, bottom."""
     unseen: float
-    """Fraction of the cut-out's outline along which the image has no edge."""
+    """Fraction of the outline at which the image has no edge."""
     alike: float
-    """Fraction of the surrounding pixels whose colour is more common in the object than around it.
-    """
+    """Fraction of the surrounding pixels whose colour is more common in the object."""
     undecided: float = 0.0
-    """Ratio of the half-transparent area away from the outline to the object's area."""
+    """Half-transparent area away from the outline, relative to the object's area."""
     frames: int = 1
-    """Number of frames if the file is an animation; only the first frame was used."""
+    """Number of frames of an animation; only the first frame was used."""
     objects: int = 1
-    """Number of separate objects in the image; only the largest object is segmented."""
     touching: bool = False
     """Whether the cut-out seems to contain two objects that touch."""
     file: Path | None = None
-    """File of the image; None if the image was not read from a file."""
     notes: tuple[str, ...] = ()
-    """Sentences about parts of the file that were ignored or had to be interpreted."""
 
     @property
     def title(self) -> str:
-        """Name, for messages, of the method that segmented the object."""
+        """Name of the method in messages."""
         return title_of(self.method)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences with reasons why the cut-out may not be the intended object."""
+        """Reasons why the cut-out may not be the intended object."""
         return (*self._doubt_choice(), *self._doubt_size(), *self._doubt_outline())
 
     def _doubt_choice(self) -> Iterator[str]:
-        """Yield warnings that the user may have intended a different object."""
         if self.frames > 1:
             yield f"The picture is an animation of {self.frames} frames; the first is used."
         if self.objects > 1:
@@ -133,7 +117,6 @@ class Cutout:
             yield f"The cut-out is in {self.pieces} pieces."
 
     def _doubt_size(self) -> Iterator[str]:
-        """Yield warnings that the size or position of the object is implausible."""
         # Networks are exempt: their cut-outs rarely include background, but touch edges if a person
         # is cropped by the picture.
         if len(self.touches) >= SIDES and self.method not in ("alpha", *NETWORKS):
@@ -147,7 +130,6 @@ class Cutout:
             yield f"The cut-out covers nearly the whole picture ({self.coverage:.0%})."
 
     def _doubt_outline(self) -> Iterator[str]:
-        """Yield warnings that the outline probably does not follow the object's edge."""
         if self.method in ("alpha", "mask", "brush"):
             return
         if self.unseen > UNSEEN:
@@ -169,13 +151,13 @@ class Cutout:
         self.picture.save(path, compress_level=1, lossless=True, exact=True)
 
     def png(self) -> bytes:
-        """Return the cut-out as the bytes of a PNG file."""
+        """Return the bytes of a PNG file."""
         written = io.BytesIO()
         self.picture.save(written, "PNG", compress_level=1)
         return written.getvalue()
 
     def data(self) -> dict[str, Any]:
-        """Return all fields of the cut-out, except for its pixels and its file, as plain data."""
+        """Return all fields as plain data, except for the pixels and the file."""
         return {
             "method": self.method,
             "coverage": round(self.coverage, 4),
@@ -206,8 +188,8 @@ def cut_out(
     Args:
         picture: Path of the image.
         method: Name of a method in `METHODS`, or "auto" for the first method that is applicable.
-        mask: Path of a mask that is used instead of the method; see `foreground`.
-        pick: A point on the object to segment, if there are several objects; see `foreground`.
+        mask: Path of a mask that replaces the method.
+        pick: A point on the object; see `foreground`.
         field: Name of the image in error messages.
         deadline: Time limit of the segmentation, and the means to cancel it.
 
@@ -270,25 +252,25 @@ def foreground(
 
 
 def clean_edge(image: Image.Image, alpha: Alpha) -> Image.Image:
-    """Apply an alpha [H,W] to an image, and remove background colours from the soft edge."""
+    """Apply an alpha [H,W], and remove background colours from the soft edge."""
     cut = Image.fromarray(decontaminate(np.asarray(image.convert("RGB")), alpha))
     cut.putalpha(Image.fromarray(alpha))
     return cut
 
 
 def title_of(method: str) -> str:
-    """Return the name, for messages, of a method or of the inputs "mask" and "brush"."""
+    """Return the name of a method in messages."""
     known = METHODS[method].title if method in METHODS else PAINTED.get(method)
     return known or method
 
 
 def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1) -> Cutout:
-    """Measure how plausible the cut-out of an object is.
+    """Measure how plausible a cut-out is.
 
     Args:
         picture: RGBA image whose alpha segments the object.
-        method: Method that computed the alpha.
-        frames: Number of frames, if the file is an animation.
+        method: Name of a method in `METHODS`, or "mask" or "brush".
+        frames: Number of frames of an animation.
         objects: Number of separate objects in the image.
     """
     rgb, alpha = np.split(np.asarray(picture), (3,), axis=2)
@@ -308,7 +290,7 @@ def examine(picture: Image.Image, method: str, frames: int = 1, objects: int = 1
 
 
 def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alpha:
-    """Compute the alpha [H,W] by a method; transparent pixels of the image remain transparent."""
+    """Transparent pixels of the image remain transparent."""
     try:
         alpha = METHODS[method].find(_flatten(image, method), deadline)
     except isolated.Unfinished as error:
@@ -354,14 +336,13 @@ def _choose_method(image: Image.Image, method: str) -> str:
 
 
 def _flatten(image: Image.Image, method: str) -> Image.Image:
-    """Composite the image over white, unless the method is "alpha"."""
     if method == "alpha":
         return image
     return Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
 
 
 def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
-    """Return the alpha [H,W] of a mask; transparent pixels of the image remain transparent."""
+    """Transparent pixels of the image remain transparent."""
     if method not in ("auto", "mask"):
         limit = "A mask already determines the object."
         raise InputError("foreground", method, limit, "Give either a mask or a point.")
@@ -377,7 +358,6 @@ def _apply_mask(image: Image.Image, mask: Image.Image, method: str) -> Alpha:
 
 
 def _check_visible(image: Image.Image) -> None:
-    """Check that an image with alpha has enough opaque pixels to show an object."""
     opaque = float(np.mean(np.asarray(image.getchannel("A")) > 127))
     if opaque >= MINIMUM:
         return
@@ -427,10 +407,8 @@ METHODS: dict[str, Method] = {
     "u2netp": Method(lambda _: True, u2net.find_alpha_small, "the small U2-Net"),
     "grabcut": Method(lambda _: True, _grabcut, "GrabCut"),
 }
-"""Segmentation methods by name, in the order of preference."""
+"""The first applicable method is preferred."""
 NETWORKS = (*salient.NETWORKS, "u2net", "u2netp")
-"""Names of the segmentation methods that are neural networks."""
 TAKEN_WHOLE = ("alpha", "mask")
-"""Segmentation methods whose results are made by people, so that all pieces are kept."""
+"""Methods by which all pieces are kept, because a person made the mask."""
 PAINTED = {"mask": "the mask", "brush": "brush strokes"}
-"""Names of the inputs that a person paints, for use in messages."""

@@ -1,8 +1,7 @@
 """Decodes images from bytes; `image.py` runs this module in a separate process.
 
 Pillow and libheif are native code that reads untrusted data. A separate process protects the
-program if decoding crashes, never ends or allocates too much memory. The orientation and the colour
-profile are the only metadata that are read, so damage in other metadata has no effect.
+program if decoding crashes, never ends or allocates too much memory.
 """
 
 import io
@@ -17,13 +16,11 @@ from phy124.imaging.header import KINDS, SEGMENT, Size, read_kind, read_size
 from phy124.imaging.profile import convert_to_srgb
 
 MAX_PIXELS = 50_000_000
-"""Largest allowed number of pixels of an image; it is checked before the image is decoded."""
+"""Images with more pixels are not decoded."""
 ANIMATED = ("PNG", "WEBP", "GIF", "AVIF")
 """Formats in which images after the first are frames of an animation, not thumbnails or pages."""
 MAX_SCANS = 100
-"""Largest allowed number of scans in a JPEG file. Usual JPEG files have 1 to 10 scans. A JPEG file
-of 8 MB can have 190,000 scans, and decoding one scan takes 18 ms.
-"""
+"""A usual JPEG file has 1 to 10 scans. A file of 8 MB can have 190,000 scans of 18 ms each."""
 SCAN, END = b"\xda", b"\xd9"
 SIXTEEN = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 """Modes of 16-bit grey images, whose values Pillow would clip instead of scaling them."""
@@ -37,12 +34,10 @@ TURNS = {
     7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }
-"""For each EXIF orientation, the transposition that turns an image upright."""
 TEXT = 64 << 20
 """Largest size of a decompressed text or profile in a PNG file [bytes]."""
 COPY = "Copy or export the file again."
 BAD_PROFILE = "The picture's colour profile cannot be used; its colours may be slightly wrong."
-"""Note that the image's colour profile is unusable."""
 TOO_LARGE = (
     f"It has more than {MAX_PIXELS / 1e6:.0f} million pixels.",
     "Reduce it, for example to 2000 pixels on its longer side.",
@@ -59,7 +54,6 @@ class Purpose(NamedTuple):
     formats: tuple[str, ...]
     """Accepted formats, by Pillow's names; HEIC is always accepted."""
     minimum: int
-    """Smallest allowed width and height of the image [pixels]."""
     colours: bool = True
     """Whether the image's values are colours, so that its colour profile is applied."""
     deep: bool = False
@@ -71,20 +65,14 @@ class Decoded(NamedTuple):
 
     picture: Image.Image
     size: Size
-    """Width and height of the upright image before it was reduced [pixels]."""
+    """Width and height before the image was reduced [pixels]."""
     frames: int = 1
-    """Number of frames if the file is an animation; only the first frame was decoded."""
+    """Number of frames of an animation; only the first frame was decoded."""
     notes: tuple[str, ...] = ()
-    """Sentences about parts of the file that were ignored."""
 
 
 def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
     """Decode the first image of a file.
-
-    Args:
-        data: The bytes of the file.
-        purpose: Requirements on the image.
-        longest: Longest side of the result [pixels]; larger images are reduced to this size.
 
     Raises:
         Unusable: If the image cannot be decoded, or is too large or too small.
@@ -106,10 +94,10 @@ def decode(data: bytes, purpose: Purpose, longest: int) -> Decoded:
 
 
 def check_size(size: Size, minimum: int) -> None:
-    """Check the width and height of an image.
+    """Refuse an image that is too large or too small.
 
     Raises:
-        Unusable: If the image is too large or too small.
+        Unusable: If the width or height is not allowed.
     """
     width, height = size
     if width * height > MAX_PIXELS:
@@ -120,7 +108,7 @@ def check_size(size: Size, minimum: int) -> None:
 
 
 def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
-    """Return an error that explains why the data is not an image in one of the accepted formats."""
+    """Return an error that says why the data is not an accepted image."""
     if read_kind(data) in (*formats, "HEIC"):
         return Unusable("The file is broken or cut short.", COPY)
     return Unusable(
@@ -129,19 +117,17 @@ def explain_unidentified(data: bytes, formats: tuple[str, ...]) -> Unusable:
 
 
 def _join_names(formats: tuple[str, ...]) -> str:
-    """Return the formats as text: "PNG, JPEG or HEIC"."""
     names = [name.replace("WEBP", "WebP") for name in (*formats, "HEIC")]
     return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def turn_upright(opened: Image.Image) -> Image.Image:
-    """Turn a decoded image upright, according to its EXIF orientation."""
+    """Turn an image according to its EXIF orientation."""
     turn = TURNS.get(_read_orientation(opened))
     return opened if turn is None else opened.transpose(turn)
 
 
 def _prepare_pillow() -> None:
-    """Replace the limits of Pillow in this process by the stricter limits of this module."""
     from PIL import PngImagePlugin
 
     Image.MAX_IMAGE_PIXELS = None
@@ -150,16 +136,12 @@ def _prepare_pillow() -> None:
 
 
 def _orientation_alone(self: Image.Exif, offset: int = 8) -> bytes:
-    """Return EXIF data that contains only the orientation.
-
-    Pillow's AVIF reader serialises EXIF data, and fails if a tag has an unusual type.
-    """
+    """Keep only the orientation, because Pillow's AVIF reader fails if another tag is unusual."""
     entry = struct.pack("<HHHII", 1, ORIENTATION, 3, 1, _orientation_of(self))
     return b"Exif\0\0II*\0" + struct.pack("<I", offset) + entry + bytes(4)
 
 
 def _open(data: bytes, formats: tuple[str, ...]) -> Image.Image:
-    """Open the image; only HEIC images are decoded immediately."""
     kind = read_kind(data)
     if kind == "HEIC":
         return _open_heic(data)
@@ -207,7 +189,6 @@ def _finish(opened: Image.Image, purpose: Purpose, longest: int) -> Decoded:
 
 
 def _read_orientation(opened: Image.Image) -> int:
-    """Return the EXIF orientation, 1 to 8; 1 (unchanged) if it is damaged or absent."""
     try:
         return _orientation_of(opened.getexif())
     except Exception:  # damaged EXIF raises exceptions of many types although the pixels are intact
@@ -224,7 +205,7 @@ def _orientation_of(exif: Image.Exif) -> int:
 
 
 def _to_8_bits(picture: Image.Image) -> Image.Image:
-    """Convert an image to 8 bits per channel, in mode RGBA, LA, L or CMYK."""
+    """The result has mode RGBA, LA, L or CMYK."""
     if picture.mode in SIXTEEN:
         return _scale_16_bits(picture)
     if picture.mode == "F":
@@ -237,7 +218,6 @@ def _to_8_bits(picture: Image.Image) -> Image.Image:
 
 
 def _scale_16_bits(picture: Image.Image) -> Image.Image:
-    """Convert a 16-bit grey image to 8 bits; keep the grey level that is marked as transparent."""
     import numpy as np
 
     deep, clear = np.asarray(picture), picture.info.get("transparency")
@@ -248,7 +228,6 @@ def _scale_16_bits(picture: Image.Image) -> Image.Image:
 
 
 def _scale_floats(picture: Image.Image) -> Image.Image:
-    """Convert floating-point grey levels in 0..1 to 8 bits."""
     import numpy as np
 
     levels = np.asarray(picture)
@@ -259,7 +238,7 @@ def _scale_floats(picture: Image.Image) -> Image.Image:
 
 
 def _grey_levels(picture: Image.Image) -> Image.Image:
-    """Return an image with all its grey levels: mode F for 16-bit and float images, otherwise L."""
+    """The result has mode F for 16-bit and float images, otherwise mode L."""
     import numpy as np
 
     if picture.mode in (*SIXTEEN, "F"):
@@ -268,14 +247,13 @@ def _grey_levels(picture: Image.Image) -> Image.Image:
 
 
 def _read_profile(opened: Image.Image) -> bytes | None:
-    """Return the colour profile: empty if it is cut short, None if the file has no profile."""
+    """Return the colour profile: empty if it is cut short, None if there is none."""
     return (opened.info["icc_profile"] or b"") if "icc_profile" in opened.info else None
 
 
 def _convert_colours(
     picture: Image.Image, profile: bytes | None
 ) -> tuple[Image.Image, tuple[str, ...]]:
-    """Convert an image to sRGB, mode RGBA; also return notes about its colour profile."""
     notes = ()
     if profile is not None:
         try:

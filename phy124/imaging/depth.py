@@ -1,8 +1,8 @@
 """Estimates the depth of an object's front with trained networks: MoGe-2 and Depth Anything V2.
 
 Wang et al. 2025, "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details"; Yang et
-al. 2024, "Depth Anything V2". The networks receive an image of the object with its surroundings.
-The scale and the offset of the depth are arbitrary, because `relief` sets both.
+al. 2024, "Depth Anything V2". The scale and the offset of the depth are arbitrary, because `relief`
+sets both.
 """
 
 from collections.abc import Callable
@@ -22,26 +22,22 @@ from phy124.weights.store import is_complete, require
 
 Map = NDArray[np.float32]
 MARGIN = 0.25
-"""Width of the surroundings that a network sees around the object, relative to the object's longest
-side.
-"""
+"""Width of the surroundings that a network sees, relative to the object's longest side."""
 PATCH = 14
-"""Side of the networks' image patches [pixels]."""
 SIDE = 518
-"""Length of the shortest side of a network's input [pixels]; this is 37 patches."""
+"""Shortest side of a network's input [pixels]: 37 patches."""
 LONGEST = 2 * SIDE
-"""Largest length of a side of a network's input; larger images are reduced."""
+"""Longest side of a network's input [pixels]."""
 TOKENS = 1800
-"""Number of patches that MoGe-2 uses; its authors suggest 1200 to 3600."""
+"""Number of patches of MoGe-2; its authors suggest 1200 to 3600."""
 DETAIL = 256
-"""Longest side of the grid on which depth and normals are combined [pixels]."""
 TRUST = 0.02
-"""Weight of the network's depth, relative to slopes computed from the network's normals.
+"""Weight of the network's depth, relative to slopes from the network's normals.
 
 Features larger than 1/sqrt(TRUST) pixels follow the depth, and smaller features follow the normals.
 """
 STEEPEST = 4.0
-"""Largest slope of a surface that is computed from its normals; steeper slopes are reduced."""
+"""Steeper slopes are reduced to this slope."""
 
 
 def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
@@ -59,8 +55,8 @@ def depth_anything(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path)
 def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Resize an image [H,W,3] to whole patches and normalise it; return [1,3,h,w].
 
-    The shortest side is resized to `SIDE`, as in the original program, unless the longest side
-    would then exceed `LONGEST`.
+    The shortest side becomes `SIDE`, as in the original program, unless the longest side would
+    exceed `LONGEST`.
     """
     height, width = rgb.shape[:2]
     scale = min(SIDE / min(height, width), LONGEST / max(height, width))
@@ -70,15 +66,12 @@ def prepare_patches(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 def whole_patches(length: float) -> int:
-    """Round a length [pixels] to the nearest multiple of `PATCH`, but not to zero."""
+    """Round a length [pixels] to a multiple of `PATCH`, but not to zero."""
     return max(PATCH, round(length / PATCH) * PATCH)
 
 
 def moge2(rgb: NDArray[np.uint8], solid: NDArray[np.bool_], path: Path) -> Map:
-    """Estimate the depth [H,W] of the masked object with MoGe-2; larger values are nearer.
-
-    The points of MoGe-2 have an unknown offset along the view direction, which has no effect here.
-    """
+    """Estimate the depth [H,W] of the masked object with MoGe-2; larger values are nearer."""
     height, width = rgb.shape[:2]
     size = reduce_size(rgb.shape, LONGEST, PATCH)
     small = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.float32) / 255
@@ -111,10 +104,7 @@ def add_detail(points: Map, normals: Map, inside: NDArray[np.bool_]) -> Map:
 
 
 def _slopes(points: Map, normals: Map, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the slopes of the surface [2,H,W]: the change of z per pixel to the right and down.
-
-    The slopes are computed from the normals.
-    """
+    """Return the change of z per pixel to the right and down [2,H,W]."""
     both = mask[:, 1:] & mask[:, :-1]
     steps = np.diff(points[..., 0], axis=1)[both]
     pitch = float(np.median(np.abs(steps))) if steps.size else 0.0
@@ -126,7 +116,7 @@ def _slopes(points: Map, normals: Map, mask: NDArray[np.bool_]) -> NDArray[np.fl
 def _fuse(
     depth: NDArray[np.float64], slopes: NDArray[np.float64], mask: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """Solve the screened Poisson equation within a mask [H,W]; return the depth [H,W]."""
+    """Solve the screened Poisson equation of `add_detail`."""
     number = np.full(mask.shape, -1)
     number[mask] = np.arange(int(mask.sum()))
     rows, columns, values, right = [], [], [], []
@@ -157,14 +147,12 @@ class DepthNetwork:
     """Estimates the depth of the object's front with a trained network."""
 
     name: str
-    """Name of the network in `NETWORKS`, which is also the name of its weights."""
+    """Name in `NETWORKS`, and name of the weights."""
     optional: bool = False
-    """Whether the network was chosen by "auto"; if so, it may be replaced by another input."""
+    """Whether "auto" chose the network; another input may then replace the network."""
 
     def __call__(self, image_rgba: NDArray[np.uint8]) -> Map:
-        """Return the depth [H,W] of an image [H,W,4] whose alpha is a mask.
-
-        Larger values are nearer.
+        """Return the depth [H,W] of an image [H,W,4]; larger values are nearer.
 
         Raises:
             InputError: The weights or onnxruntime are missing, or the file is of another network.
@@ -182,7 +170,7 @@ class DepthNetwork:
 
 
 def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return top, left, bottom and right [px] of a box around the object and its surroundings."""
+    """Return top, left, bottom and right [pixels]."""
     rows, columns = np.nonzero(solid.any(axis=1))[0], np.nonzero(solid.any(axis=0))[0]
     height, width = solid.shape
     if not len(rows):
@@ -198,11 +186,11 @@ def _surroundings(solid: NDArray[np.bool_]) -> tuple[int, int, int, int]:
 
 Estimate = Callable[[NDArray[np.uint8], NDArray[np.bool_], Path], Map]
 NETWORKS: dict[str, Estimate] = {"moge2": moge2, "depth-anything": depth_anything}
-"""Functions that estimate depth, by the name of network and weights, in order of preference."""
+"""Networks by name; earlier networks are preferred."""
 
 
 def choose_network() -> DepthNetwork | None:
-    """Return the first network whose weights and onnxruntime are installed, or None."""
+    """Return the first installed network, or None."""
     if find_spec("onnxruntime") is None:
         return None
     return next((DepthNetwork(n, optional=True) for n in NETWORKS if is_complete(n)), None)

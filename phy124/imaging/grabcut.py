@@ -1,9 +1,4 @@
-"""Segments the object of a photograph with GrabCut (Rother et al. 2004), without trained weights.
-
-The initial labels depend on the colour difference from the image border and on the distance from
-the centre. After GrabCut, small separate pieces are removed, small holes are closed, and the mask's
-edge is softened where it follows an edge in the photograph.
-"""
+"""Segments the object of an image with GrabCut (Rother et al. 2004), without trained weights."""
 
 import cv2
 import numpy as np
@@ -17,26 +12,18 @@ ROUNDS = 4
 RING = 0.03
 """Width of the border that is assumed to be background, relative to the image's shorter side."""
 COLOURS = 6
-"""Number of colour clusters by which the colours at the image's border are described."""
 KEEP = 0.12
-"""Smallest area of a separate piece of the mask that is kept, relative to the largest piece."""
+"""Smallest area of a piece that is kept, relative to the largest piece."""
 PINHOLE = 0.004
-"""Holes of at most this area, relative to the object's area, are closed; larger holes, such as that
-of a handle, remain open.
-"""
+"""Smaller holes are closed, unlike the gap in a handle; relative to the object's area."""
 SOFTNESS = 4
 """Radius of the guided filter that softens the object's edge [pixels]."""
 HINT_REACH = 0.06
-"""Largest distance from a user's mark at which the mark changes the outline, relative to the
-image's longest side.
-"""
+"""Distance at which a user's mark has an effect, relative to the image's longest side."""
 
 
 def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Segment the object of an image [H,W,3]; return its alpha [H,W].
-
-    The result is deterministic.
-    """
+    """Return the alpha [H,W] of the object in an image [H,W,3]; the result is deterministic."""
     height, width = rgb.shape[:2]
     small = shrink(rgb)
     if is_blank(rgb):
@@ -53,10 +40,6 @@ def grabcut(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Run GrabCut on an image [H,W,3], starting from GrabCut's labels for each pixel [H,W].
-
-    Return a 0/1 mask [H,W], which is 0 if all labels are equal.
-    """
     if not (labels & 1).any() or (labels & 1).all():
         return np.zeros_like(labels)
     models = np.zeros((1, 65)), np.zeros((1, 65))
@@ -69,7 +52,6 @@ def _run_grabcut(rgb: NDArray, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _initial_labels(rgb: NDArray) -> list[NDArray[np.uint8]]:
-    """Return three initial label maps [H,W], which are guesses of the object's position."""
     height, width = rgb.shape[:2]
     ring = max(1, round(RING * min(height, width)))
     border = np.ones((height, width), bool)
@@ -92,7 +74,6 @@ def _label(guess: NDArray[np.bool_], border: NDArray[np.bool_]) -> NDArray[np.ui
 
 
 def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
-    """Rate a mask by image edges along its outline, its solidity, and contact with the border."""
     fraction = float(mask.mean())
     if not 0.01 < fraction < 0.9:
         return 0.0
@@ -105,7 +86,7 @@ def _plausibility(mask: NDArray[np.uint8], rgb: NDArray) -> float:
 
 
 def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
-    """Return each pixel's distance in CIE Lab from the border's colours, scaled to 0..1 [H,W]."""
+    """Return 1 - exp(-distance / 20) [H,W]; distances from the border's colours are in CIE Lab."""
     lab = to_lab(rgb)
     # Lightness has less weight, because shadows change the lightness of the background.
     lab[..., 0] *= 0.6
@@ -120,14 +101,12 @@ def _unlikeness(rgb: NDArray, border: NDArray[np.bool_]) -> Field:
 
 
 def _centrality(height: int, width: int) -> Field:
-    """Return a weight for each pixel [H,W]: 1 at the image's centre, about 1/3 at its edges."""
     y, x = np.mgrid[:height, :width].astype(np.float32)
     square = ((2 * x + 1) / width - 1) ** 2 + ((2 * y + 1) / height - 1) ** 2
     return np.exp(-square)
 
 
 def _clean_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Keep the largest pieces of a 0/1 mask [H,W], and close small holes."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
@@ -141,7 +120,7 @@ def _clean_mask(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _soften_edge(mask: Field, rgb: NDArray) -> Field:
-    """Fit the edge of a mask to the edges of the image with a guided filter (He et al. 2013)."""
+    """Apply a guided filter (He et al. 2013)."""
     window = (2 * SOFTNESS + 1,) * 2
     guide = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
 

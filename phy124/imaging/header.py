@@ -7,36 +7,30 @@ import re
 import struct
 
 KINDS = ("PNG", "JPEG", "WEBP", "AVIF", "HEIC")
-"""Formats that are recognised, by Pillow's names except for HEIC."""
+"""Names of the formats in Pillow, except for HEIC."""
 HEVC = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs")
-"""File-type brands of HEIC, the format of many phones."""
 AV1 = (b"avif", b"avis")
-"""File-type brands of AVIF."""
 GENERAL = (b"mif1", b"msf1")
-"""Brands of both HEIC and AVIF files. To tell HEIC from AVIF, the compatible brands that the file
-also states are examined.
-"""
+"""HEIC and AVIF files may both have these brands; their compatible brands differ."""
 MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of bytes at the start of a file that identify its format."""
 MOST_SEGMENTS = 100_000
-"""Largest number of JPEG segments that are searched; photographs have up to a few hundred."""
+"""Photographs have up to a few hundred segments."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
-"""Pattern of the start of a JPEG segment; 00 and D0 to D7 belong to the image data.
+"""The bytes 00 and D0 to D7 belong to the image data.
 
-A JPEG segment may begin with several FF bytes. The pattern matches only the last FF byte of a JPEG
-segment, because a search for FF+ could take quadratic time.
+The pattern matches only the last of several FF bytes, because a search for FF+ could take quadratic
+time.
 """
 SIZES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
-"""Markers of the JPEG segments that contain the size."""
 EXTENT = re.compile(rb"ispe\0{4}(.{8})", re.DOTALL)
-"""Pattern of the bytes in HEIC and AVIF files that state the image's width and height."""
+"""Pattern of the width and height in HEIC and AVIF files."""
 Size = tuple[int, int]
-"""Width and height of an image [pixels]."""
 
 
 def read_kind(data: bytes) -> str | None:
-    """Return the format of an image, which is one of `KINDS`, or None if it is unknown."""
+    """Return the format of an image, which is one of `KINDS`, or None."""
     if data[:8] == b"\x89PNG\r\n\x1a\n":
         return "PNG"
     if data[:3] == b"\xff\xd8\xff":
@@ -47,7 +41,7 @@ def read_kind(data: bytes) -> str | None:
 
 
 def _read_brand(data: bytes) -> str | None:
-    """Return HEIC or AVIF, depending on the file-type brands; None if the file is a video."""
+    """Return None if the file is a video."""
     major, end = data[8:12], min(int.from_bytes(data[:4], "big"), HEAD)
     others = [data[place : place + 4] for place in range(16, end, 4)]
     if major in AV1 or (major in GENERAL and any(brand in AV1 for brand in others)):
@@ -56,7 +50,7 @@ def _read_brand(data: bytes) -> str | None:
 
 
 def read_size(data: bytes) -> Size:
-    """Return the width and height stated in the header for the largest image of a file.
+    """Return the width and height of the largest image that the header states.
 
     Raises:
         ValueError: If the format is unknown, or the header contains no size.

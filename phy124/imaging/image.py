@@ -1,7 +1,7 @@
 """Opens images upright and within size limits, and recentres them for the networks.
 
-All later steps receive straight (not premultiplied) RGBA in sRGB with 8 bits per channel. This
-module reads the files; a separate process decodes them (`decoding.py`).
+Images are straight (not premultiplied) RGBA in sRGB with 8 bits per channel. A separate process
+decodes the files (`decoding.py`).
 """
 
 import os
@@ -30,9 +30,7 @@ from phy124.runtime import isolated
 from phy124.runtime.installation import install_command
 
 MAX_BYTES = 50_000_000
-"""Largest size of an image file [bytes]."""
 MIN_SIDE = 8
-"""Smallest width and height of an image [pixels]."""
 LOOK_SIDE = 320
 """Longest side to which an image is reduced if it is segmented without a network [pixels]."""
 FAINT = 3
@@ -40,16 +38,13 @@ FAINT = 3
 WORK_SIDE = 2048
 """Longest side to which images are reduced [pixels]; generators cannot use more detail."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of the colours in ImageNet."""
 FORMATS = ("PNG", "JPEG", "WEBP", "AVIF")
-"""Formats accepted for photographs, in addition to HEIC."""
 ANY_FORMAT = (*FORMATS, "GIF", "BMP", "TIFF", "PPM")
 """Formats accepted for masks and maps, in addition to HEIC."""
 PHOTOGRAPH = Purpose(FORMATS, MIN_SIDE)
 MEMORY = 2 << 30
-"""Memory limit for decoding one image [bytes]."""
 DEADLINE = isolated.Deadline(30.0)
-"""Time limit for decoding an image; a photograph of 12 million pixels takes one second."""
+"""Decoding a photograph of 12 million pixels takes one second."""
 
 
 def open_image(
@@ -75,15 +70,7 @@ def open_image(
 def open_mask(
     path: str | os.PathLike[str], *, field: str = "mask", minimum: int = MIN_SIDE
 ) -> Image.Image:
-    """Open a mask or map that belongs to an image, in the same way as `open_image`.
-
-    More formats are allowed for masks than for photographs. The colour profile is ignored, because
-    the values are not colours.
-
-    Args:
-        path: The file of the mask, or a pipe.
-        field: Name of the mask in error messages.
-        minimum: Smallest allowed width and height, pixels.
+    """Open a mask or map like `open_image`, in more formats and without the colour profile.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or damaged.
@@ -102,7 +89,7 @@ def open_levels(path: str | os.PathLike[str], *, field: str) -> NDArray[np.float
 
 
 def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> Size:
-    """Return the width and height of a photograph from its header, without decoding the image.
+    """Return the width and height of a photograph from its header.
 
     Raises:
         InputError: If the file is missing, too large, of an unsupported format, or has a damaged
@@ -115,15 +102,12 @@ def read_picture_size(path: str | os.PathLike[str], *, field: str = "image") -> 
 
 
 def original_size(image: Image.Image) -> tuple[int, int]:
-    """Return the width and height of an opened image before it was reduced."""
+    """Return the width and height before the image was reduced."""
     return image.info.get("size", image.size)
 
 
 def reduce_size(shape: tuple[int, ...], longest: int, least: int = 1) -> Size:
-    """Return the width and height that an image [H,W,...] has after its size is reduced.
-
-    Each side then has at most `longest` and at least `least` pixels.
-    """
+    """Return the width and height at which no side of an image [H,W,...] exceeds `longest`."""
     height, width = shape[:2]
     scale = min(1.0, longest / max(height, width))
     return max(least, round(width * scale)), max(least, round(height * scale))
@@ -152,8 +136,6 @@ def normalise(
 
 def recenter(image: NDArray, mask: NDArray, *, border_ratio: float = 0.2) -> NDArray:
     """Centre the object, which is marked by a mask, in a square image.
-
-    A fraction `border_ratio` of the square's side stays free.
 
     Every pixel of the result equals that of LGM's program (Tang et al. 2024, kiui `recenter`). As
     in LGM, the bounding box does not include the last row and column, and numbers are truncated to
@@ -218,7 +200,6 @@ def _open(
 
 
 def _read(path: Path) -> bytes:
-    """Read the bytes of a file or pipe."""
     try:
         with open(path, "rb") as file:
             status = os.fstat(file.fileno())
@@ -235,7 +216,6 @@ def _read(path: Path) -> bytes:
 
 
 def _refusal(limit: str, remedy: str) -> Unusable:
-    """Return an `Unusable` error; the first letter of `limit` becomes a capital letter."""
     return Unusable(limit[0].upper() + limit[1:], remedy)
 
 
@@ -248,10 +228,7 @@ def _check_bytes(size: int) -> None:
 
 
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
-    """Return the width and height that the header of an image file states.
-
-    Refuse formats that this installation cannot read.
-    """
+    """Return the width and height from the header of an image file."""
     kind = read_kind(data)
     if kind is None:
         raise explain_unidentified(data, formats)

@@ -1,7 +1,6 @@
 """Converts colours to CIE Lab 1976, in which distances approximate perceived differences.
 
-OpenCV's conversion function would first need 0.07 s to fill tables, which is longer than all other
-work on an image that is already segmented. Only the matrix product is therefore computed by OpenCV.
+OpenCV's conversion to Lab is not used, because it first spends 0.07 s on tables.
 """
 
 import cv2
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 WHITE = np.array([0.950456, 1.0, 1.088754], np.float32)
 """X, Y and Z of the white point D65."""
 LINEAR = 0.008856
-"""Luminance, relative to white, up to which CIE's lightness is a linear function of luminance."""
+"""CIE's lightness is linear up to this luminance, relative to white."""
 
 
 def to_lab(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -29,16 +28,12 @@ def measure_change(lab: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def number_bins(lab: NDArray[np.float32], bins: tuple[int, int, int]) -> NDArray[np.intp]:
-    """Return the index of the histogram bin of each pixel's colour [H,W].
-
-    `bins` are the numbers of bins of L, a and b.
-    """
+    """Return each pixel's histogram bin [H,W]; `bins` are the numbers of bins of L, a and b."""
     places = ((lab - [0, -100, -100]) / [100, 200, 200] * bins).astype(int)
     return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(places, 2, 0)), bins, mode="clip"))
 
 
 def _linear_light() -> NDArray[np.float32]:
-    """Return the linear light 0..1 of each byte value [256]."""
     value = np.arange(256) / 255
     curved = ((value + 0.055) / 1.055) ** 2.4
     return np.where(value <= 0.04045, value / 12.92, curved).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Refines the edge of a cut-out, and removes the colours of the background from the edge."""
+"""Refines the edge of a cut-out, and removes the background's colours from the edge."""
 
 import cv2
 import numpy as np
@@ -8,32 +8,22 @@ from phy124.imaging.image import reduce_size
 
 Field = NDArray[np.float32]
 SIDE = 640
-"""Longest side at which the edge is fitted [pixels]; the fit is then applied at full resolution."""
 REACH = 5
-"""Radius of the window in which alpha is fitted to the colours [pixels of the image that is reduced
-to `SIDE`].
-"""
+"""Radius of the filter's window [pixels of the reduced image]."""
 SMOOTH = 1e-4
-"""Regularisation: edges are ignored if the variance of their colours (0..1) is below this value."""
+"""Edges are ignored if the variance of their colours (0..1) is below this value."""
 DECIDED, SHARP = 2.0, 1.5
-"""Factors by which the distance of alpha from 1/2 is increased: in the coarse mask, and in the
-alpha that is fitted to the image.
-"""
+"""Factors that increase alpha's distance from 1/2, in the coarse mask and in the fitted alpha."""
 OPAQUE = 243
-"""Smallest alpha, 0..255, of pixels that are assumed to contain no background colour."""
+"""Pixels with at least this alpha, 0..255, are assumed to contain no background colour."""
 INSET = 1.0
-"""The colour of an opaque pixel is reliable if all pixels within this distance are opaque.
-
-This distance is measured in pixels of the image after it is reduced to `SIDE`.
-"""
+"""Pixels at least this far inside the object have reliable colours [pixels at `SIDE`]."""
 
 
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
-    """Fit a coarse mask to the edges of an image [H,W,3]; return the alpha [H,W].
+    """Fit a coarse mask [h,w] to the edges of an image [H,W,3]; return the alpha [H,W].
 
-    The mask [h,w] holds probabilities, at any resolution. The method is a guided filter: within
-    each window, alpha is a linear function of the colours (He, Sun, Tang 2013). The coefficients of
-    this function are computed on the reduced image (He, Sun 2015).
+    This is a guided filter (He, Sun, Tang 2013) on the reduced image (He, Sun 2015).
     """
     height, width = rgb.shape[:2]
     size = reduce_size(rgb.shape, SIDE)
@@ -52,7 +42,7 @@ def resize(values: Field, size: tuple[int, int]) -> Field:
 
 
 def _fit_linear(guide: Field, mask: Field) -> tuple[Field, Field]:
-    """Return slope [h,w,3] and offset [h,w] of the local linear map from colours to the mask."""
+    """Return slope [h,w,3] and offset [h,w] of the linear map from colours to the mask."""
     mean_guide, mean_mask = _mean(guide), _mean(mask)
     covariance = _mean(guide * mask[..., None]) - mean_guide * mean_mask[..., None]
     variance = _mean(_outer(guide).reshape(*mask.shape, 9)).reshape(*mask.shape, 3, 3)
@@ -75,10 +65,9 @@ def _raise_contrast(values: Field, factor: float) -> Field:
 
 
 def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Remove the contribution of the background from the colours of a soft edge; return [H,W,3].
+    """Remove the background's colours from a soft edge; return [H,W,3].
 
-    Half-transparent pixels get the colour of the nearest opaque pixel that is slightly inside the
-    object. Where the object is too thin, the colours on its centre line are used.
+    Half-transparent pixels get the colour of the nearest opaque pixel slightly inside the object.
     """
     soft = (alpha > 0) & (alpha < OPAQUE)
     trusted = _find_trusted(alpha)
@@ -94,7 +83,6 @@ def decontaminate(rgb: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[n
 
 
 def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return a mask [H,W] of the pixels that show only the object, without background colour."""
     inset = max(INSET, INSET * max(alpha.shape) / SIDE)
     core = _depth(alpha >= OPAQUE) > inset
     depth = _depth(alpha > 127)
@@ -103,7 +91,7 @@ def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _depth(inside: NDArray[np.bool_]) -> Field:
-    """Return the distance from each pixel to the nearest pixel outside the object [H,W]."""
+    """Distance from each pixel to the nearest pixel outside the object [H,W]."""
     return np.asarray(cv2.distanceTransform(_mask(inside), cv2.DIST_L2, 5), np.float32)
 
 

@@ -14,19 +14,17 @@ from phy124.imaging.silhouette import find_touched_edges
 
 Alpha = NDArray[np.uint8]
 Point = tuple[float, float]
-"""A point in an image: right and down, as fractions of the image's width and height."""
+"""Distances from the left and the top, as fractions of the image's width and height."""
 Box = tuple[int, int, int, int]
-"""Left, top, right and bottom edge of a box [pixels]."""
+"""Left, top, right and bottom [pixels]."""
 GAP = 0.01
 """Largest gap between pieces of the same object, relative to the image's longest side."""
 COUNTED = 0.05
-"""Smallest area of an object, relative to the area of the largest object; others are ignored."""
+"""Objects below this fraction of the largest area are ignored."""
 NEAR = 0.02
-"""A point selects an object if it is at most this far from the object, relative to the image's
-longest side.
-"""
+"""Largest distance of a point from its object, relative to the image's longest side."""
 WINDOWS = (0.7, 0.45, 0.3)
-"""Sides of the windows in which an object is searched, relative to the image's longest side."""
+"""Sides of the search windows, relative to the image's longest side."""
 MINIMUM = 0.02
 """Smallest fraction of a search window that an object must cover."""
 
@@ -35,9 +33,8 @@ class Objects(NamedTuple):
     """The objects of an alpha channel, numbered from 1."""
 
     nearest: NDArray[np.int32]
-    """For each pixel, the index of the nearest object [H,W]."""
+    """Number of the nearest object, for each pixel [H,W]."""
     areas: NDArray[np.int_]
-    """Area of each object [pixels]; index 0 is unused."""
 
     @classmethod
     def of(cls, alpha: Alpha) -> Objects:
@@ -54,7 +51,7 @@ class Objects(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Number of objects whose area is at least the fraction `COUNTED` of the largest area."""
+        """Number of objects, without small ones."""
         return int((self.areas >= COUNTED * self.areas.max()).sum())
 
 
@@ -67,7 +64,7 @@ def keep_largest(alpha: Alpha) -> tuple[Alpha, int]:
 
 
 def select_object(alpha: Alpha, point: Point) -> Alpha | None:
-    """Return the alpha [H,W] of the object at a point; None if there is no object at the point."""
+    """Return the alpha [H,W] of the object at a point, or None."""
     solid = (alpha > 127).astype(np.uint8)
     away = cv2.distanceTransform(1 - solid, cv2.DIST_L2, 5)
     place = pixel_at(point, (alpha.shape[1], alpha.shape[0]))
@@ -80,10 +77,10 @@ def select_object(alpha: Alpha, point: Point) -> Alpha | None:
 def search_around(
     image: Image.Image, point: Point, find: Callable[[Image.Image], Alpha]
 ) -> Alpha | None:
-    """Search around a point for an object that the segmentation missed; return its alpha, or None.
+    """Search windows around a point for an object that the segmentation missed.
 
-    Windows of several sizes around the point are segmented by `find`. The object that touches the
-    fewest edges of its window is selected.
+    Returns:
+        The alpha [H,W] of the object that touches the fewest edges of its window, or None.
     """
     best, fewest = None, 5
     for box in _windows_around(image.size, point):
@@ -113,6 +110,6 @@ def _windows_around(size: tuple[int, int], point: Point) -> Iterator[Box]:
 
 
 def pixel_at(point: Point, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the row and column of a point in an image of a given width and height."""
+    """Return the row and column of a point in an image of the size (W, H)."""
     column, row = (min(int(f * n), n - 1) for f, n in zip(point, size, strict=True))
     return row, column

@@ -1,4 +1,4 @@
-"""Samples a grey image, which a user painted over an object's image, at points of the object."""
+"""Samples a grey image that a user painted over an object's image."""
 
 from pathlib import Path
 
@@ -16,13 +16,13 @@ WHOLE: Crop = (0.0, 0.0, 1.0, 1.0)
 def sample_brightness(
     x: NDArray, path: Path, crop: Crop = WHOLE, *, field: str
 ) -> NDArray[np.float64]:
-    """Return the brightness [P] of an image at points seen from the front: 0 is black, 1 is white.
+    """Return the brightness [P] at points seen from the front: 0 is black, 1 is white.
 
     Args:
         x: Points at rest [P,3], m; the object is upright and faces +x.
         path: The image; its colours are converted to grey.
         crop: Position of the object within the image.
-        field: Name of the image in error messages.
+        field: Name of the image in messages.
 
     Raises:
         InputError: If the image cannot be read.
@@ -40,7 +40,7 @@ def sample_brightness(
 
 
 def crop_of(cutout: Image.Image) -> Crop:
-    """Return the position of the object within its image, which is an RGBA cut-out."""
+    """Return the position of the object within an RGBA cut-out."""
     opaque = np.asarray(cutout.getchannel("A")) > 127
     rows, columns = np.flatnonzero(opaque.any(axis=1)), np.flatnonzero(opaque.any(axis=0))
     if not len(rows):

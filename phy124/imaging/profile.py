@@ -9,13 +9,9 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Modes of the images to which a colour profile may apply; the keys are the colour spaces of
-profiles.
-"""
+"""Image modes by the colour space of the profile."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Mode to which an image is changed, without its alpha, before its colours are converted; the keys
-are the colour spaces of profiles.
-"""
+"""Image mode before the conversion, without alpha, by the colour space of the profile."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

@@ -1,8 +1,8 @@
 """Segments the salient object with trained networks from ONNX files: BiRefNet-lite and IS-Net.
 
 Zheng et al. 2024, "Bilateral Reference for High-Resolution Dichotomous Image Segmentation"; Qin et
-al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks of these networks already have
-soft edges, so they are not refined.
+al. 2022, "Highly Accurate Dichotomous Image Segmentation". The masks already have soft edges, so
+they are not refined.
 """
 
 from collections.abc import Callable
@@ -34,33 +34,29 @@ class Salient:
     """A network that maps an image to a mask of its salient object."""
 
     weights: str
-    """Name of the set of weights that the network uses."""
     size: int
-    """Width and height of the network's input [pixels]."""
     resize: Callable[[Pixels, int], Pixels]
-    """Function that resamples an image [H,W,3] to [size,size,3]."""
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
-    """Mean and standard deviation with which colours in 0..1 are normalised."""
+    """For colours in 0..1."""
     finish: Callable[[Mask, tuple[int, int]], Mask]
-    """Function that maps the network's output and (W, H) to the object's mask [H,W], 0..1."""
+    """Maps the network's output and the size (W, H) to a mask [H,W], 0..1."""
     title: str
-    """Name of the network in messages."""
 
 
 def resize_smoothly(rgb: Pixels, size: int) -> Pixels:
-    """Resize an image to a square with a bilinear filter, which is wider for larger images."""
+    """Resize an image to a square with a bilinear filter; large images are smoothed."""
     return np.asarray(Image.fromarray(rgb).resize((size, size), Image.Resampling.BILINEAR))
 
 
 def resize_sharply(rgb: Pixels, size: int) -> Pixels:
-    """Resize an image to a square; interpolate bilinearly between pixels, and round values down."""
+    """Resize an image to a square by bilinear interpolation, without smoothing; round down."""
     fine = cv2.resize(rgb.astype(np.float32), (size, size), interpolation=cv2.INTER_LINEAR)
     return np.floor(np.asarray(fine) + 1e-3).astype(np.uint8)
 
 
 def finish_logits(logits: Mask, size: tuple[int, int]) -> Mask:
-    """Convert a network's logits to probabilities, and resize them to the image's size."""
+    """Convert a network's logits to probabilities in the image's size."""
     return resize((0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32), size)
 
 
@@ -90,7 +86,7 @@ NETWORKS: dict[str, Salient] = {
     ),
     "isnet": Salient("isnet", 1024, resize_sharply, *CENTRED, finish_stretched, "IS-Net"),
 }
-"""Networks, by the name of the segmentation method that uses them."""
+"""Networks by the name of the segmentation method."""
 
 
 def is_available(name: str, image: Image.Image | None = None) -> bool:
@@ -103,7 +99,7 @@ def is_available(name: str, image: Image.Image | None = None) -> bool:
 def find_alpha(
     name: str, image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> Pixels:
-    """Segment the salient object of an image with a network; return the alpha [H,W] of the object.
+    """Return the alpha [H,W] of an image's salient object.
 
     Raises:
         InputError: The weights or onnxruntime are missing, or the file is of another network.

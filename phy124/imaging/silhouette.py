@@ -13,33 +13,25 @@ Solid = NDArray[np.bool_]
 SMALLEST_PIECE = 0.01
 """Smallest area of a piece that is counted, as a fraction of the object's area."""
 NEAR = 0.035
-"""Largest distance at which an object counts as near an image edge, relative to the image's shorter
-side.
+"""An object is near an image edge within this distance, relative to the image's shorter side.
 
 GrabCut's masks always keep a distance of at least 0.03 from the image edges.
 """
 REACH = 0.02
 """An object touches an image edge if it is near at least this fraction of the edge."""
 SIDE = 320
-"""Longest side at which the outline is examined [pixels]."""
 FAINT = 2.0
 """Smallest colour gradient at an edge, in CIE Lab units per pixel."""
 WIDE = 2.0
-"""Half the width of an object's soft edge [pixels], in an image whose longest side is `FITTED`."""
+"""Half the width of a soft edge [pixels]."""
 FITTED = 640
-"""Longest side [pixels] of an image for which `WIDE` is valid. In larger images, the soft edges are
-assumed to be wider in proportion.
-"""
+"""In images with a longer side than this [pixels], edges are wider than `WIDE` in proportion."""
 HALF = 25
-"""The alpha of a half-transparent pixel differs from 0 and from 255 by at least this value."""
 AROUND = 0.125
-"""Width of the strip around an object whose colours are compared with those of the object, relative
-to the object's longest side.
-"""
+"""Width of the examined strip around an object, relative to the image's longest side."""
 BINS = (12, 24, 24)
-"""Numbers of bins of a colour histogram for L, a and b."""
+"""Numbers of histogram bins for L, a and b."""
 SIMILAR, ONE = cv2.getGaussianKernel(7, 0.7), np.ones(1)
-"""Kernel that smooths a colour histogram along one axis, and a kernel that changes nothing."""
 
 
 def count_pieces(solid: Solid) -> int:
@@ -61,7 +53,7 @@ def find_touched_edges(solid: Solid) -> tuple[str, ...]:
 
 
 def measure_unseen(rgb: NDArray[np.uint8], solid: Solid) -> float:
-    """Return the fraction of the outline along which the image [H,W,3] has no edge."""
+    """Return the fraction of the outline at which the image [H,W,3] shows no edge."""
     lab, inside = _reduce(rgb, solid)
     around = np.ones((3, 3), np.uint8)
     outline = cv2.morphologyEx(inside.astype(np.uint8), cv2.MORPH_GRADIENT, around) > 0
@@ -82,7 +74,7 @@ def measure_alike(rgb: NDArray[np.uint8], solid: Solid) -> float:
 
 
 def measure_undecided(alpha: NDArray[np.uint8]) -> float:
-    """Return the ratio of the half-transparent area away from the outline to the object's area.
+    """Return the half-transparent area away from the outline, divided by the object's area.
 
     Within a few pixels of the outline, half transparency is usual. Farther away from the outline,
     half transparency shows that the network was uncertain.
@@ -95,7 +87,7 @@ def measure_undecided(alpha: NDArray[np.uint8]) -> float:
 
 
 def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
-    """Return the smoothed histogram of the pixels' colour bins, normalised to a sum of 1."""
+    """Return a smoothed histogram whose sum is 1."""
     common = np.bincount(kinds, minlength=math.prod(BINS)) / len(kinds)
     for bins in BINS:
         # Smooth along the first axis, then make it the last axis.
@@ -106,7 +98,7 @@ def _colour_fractions(kinds: NDArray[np.int_]) -> NDArray[np.float64]:
 
 
 def _reduce(rgb: NDArray[np.uint8], solid: Solid) -> tuple[NDArray[np.float32], Solid]:
-    """Return smoothed CIE Lab colours [h,w,3] and the object's mask [h,w], both at reduced size."""
+    """Return smoothed CIE Lab colours [h,w,3] and a mask [h,w]."""
     size = reduce_size(solid.shape, SIDE, 3)
     small = cv2.resize(np.ascontiguousarray(rgb), size, interpolation=cv2.INTER_AREA)
     mask = cv2.resize(255 * solid.astype(np.uint8), size, interpolation=cv2.INTER_AREA)

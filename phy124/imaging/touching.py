@@ -1,10 +1,8 @@
 """Splits two objects that touch, where the silhouette has a neck and the colours change.
 
-A narrow neck alone is not sufficient, because a person's head also sits on a neck. A change of
-colour alone is not sufficient either, because trousers and a shirt also have different colours. A
-split therefore requires both a neck and a change of colour, and each part must be large. Some
-splits are wrong: for example, a boat and its sail are separated. docs/lab/cutouts.md lists how
-often this happens.
+A neck alone is not sufficient, because a person's head also sits on a neck. A change of colour
+alone is not sufficient, because trousers and a shirt differ too. docs/lab/cutouts.md lists how
+often a split is wrong.
 """
 
 import math
@@ -19,19 +17,14 @@ from phy124.imaging.lab import number_bins, to_lab
 Alpha = NDArray[np.uint8]
 Solid = NDArray[np.bool_]
 SIDE = 200
-"""Longest side to which the image is reduced before necks are searched [pixels]."""
+"""Longest side of the reduced image [pixels]."""
 NECK = 0.4
-"""Largest width of a neck between two touching objects, relative to the width of the thinner
-object.
-"""
+"""Largest width of a neck, relative to the width of the thinner object."""
 UNLIKE = 0.8
-"""The two parts of a silhouette are separate objects if at least this fraction of their colour
-histograms differs.
-"""
+"""Smallest fraction by which the colour histograms of two objects differ."""
 MOST = 4
-"""Largest number of objects into which a cut-out is split."""
 SMALLEST = 0.25
-"""Smallest area of the smaller of two touching objects, as a fraction of the area of both."""
+"""Smallest area of each object, as a fraction of the area of both objects."""
 BINS = (6, 16, 16)
 """Numbers of histogram bins for L, a and b."""
 
@@ -40,18 +33,14 @@ class Neck(NamedTuple):
     """The narrowest place of a silhouette between two parts."""
 
     width: float
-    """Width of the neck relative to the width of the thinner of the two parts."""
+    """Width of the neck, relative to the width of the thinner part."""
     first: Solid
-    """Mask [h,w] of the inner area of the first of the two touching parts."""
+    """Mask [h,w] inside the first part."""
     second: Solid
-    """Mask [h,w] of the inner area of the second of the two touching parts."""
 
 
 def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) -> Alpha:
-    """Return the alpha [H,W] of the object at a row and column.
-
-    Other objects that touch it are excluded.
-    """
+    """Return the alpha [H,W] of the object at a row and column, without objects that touch it."""
     for _ in range(MOST - 1):
         parts = split_touching(rgb, alpha)
         if parts is None:
@@ -61,7 +50,7 @@ def select_part(rgb: NDArray[np.uint8], alpha: Alpha, place: tuple[int, int]) ->
 
 
 def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] | None:
-    """Split touching objects, and return masks [H,W] of two parts; None for a single object.
+    """Return masks [H,W] of two objects that touch; None for a single object.
 
     The alpha [H,W] must be one connected piece of a cut-out.
     """
@@ -86,10 +75,6 @@ def split_touching(rgb: NDArray[np.uint8], alpha: Alpha) -> tuple[Solid, Solid] 
 
 
 def _find_neck(solid: Solid) -> Neck | None:
-    """Return the narrowest neck of a silhouette [h,w] between two large parts.
-
-    Return None if there is no neck.
-    """
     depth = cv2.distanceTransform(np.pad(solid, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     best = None
     for level in np.arange(1.0, float(depth.max())):
@@ -110,7 +95,7 @@ def _distance_to(core: Solid) -> NDArray[np.float32]:
 
 
 def _colour_difference(rgb: NDArray[np.uint8], first: Solid, second: Solid) -> float:
-    """Return the fraction of the colour histograms that two parts of an image do not share."""
+    """Return the fraction of the histograms that two parts do not share."""
     kinds = number_bins(to_lab(rgb), BINS)
     counts = [np.bincount(kinds[part], minlength=math.prod(BINS)) for part in (first, second)]
     shares = [count / max(1, count.sum()) for count in counts]

@@ -1,15 +1,12 @@
-"""Examines whether an image's alpha separates an object, and whether alpha is low everywhere."""
+"""Examines the alpha channel of images."""
 
 import numpy as np
 from PIL import Image
 
 REAL = 0.005
-"""An alpha separates an object if at least this fraction of the pixels is opaque, and at least this
-fraction is transparent.
-"""
+"""In a cut-out, at least this fraction is opaque, and at least this fraction is transparent."""
 FAINTEST = 8
-"""An image counts as empty if the alpha (0 to 255) of its most opaque pixel is below this value.
-"""
+"""An image counts as empty if its largest alpha (0 to 255) is below this value."""
 
 
 def has_alpha(image: Image.Image) -> bool:
@@ -19,7 +16,7 @@ def has_alpha(image: Image.Image) -> bool:
 
 
 def is_faint(image: Image.Image) -> bool:
-    """Return whether the image shows something although no pixel is opaque."""
+    """Whether the image shows something although no pixel is opaque."""
     return FAINTEST <= _most_opaque(image) < 128
 
 
@@ -33,6 +30,6 @@ def make_solid(image: Image.Image) -> Image.Image:
 
 
 def _most_opaque(image: Image.Image) -> int:
-    """Return the largest alpha, 0..255, but ignore the fraction `REAL` of the image's pixels."""
+    """Return the largest alpha, 0..255; the most opaque pixels are ignored (fraction `REAL`)."""
     alpha = np.asarray(image.convert("RGBA").getchannel("A"))
     return int(np.quantile(alpha, 1 - REAL, method="lower"))

@@ -1,8 +1,7 @@
-"""Segments the salient object with U2-Net; images are resampled as by rembg.
+"""Segments the salient object with U2-Net (Qin et al. 2020).
 
-Source: Qin et al. 2020. The small network is part of this package (phy124/weights/u2netp.onnx). The
-file of the full network must be downloaded. The file of a network is either an .onnx file, for
-OpenCV, or a .pth file, for phy124's torch module.
+The small network is part of this package; the full network must be downloaded. OpenCV runs .onnx
+files, and torch runs .pth files.
 """
 
 import os
@@ -23,24 +22,19 @@ from phy124.runtime.installation import install_command
 from phy124.weights.store import KNOWN, WeightFile, find, require
 
 SIZE = 320
-"""Width and height of the network's input [pixels]."""
+"""Side of the network's input [pixels]."""
 CLOSER = 1.4
-"""A small object is segmented again in a section of the image if this enlarges the object at least
-by this factor.
-"""
+"""A small object is segmented again if this enlarges the object at least by this factor."""
 AROUND = 0.15
-"""Width of the surroundings with which a small object is segmented again, relative to its longest
-side.
-"""
+"""Width of the margin around a small object, relative to the object's longest side."""
 AGREED = 0.85
-"""A repeated segmentation is used if its overlap (IoU) with the first mask is at least this value.
-"""
+"""Smallest overlap (IoU) of two masks that agree."""
 Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-"""Function from a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
+"""Maps a normalised image [1,3,320,320] to the saliency [1,1,320,320] in 0..1."""
 
 
 def weights_file() -> Path | None:
-    """Return the file of the full U2-Net, preferring .onnx to .pth; None if there is no file."""
+    """Return the file of the full U2-Net, or None; .onnx is preferred to .pth."""
     (onnx,) = KNOWN["u2net"]
     pth = WeightFile(onnx.repo, "u2net.pth", onnx.licence)
     return find(onnx) or find(pth)
@@ -55,7 +49,7 @@ def is_available(image: Image.Image | None = None) -> bool:
 def find_alpha(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Segment the salient object of an image with the full U2-Net; return its alpha [H,W].
+    """Return the alpha [H,W] of the salient object, found with the full U2-Net.
 
     Raises:
         InputError: The weight file is missing, or it is a .pth file and torch is not installed.
@@ -68,7 +62,7 @@ def find_alpha(
 def find_alpha_small(
     image: Image.Image, deadline: isolated.Deadline = isolated.PATIENT
 ) -> NDArray[np.uint8]:
-    """Segment the salient object of an image with the small U2-NetP; return its alpha [H,W]."""
+    """Return the alpha [H,W] of the salient object, found with the small U2-NetP."""
     return _run_isolated(image, require("u2netp")["u2netp.onnx"], deadline)
 
 
@@ -96,9 +90,8 @@ def look_closer(
 ) -> NDArray[np.float32]:
     """Segment a small object again in a section of the image, where thin parts have more pixels.
 
-    The mask of the section replaces the first mask if the two agree (their IoU is at least
-    `AGREED`). The first mask contains the object's probability in the whole image [320,320]; the
-    result has the shape [320,320] or [H,W].
+    The first mask [320,320] is returned if the two masks disagree; otherwise the mask [H,W] of the
+    section.
     """
     height, width = rgb.shape[:2]
     whole = np.asarray(cv2.resize(coarse, (width, height)), np.float32)
@@ -142,19 +135,19 @@ def load(path: str | os.PathLike[str]) -> Network:
 
 
 def foreground(rgb: NDArray[np.uint8], network: Network) -> NDArray[np.uint8]:
-    """Return the mask [H,W], 0..255, of the salient object in `rgb [H,W,3]`, as rembg does."""
+    """Return the mask [H,W], 0..255, of the salient object, as rembg does."""
     return finish_rembg(network(prepare_rembg(rgb)), (rgb.shape[1], rgb.shape[0]))
 
 
 def prepare_rembg(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Resample `rgb [H,W,3]` as rembg does to [1,3,320,320]: Lanczos, normalised by the maximum."""
+    """Resample an image [H,W,3] to [1,3,320,320] as rembg does: Lanczos, divided by the maximum."""
     small = Image.fromarray(rgb).resize((SIZE, SIZE), Image.Resampling.LANCZOS)
     image = np.asarray(small, dtype=np.float64)
     return normalise(image / max(float(image.max()), 1e-6))
 
 
 def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Convert a network's output [1,1,320,320] to a mask [H,W] as rembg does; `size` is (W, H)."""
+    """Convert the output [1,1,320,320] to a mask of the size (W, H), as rembg does."""
     d0 = d0[0, 0]
     low, high = float(d0.min()), float(d0.max())
     # A constant output means that no object is salient; the original program would divide by zero.
@@ -164,7 +157,7 @@ def finish_rembg(d0: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.u
 
 
 def multiply_mask(image: NDArray[np.uint8], mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Multiply all channels of `image [H,W,3 or 4]` by the mask, as rembg does; return [H,W,4].
+    """Multiply all channels of an image by the mask, as rembg does; return [H,W,4].
 
     LGM's program multiplies the colours of such images by alpha again, which darkens soft edges.
     """

@@ -1,4 +1,4 @@
-"""Defines U2-Net, a U-Net for salient objects in which every stage is itself a small U-Net.
+"""Defines U2-Net, a U-Net in which every stage is itself a small U-Net.
 
 Source: Qin et al. 2020, "U^2-Net: Going Deeper with Nested U-Structure for Salient Object
 Detection". The submodules have the same names as in the public .pth files.
@@ -24,7 +24,7 @@ class ConvBnRelu(nn.Module):
         self.bn_s1 = nn.BatchNorm2d(outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the layers to feature maps [B,inputs,H,W]; return feature maps [B,outputs,H,W]."""
+        """Return feature maps [B,outputs,H,W]."""
         return F.relu(self.bn_s1(self.conv_s1(x)))
 
 
@@ -59,7 +59,7 @@ class ResidualU(nn.Module):
             self.add_module(f"rebnconv{i}d", layer)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the layers to feature maps [B,inputs,H,W]; return feature maps [B,outputs,H,W]."""
+        """Return feature maps [B,outputs,H,W]."""
         whole = self.rebnconvin(x)
         x, skips = whole, []
         for i in range(1, self.levels + 1):
@@ -80,9 +80,9 @@ class Widths:
     """Numbers of channels of each stage of the U-Net: inputs, inside the stage, outputs."""
 
     down: tuple[tuple[int, int, int], ...]
-    """Numbers of channels of the U-Net's encoder stages 1 to 6."""
+    """Encoder stages 1 to 6."""
     up: tuple[tuple[int, int, int], ...]
-    """Numbers of channels of the U-Net's decoder stages 5d to 1d."""
+    """Decoder stages 5d to 1d."""
 
 
 WIDTHS = {
@@ -100,7 +100,7 @@ WIDTHS = {
     "u2netp": Widths(((3, 16, 64), *[(64, 16, 64)] * 5), ((128, 16, 64),) * 5),
 }
 LEVELS = (7, 6, 5, 4, 4, 4)
-"""Number of levels in each encoder stage, 1 to 6, of the U-Net; the last two stages are dilated."""
+"""Encoder stages 1 to 6; the last two stages are dilated."""
 
 
 class U2Net(nn.Module):
@@ -121,7 +121,7 @@ class U2Net(nn.Module):
         self.outconv = nn.Conv2d(SIDES, 1, 1)
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """Return seven saliency maps (d0, ..., d6); the height and width of `x` may be odd."""
+        """Return (d0, ..., d6); the height and width of `x` may be odd."""
         skips = []
         for i in range(1, 7):
             x = self.get_submodule(f"stage{i}")(x if i == 1 else _pool(x))
@@ -141,9 +141,7 @@ class U2Net(nn.Module):
 
 
 def load(tensors: StateDict) -> U2Net:
-    """Build the network to which the tensors belong (U2-Net or U2-NetP), and load the tensors.
-
-    An error is raised if tensors are missing or unknown.
+    """Build U2-Net or U2-NetP from the tensors.
 
     Raises:
         InputError: If the tensors fit neither network.
