@@ -2,12 +2,9 @@
 
 A generator is any callable `(image_rgba, *, seed, progress) -> Gaussians`. `image_rgba` is a PIL
 image or a uint8 array [H,W,4] in which everything except the object is transparent. `seed` is an
-integer, and `progress` is a callback as described in `phy124.progress`. The Gaussians are in the
-world's axes (z up, the object faces +x), centred on the origin, with a longest side of 1 m. A slow
-generator also has a method `effort`, which predicts its run time (see `phy124.generators.options`).
-Each generator with a trained network is a package in `phy124/generators/neural`. Other packages
-register generators with an entry point in the group `phy124.generators`. Callers may also pass a
-generator itself instead of its name.
+integer, and `progress` is a callback as described in `phy124.progress`. The Gaussians are centred
+on the origin, with z up, the object's front towards +x, and a longest side of 1 m. A slow generator
+also has a method `effort`, which predicts its run time (see `phy124.generators.options`).
 """
 
 from __future__ import annotations
@@ -36,15 +33,12 @@ if TYPE_CHECKING:
 
 
 class Generator(Protocol):
-    """A generator, which makes Gaussians from an image."""
+    """Makes Gaussians from an image."""
 
     def __call__(
         self, image_rgba: Image.Image | NDArray[np.uint8], *, seed: int, progress: Progress
     ) -> Gaussians:
-        """Make Gaussians of the opaque part of the image.
-
-        Calls with the same seed return the same Gaussians.
-        """
+        """Make Gaussians of the opaque part of the image; equal seeds give equal Gaussians."""
         ...
 
 
@@ -69,24 +63,21 @@ GENERATORS: dict[str, Callable[..., Generator]] = {
 }
 """Factories of generators by name; a factory imports its generator only when it is called.
 
-The keywords of a factory are the fields of `GeneratorOptions` that the generator supports, and
-`device` if the device can be chosen.
+The keywords of a factory are the supported fields of `GeneratorOptions`, and `device` if the device
+can be chosen.
 """
 WEIGHTS = {name: package.WEIGHTS for package in NEURAL for name in package.GENERATORS}
-"""Names of the trained weights that each generator loads (keys of `weights.store.KNOWN`)."""
+"""Keys of `weights.store.KNOWN` that each generator loads."""
 
 
 def is_present(name: str) -> bool:
-    """Return whether the weights and packages that a generator needs are installed.
-
-    The result is False if the generator is unknown.
-    """
+    """Whether the weights and packages of a generator are installed; False for unknown names."""
     package = next((package for package in NEURAL if name in package.GENERATORS), None)
     return bool(getattr(package, "is_present", lambda: False)())
 
 
 def list_names() -> list[str]:
-    """Return the names of all generators, including those registered by other packages."""
+    """Return the names of all generators, including those of other packages."""
     return [*GENERATORS, *(name for name in list_plugins("generators") if name not in GENERATORS)]
 
 
@@ -101,10 +92,10 @@ def make(
     Args:
         chosen: Name of a generator in `GENERATORS`, path of a file, a command, or a generator
             object.
-        reading: Options for reading a file of Gaussians; if None, the conventions of the file's
-            format apply.
+        reading: Options for reading a file of Gaussians; None: the conventions of the file's
+            format.
         options: Options of the generator.
-        device: Device on which the generator's network runs; None: a GPU if there is one.
+        device: Device of the generator's network; None: a GPU if there is one.
 
     Raises:
         InputError: If no generator has that name, a package is not installed, `reading` is set
@@ -131,11 +122,6 @@ def make(
 
 
 def _factory(name: str) -> Callable[..., Generator]:
-    """Return the factory that creates the generator with a given name.
-
-    Raises:
-        InputError: If no generator has that name.
-    """
     factory = GENERATORS.get(name) or load_plugin("generators", name)
     if factory is None:
         limit = "There is no such generator."
@@ -148,7 +134,6 @@ def _factory(name: str) -> Callable[..., Generator]:
 
 
 def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator:
-    """Create the generator for a file or a command; if `chosen` is a generator, return it."""
     if not needs_image(chosen):
         from phy124.generators.ply_file import PlyFile
 
@@ -163,19 +148,18 @@ def _make_unnamed(chosen: str | Generator, reading: Reading | None) -> Generator
 
 
 def _describe(chosen: str | Generator) -> str:
-    """Return a description of a generator without a name, for use in messages."""
     if isinstance(chosen, str):
         return "A command" if is_command(chosen) else "A file of Gaussians"
     return type(chosen).__name__
 
 
 def is_command(chosen: str | Generator) -> bool:
-    """Return whether a generator is an external command (phy124/generators/command.py)."""
+    """Whether a generator is an external command."""
     return isinstance(chosen, str) and re.match(r"\s*cmd[\s:]", chosen) is not None
 
 
 def needs_image(chosen: str | Generator) -> bool:
-    """Return whether a generator uses the image; a generator that reads a file does not."""
+    """Whether a generator uses the image; a generator that reads a file does not."""
     from phy124.io.formats import is_file_of_gaussians
 
     return not isinstance(chosen, str) or is_command(chosen) or not is_file_of_gaussians(chosen)

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 FORM = re.compile(r"cmd(?:\s+(?P<seconds>[0-9.]+))?\s*:\s*(?P<words>.*)", re.DOTALL)
 LONGEST = 1800.0
-"""Default time limit of a command [s]."""
+"""Default time limit [s]."""
 BEAT = 0.2
-"""Interval [s] at which phy124 checks whether the command has ended or the run was cancelled."""
+"""Interval [s] at which the process is checked."""
 LONGEST_MESSAGE = 300
-"""Number of characters of a failed command's output that the error message quotes."""
+"""Number of quoted characters of a failed command's output."""
 USAGE = (
     'Write "cmd: PROGRAM {image} {out}"; {seed} is replaced by the seed, and `cmd 120:` sets a '
     "time limit of 120 seconds."
@@ -53,10 +53,10 @@ class Command:
     """A generator that runs an external program."""
 
     text: str
-    """The command as the user writes it: `cmd: PROGRAM ... {image} ... {out}`, or `cmd SECONDS:
-    ...`."""
+    """The command as the user writes it: `cmd: PROGRAM ... {image} ... {out}` or `cmd SECONDS:
+    ...`.
+    """
     reading: Reading = field(default_factory=Reading)
-    """Options for reading the file that the command writes."""
 
     def __post_init__(self) -> None:
         words, _ = self._parse()
@@ -71,7 +71,7 @@ class Command:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Run the command, read the Gaussians that it writes, and scale their longest side to 1 m.
+        """Run the command, and return its Gaussians with a longest side of 1 m.
 
         Raises:
             InputError: If the command cannot be started, fails, takes too long, or does not write a
@@ -95,7 +95,6 @@ class Command:
             return PlyFile(str(written[0]), self.reading)(progress=progress)
 
     def _parse(self) -> tuple[list[str], float]:
-        """Return the arguments of the command line and the time limit [s]."""
         match = FORM.fullmatch(self.text.strip())
         try:
             words = shlex.split(match["words"]) if match else []
@@ -143,7 +142,7 @@ def _fill(word: str, names: dict[str, str]) -> str:
 
 
 def _start(words: list[str], output: Any) -> subprocess.Popen[bytes]:
-    """Start a process in a new process group, so that its children can be killed with it."""
+    """A new process group is started, so that the children can be killed with the process."""
     return subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
     )

@@ -1,4 +1,4 @@
-"""Optional inputs in addition to the front image: a depth map, and images of other sides."""
+"""Optional inputs besides the front image: a depth map, and images of other sides."""
 
 import os
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from phy124.schema.section import Section
 from phy124.weights.store import require
 
 ASPECT = 0.02
-"""Largest allowed relative difference between the aspect ratios of depth map and image."""
+"""Largest relative difference between the aspect ratios of a depth map and its image."""
 
 
 class DepthMap(Section):
@@ -71,7 +71,7 @@ class DepthMap(Section):
 
 
 def read_depth(path: Path) -> NDArray[np.float32]:
-    """Read the values [H,W] of a depth map from its file.
+    """Read a depth map [H,W] from its file.
 
     Raises:
         InputError: If the file is missing or damaged, is not a single image, or contains values
@@ -92,7 +92,7 @@ def read_depth(path: Path) -> NDArray[np.float32]:
 
 
 def fit_to_picture(depth: NDArray, width: int, height: int) -> NDArray[np.float32]:
-    """Resize a depth map to the size of the image [H,W].
+    """Resize a depth map to the size of an image; return [H,W].
 
     Raises:
         InputError: If the aspect ratios of map and image differ.
@@ -165,7 +165,7 @@ class OtherViews(Section):
         Args:
             generator: The generator that gets the inputs.
             name: Name of the generator, for messages.
-            cut: Function that opens the image of an option and removes the image's background.
+            cut: Function that opens an option's image and removes the background.
 
         Raises:
             InputError: If the generator does not support an input, or an image is unusable.

@@ -1,8 +1,7 @@
 """Covers a triangle mesh from a file with flat Gaussians that have the colours of its surface.
 
-trimesh reads the file in a separate process, which is killed if it takes too long. The interior is
-filled as for every other object (phy124/particles/solid.py). The mesh may therefore have holes and
-other defects.
+trimesh reads the file in a separate process, which is killed after a time limit. The mesh may have
+holes, because the interior is filled as for every other object (phy124/particles/solid.py).
 """
 
 from __future__ import annotations
@@ -33,37 +32,29 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
-"""Up and front directions that each file format prescribes."""
+"""Up and front directions, by file format."""
 STL_HEAD = 84
-"""Size of a binary STL file's header [bytes]. A binary STL file's header ends with the number of
-triangles.
-"""
+"""Header of a binary STL file [bytes]; the last four bytes are the number of triangles."""
 STL_ROW = 50
-"""Size of each triangle in a binary STL file [bytes]."""
+"""Triangle in a binary STL file [bytes]."""
 LARGEST = 200_000_000
-"""Largest file size [bytes]; larger files are refused before they are read."""
+"""Larger files are refused [bytes]."""
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
-"""Time limit for reading a mesh file."""
 COUNT = 24_000
-"""Number of Gaussians for a mesh that is not the first object of a scene. With fewer Gaussians, the
-edges of a mesh would look ragged.
-"""
+"""With fewer Gaussians, the edges of a mesh would look ragged."""
 OBJECT_COUNT = 50_000
-"""Number of Gaussians for a mesh that is the first object of a scene."""
+"""Number of Gaussians of a mesh that is the first object of a scene."""
 GREY = (0.7, 0.7, 0.7)
-"""Colour of a mesh whose file contains no colours."""
+"""Colour of a mesh without colours."""
 FAR = 100.0
-"""float32 is too coarse for a mesh whose distance from the origin exceeds this multiple of its
-size.
-"""
+"""float32 is too coarse for a mesh farther from the origin, relative to the mesh's size."""
 LARGEST_HEADER = 1 << 20
-"""Number of bytes at the start of a file that are examined to detect a mesh."""
+"""Number of bytes in which a mesh is recognised."""
 SMALLEST = 1e-6
 """Smallest surface area of a mesh, relative to the square of its longest side."""
 Drawn = tuple[NDArray[np.float64], NDArray[np.float64], "NDArray[np.float64] | None"]
-"""Points [N,3], outward normals [N,3], and colours [N,3] in 0..1; the colours are None if the mesh
-has no colours."""
+"""Points [N,3], outward normals [N,3], and colours [N,3] in 0..1 if the mesh has colours."""
 
 
 def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
@@ -72,7 +63,7 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
     Args:
         path: A .glb, .gltf, .obj, .stl or .ply file.
         colour: Red, green and blue in 0..1, used if the mesh contains no colours.
-        seed: Seed for the random positions of the Gaussians.
+        seed: Seed of the Gaussians' positions.
 
     Raises:
         InputError: If the mesh cannot be read, is too large, or has no surface area.
@@ -84,11 +75,7 @@ def mesh(path: Path, colour: Sequence[float], *, seed: int = 0) -> Gaussians:
 
 
 def read_mesh(path: Path, *, seed: int = 0) -> Content:
-    """Convert a mesh file to the Gaussians of one object, in the axes and the unit of the file.
-
-    Args:
-        path: A .glb, .gltf, .obj, .stl or .ply file.
-        seed: Seed for the random positions of the Gaussians.
+    """Return the Gaussians of a mesh file, in the axes and the unit of the file.
 
     Raises:
         InputError: If the mesh cannot be read, is too large, or has no surface area.
@@ -106,10 +93,7 @@ def read_mesh(path: Path, *, seed: int = 0) -> Content:
 
 
 def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
-    """Return a file's meshes with their colours and textures, and the file's up and front axes.
-
-    Args:
-        path: A .glb, .gltf, .obj, .stl or .ply file.
+    """Return the meshes of a file, and the file's up and front axes.
 
     Raises:
         InputError: If the mesh cannot be read or is too large.
@@ -120,7 +104,7 @@ def load_pieces(path: Path) -> tuple[list[Trimesh], tuple[str, str | None]]:
 
 
 def is_mesh(path: Path) -> bool:
-    """Return whether a file is a mesh without Gaussians, judged by its first bytes and name."""
+    """Whether a file is a mesh without Gaussians, judged by its first bytes and name."""
     kind = path.suffix.lower()
     if kind in MESH_ENDINGS:
         return True
@@ -137,18 +121,16 @@ def is_mesh(path: Path) -> bool:
 
 
 class _About(NamedTuple):
-    """The bounding box of a mesh in the axes of its file, and notes about reading the file."""
-
     axes: tuple[str, str | None]
-    """Axes of the mesh file that point up and to the object's front."""
+    """Up and front axes of the file."""
     centre: NDArray[np.float64]
     size: float
-    """Longest side of the mesh's bounding box."""
+    """Longest side of the bounding box."""
     notes: tuple[str, ...]
 
 
 def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[Gaussians, _About]:
-    """Cover a mesh with about `count` Gaussians in phy124's axes, with a longest side of 1."""
+    """Cover a mesh with Gaussians in phy124's axes, with a longest side of 1."""
     _refuse(path)
     kind = _kind(path)
     drawn, coarse = _read_apart(path, _read, str(path), kind, seed, count)
@@ -162,11 +144,7 @@ def _cover(path: Path, colour: Sequence[float], count: int, seed: int) -> tuple[
 
 
 def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a separate process with a time limit; the function reads a mesh.
-
-    Raises:
-        InputError: If the function takes too long, or raises ValueError("limit; remedy").
-    """
+    """Call a function in a separate process; its ValueErrors have the form "limit; remedy"."""
     try:
         return isolated.run(function, *arguments, deadline=TIME)
     except isolated.Unfinished as error:
@@ -179,11 +157,6 @@ def _read_apart(path: Path, function: Callable[..., Any], *arguments: Any) -> An
 
 
 def _kind(path: Path) -> str:
-    """Return the format of a file, from its first bytes if possible, otherwise from its extension.
-
-    Raises:
-        InputError: If an STL or PLY file contains fewer triangles or rows than its header states.
-    """
     with open(path, "rb") as file:
         head = file.read(STL_HEAD)
     if head[:4] == b"glTF":
@@ -206,11 +179,7 @@ def _kind(path: Path) -> str:
 
 
 def _check_rows(path: Path) -> None:
-    """Check that an ASCII PLY file contains as many rows as its header states, one per line.
-
-    Raises:
-        InputError: If the file ends too early.
-    """
+    """An ASCII PLY file has one row per line."""
     head, _, body = path.read_bytes().partition(b"end_header")
     if not re.search(rb"^format ascii\b", head, re.MULTILINE):
         return
@@ -222,11 +191,6 @@ def _check_rows(path: Path) -> None:
 
 
 def _refuse(path: Path) -> None:
-    """Raise an error if a file is not a readable mesh, or if trimesh is not installed.
-
-    Raises:
-        InputError: If the file is missing or unusable, or the package trimesh is not installed.
-    """
     if path.suffix.lower().removeprefix(".") not in UPRIGHT:
         known = ", ".join(f".{name}" for name in UPRIGHT)
         raise _unusable(
@@ -250,13 +214,7 @@ def _unusable(path: Path, limit: str, remedy: str) -> InputError:
 
 
 def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | None]:
-    """Sample points on the surface of a mesh, and check that the mesh has enough triangles.
-
-    This function is called in a separate process.
-
-    Raises:
-        ValueError: If the mesh is unusable; its message is "limit; remedy".
-    """
+    """Run in a separate process; the message of a ValueError is "limit; remedy"."""
     solids, shapes = _load_solids(path, kind)
     drawn = _sample_surface(solids, seed, count)
     # The vertices of `shapes` are in the file's coordinates, before the transform of any scene node
@@ -266,11 +224,6 @@ def _read(path: str, kind: str, seed: int, count: int) -> tuple[Drawn, str | Non
 
 
 def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
-    """Return the meshes of a file in phy124's axes, without the vertices that no triangle uses.
-
-    Raises:
-        ValueError: If the mesh is unusable; its message is "limit; remedy".
-    """
     solids, _ = _load_solids(path, kind)
     _join_corners(solids)
     for piece in solids:
@@ -279,11 +232,7 @@ def _load_sound_solids(path: str, kind: str) -> list[Trimesh]:
 
 
 def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
-    """Return a file's meshes that have triangles, in phy124's axes, and all geometries of the file.
-
-    Raises:
-        ValueError: If the mesh is unusable; its message is "limit; remedy".
-    """
+    """Return the meshes that have triangles, and all geometries of the file."""
     try:
         scene = _load(path, kind)
         shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
@@ -307,10 +256,7 @@ def _load_solids(path: str, kind: str) -> tuple[list[Trimesh], list[Any]]:
 
 
 def _load(path: str, kind: str) -> Any:
-    """Load a mesh file as a scene of trimesh.
-
-    If a PLY file fails to load, remove its comments and blank lines and retry.
-    """
+    """If a PLY file fails to load, retry without comments and blank lines."""
     import trimesh
     from trimesh.resolvers import FilePathResolver
 
@@ -327,7 +273,7 @@ def _load(path: str, kind: str) -> Any:
 
 
 def _legible(path: str) -> BytesIO:
-    """Return the content of a PLY file without blank lines and without non-UTF-8 comments."""
+    """Return a PLY file without blank lines and without comments that are not UTF-8."""
     head, end, body = Path(path).read_bytes().partition(b"end_header")
     lines = [line for line in head.splitlines() if line.strip() and _is_text(line)]
     if b"format ascii 1.0" in lines:
@@ -342,12 +288,7 @@ def _is_text(line: bytes) -> bool:
 
 
 def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners [3F,3] and the areas [F] of the triangles of several meshes together.
-
-    Raises:
-        ValueError: If a corner is not finite, a triangle refers to a missing vertex, or the pieces
-            have no surface area.
-    """
+    """Return the corners [3F,3] and the areas [F] of all triangles."""
     for piece in pieces:
         if piece.faces.min() < 0 or piece.faces.max() >= len(piece.vertices):
             raise ValueError("a triangle refers to a vertex that the file does not contain.")
@@ -367,12 +308,6 @@ def _join_corners(pieces: list[Trimesh]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
-    """Sample evenly spaced points on the surfaces of several meshes.
-
-    Raises:
-        ValueError: If a corner is not finite, a triangle refers to a missing vertex, or the pieces
-            have no surface area.
-    """
     corners, areas = _join_corners(pieces)
     # If the normals of most of the area point towards the centre, the mesh is inside out. All
     # normals are then reversed.
@@ -388,11 +323,11 @@ def _sample_surface(pieces: list[Trimesh], seed: int, count: int) -> Drawn:
 def _colours(
     pieces: list[Trimesh], chosen: NDArray[np.int64], weights: NDArray
 ) -> NDArray[np.float64] | None:
-    """Return the colours [N,3] of points on triangles; None if none of the meshes has colours.
+    """Return the colours [N,3] of points on triangles; None if no mesh has colours.
 
     Args:
-        pieces: Pieces of the mesh, whose triangles are numbered consecutively.
-        chosen: Index of the triangle of each point [N].
+        pieces: Meshes whose triangles are numbered consecutively.
+        chosen: Triangle of each point [N].
         weights: Barycentric coordinates of each point [N,3].
     """
     ends = np.cumsum([0, *(len(piece.faces) for piece in pieces)])
@@ -408,7 +343,7 @@ def _colours(
 
 
 def _colour_piece(piece: Trimesh, triangles: NDArray, weights: NDArray) -> NDArray[Any] | None:
-    """Return the colours [N,3 or 4], 0..255, of points on a mesh; None if it has no colours."""
+    """Return colours [N,3 or 4], 0..255; None if the mesh has no colours."""
     visual: Any = piece.visual
     if visual.kind == "face":
         return visual.face_colors[triangles]

@@ -1,8 +1,7 @@
 """Declares the options of all generators, and predicts a generator's run time.
 
-A generator supports the options that are keywords of its factory (`phy124.generators.make`). Other
-options are refused. The predicted time is the number of arithmetic operations that the networks
-need, divided by the speed that was measured on this machine.
+The predicted time is the number of arithmetic operations of the networks, divided by the speed
+measured on this machine.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from phy124.schema.section import Section
 
 Sampler = Literal["ddim", "dpmsolver++"]
 SAMPLER: Sampler = "ddim"
-"""The default sampler of lgm, which the DDIM paper and LGM also use."""
+"""Sampler of the DDIM paper and of LGM."""
 Precision = Literal["float32", "bfloat16", "float16"]
 
 
@@ -62,51 +61,50 @@ class GeneratorOptions(Section):
 
 
 UNCHANGED = GeneratorOptions()
-"""The options of a generator that does not differ from the defaults."""
 
 
 ROUNDS = 2
-"""Number of timed repetitions of each kind of operation, after a warm-up."""
+"""Number of timed repetitions, after a warm-up."""
 
 
 class Work(NamedTuple):
-    """Numbers of floating-point operations of each kind, or numbers of operations per second."""
+    """Numbers of floating-point operations, or of such operations per second."""
 
     linear: float
     convolution: float
     attention: float
 
     def at(self, speed: Work) -> float:
-        """Return the time [s] of these operations if `speed` operations are executed per second."""
+        """Return the time [s] of these operations; `speed` is in operations per second."""
         return sum(work / rate for work, rate in zip(self, speed, strict=True))
 
     def times(self, count: float) -> Work:
-        """Return the number of operations if this work is repeated `count` times."""
+        """Return the work of `count` repetitions."""
         return Work(*(count * work for work in self))
 
 
 @dataclass(frozen=True)
 class Effort:
-    """The predicted run time of a generator for one object, and the settings that it will use."""
+    """Predicted run time of a generator for one object, and settings of the generator."""
 
     seconds: float
-    """Predicted run time [s], without the time for loading the weights."""
+    """Time [s] without the loading of weights."""
     settings: dict[str, Any]
-    """The settings that the generator will use, for the report."""
+    """Settings for the report."""
     words: str
-    """The settings that the generator will use, as text."""
+    """Settings as text."""
 
 
 def effort_of(generator: Any) -> Effort | None:
-    """Return the effort that a generator predicts; None for fast generators."""
+    """Return the predicted effort of a generator; None for fast generators."""
     effort: Callable[[], Effort] | None = getattr(generator, "effort", None)
     return effort() if effort is not None else None
 
 
 def speed_of(device: str, dtype: Any) -> Work:
-    """Measure the number of floating-point operations of each kind that torch performs per second.
+    """Measure how many floating-point operations of each kind torch performs per second.
 
-    The measurement takes about a second, and uses arrays of the same size as those in the networks.
+    The measured arrays are as large as those of the networks; this takes about a second.
     """
     import torch
     from torch.nn import functional as F
@@ -127,7 +125,6 @@ def speed_of(device: str, dtype: Any) -> Work:
 
 
 def _seconds(work: Callable[[], Any], wait: Callable[[], Any]) -> float:
-    """Return the mean duration of an operation after a warm-up [s]."""
     work()
     wait()
     start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Reads Gaussians from a file, then moves and scales them to the default position and size."""
+"""Reads Gaussians from a file, and moves and scales them to the default position and size."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from PIL import Image
 
 MIN_OPACITY = 0.005
-"""Smallest opacity of Gaussians that are kept; LGM uses the same value when it saves a file."""
+"""Smallest opacity of Gaussians that are kept, as in LGM."""
 TAIL = 0.005
-"""Fraction of the total opacity that lies outside the object's core at each end of each axis."""
+"""Fraction of the total opacity outside the object's core, at each end of each axis."""
 MARGIN = 0.5
-"""Largest distance of the object's Gaussians from its core, relative to the size of this core."""
+"""Largest distance of Gaussians from the object's core, relative to the size of the core."""
 
 
 class Reading(Section):
@@ -76,34 +76,34 @@ class Reading(Section):
 
 
 NO_AXES = Reading().model_dump(include={"up", "front", "dialect", "rotate"})
-"""The default values of the options that determine the axes of a file of Gaussians."""
+"""Default values of the options that determine the axes."""
 
 
 class Opened(NamedTuple):
-    """The visible Gaussians of a file, and notes for the user about reading the file."""
+    """The visible Gaussians of a file, and notes for the user."""
 
     gaussians: Gaussians
-    """The visible Gaussians in the axes of phy124 and in the file's unit of length."""
+    """In the axes of phy124 and in the file's unit of length."""
     rotation: NDArray[np.float64]
-    """Rotation from the file's axes to those of phy124 [3,3]."""
+    """Rotation [3,3] from the file's axes to those of phy124."""
     cleaning: list[str]
-    """Sentences that explain why Gaussians were removed."""
+    """Reasons why Gaussians were removed."""
     axes: tuple[str, str | None] = Y_DOWN
-    """Up and front axes that are stated in the file or prescribed by its format."""
+    """Up and front axes of the file."""
     notes: tuple[str, ...] = ()
-    """Sentences about ignored columns, unusual columns, and the object's surroundings."""
+    """Sentences about ignored or unusual columns, and about the object's surroundings."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin of the Gaussians' coordinates, in the file's axes and unit."""
     coarse: bool = False
-    """Whether positions in the file are imprecise because the object is far from the origin."""
+    """Whether positions are imprecise because the object is far from the origin."""
 
 
 @dataclass(frozen=True)
 class PlyFile:
     """A generator that reads Gaussians from a file and ignores the image.
 
-    The generator does not separate an object from the floor. `phy124.pipeline.capture` does this,
-    because it needs the scene.
+    `phy124.pipeline.capture` separates an object from the floor instead, because it needs the
+    scene.
     """
 
     path: str
@@ -117,8 +117,6 @@ class PlyFile:
         progress: Progress = silent,
     ) -> Gaussians:
         """Read the file's Gaussians and scale their longest side to 1 m.
-
-        `image` and `seed` are ignored.
 
         Raises:
             InputError: For the reasons listed at `read_gaussians`, or if all Gaussians are nearly
@@ -136,7 +134,7 @@ class PlyFile:
         return normalise_size(opened.gaussians, self.path)
 
     def open(self, progress: Progress = silent) -> Opened:
-        """Read the visible Gaussians of the file, crop them, and rotate them to the axes of phy124.
+        """Read the visible Gaussians, crop them, and rotate them to the axes of phy124.
 
         Raises:
             InputError: For the reasons listed at `read_gaussians`, or if the options contradict
@@ -191,7 +189,7 @@ class PlyFile:
         )
 
     def _hint(self, content: Content) -> None:
-        """Warn if the file seems to use an unusual dialect and no option about axes is set."""
+        """Warn if the file seems to have an unusual dialect and no option about axes is set."""
         axes = self.reading.model_dump(include={"up", "front", "dialect", "rotate"})
         if axes != NO_AXES or content.axes != Y_DOWN or recognise(Path(self.path)).name != "ply":
             return
@@ -206,7 +204,7 @@ class PlyFile:
             )
 
     def _box(self) -> NDArray[np.float64] | None:
-        """Return the lower and upper corner [2,3] of the crop box."""
+        """Return the lower and upper corner [2,3]."""
         crop = self.reading.crop
         if crop is None:
             return None
@@ -225,7 +223,7 @@ class PlyFile:
 
 
 def normalise_size(gaussians: Gaussians, name: str = "") -> Gaussians:
-    """Centre Gaussians on the origin and scale their longest side to 1 m; outliers are ignored.
+    """Centre Gaussians on the origin and scale their longest side to 1 m, without outliers.
 
     Raises:
         InputError: If nearly all opacity is at a single point.
@@ -248,11 +246,10 @@ def unit_transform(gaussians: Gaussians, name: str) -> tuple[float, NDArray[np.f
 
 
 def robust_bounds(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the smallest and largest coordinates [3], [3] of the centres, ignoring outliers.
+    """Return the smallest and largest coordinates [3], [3] of the centres, without outliers.
 
-    The core excludes a fraction `TAIL` of the total opacity at each end of each axis. The bounds
-    include all Gaussians within `MARGIN` core sizes of the core, so the bounds are exact if there
-    are no outliers.
+    The bounds are exact if there are no outliers: they include all Gaussians within `MARGIN` core
+    sizes of the core.
     """
     means = gaussians.means.astype(np.float64)
     low = weighted_quantile(means, gaussians.opacities, TAIL)

@@ -1,4 +1,4 @@
-"""Makes simple shapes without an image: a sphere, a box or a capsule of flat Gaussians."""
+"""Makes a sphere, a box or a capsule of flat Gaussians, without an image."""
 
 from collections.abc import Sequence
 
@@ -9,23 +9,20 @@ from numpy.typing import NDArray
 from phy124.gaussians import Gaussians, quaternions, spread_directions
 
 COUNT = 8000
-"""Approximate number of Gaussians of a shape, unless another number is chosen."""
+"""Approximate number of Gaussians."""
 TRIES = 6
-"""Number of random points that are drawn for each point that is needed on a set of triangles. From
-these random points, an evenly spaced subset is kept.
-"""
+"""Number of random points for each point that is kept on a set of triangles."""
 FLATNESS = 0.15
-"""Thickness of the surface's Gaussians relative to their width."""
+"""Thickness of Gaussians, relative to their width."""
 LIGHT = (0.35, 0.25, 0.9)
-"""Direction towards the light that shades the shape."""
+"""Direction towards the light."""
 AMBIENT = 0.72
-"""Brightness of surfaces whose normal is perpendicular to the direction of the light."""
+"""Brightness of surfaces whose normal is perpendicular to the light."""
 CHECKS = 8
-"""Number of checker squares along the longest side, which make the motion visible."""
+"""Number of checker squares along the longest side."""
 CONTRAST = 0.05
-"""Contrast of the checker pattern on a shape."""
 Surface = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Points on a surface [N,3], and outward unit normals [N,3]."""
+"""Points [N,3] and outward unit normals [N,3]."""
 
 
 def make_shape(
@@ -36,13 +33,13 @@ def make_shape(
     patterned: bool = True,
     count: int | None = None,
 ) -> Gaussians:
-    """Make the Gaussians of a simple shape that is centred on the origin.
+    """Make the Gaussians of a simple shape, centred on the origin.
 
     Args:
         name: sphere (an ellipsoid if the sides differ), box, or capsule (along its longest side).
         sides: Lengths of the shape along x, y and z, m.
         colour: Red, green and blue, 0..1.
-        patterned: Whether a checker pattern and a light from above make the motion visible.
+        patterned: Whether a checker pattern and a light make the motion visible.
         count: Approximate number of Gaussians; None: `COUNT`.
     """
     half = np.asarray(sides, np.float64) / 2
@@ -70,8 +67,8 @@ def cover_surface(
         normals: Outward unit normals [N,3].
         rgb: Colours [N,3], or a single colour for all points [3], 0..1.
         width: Standard deviation along the surface [m]; None: from the spacing of the points.
-        bright: Factor by which the colours are multiplied [N].
-        shaded: Whether the surface is slightly shaded by a light from above.
+        bright: Factors of the colours [N].
+        shaded: Whether a light from above shades the surface.
     """
     wide = _spread(points) if width is None else np.full(len(points), width)
     scales = np.stack([wide, wide, FLATNESS * wide], axis=1)
@@ -89,7 +86,7 @@ def choose_triangles(
     Args:
         corners: Corners of the triangles [T,3,3].
         count: Approximate number of points.
-        seed: Seed of the points' random positions.
+        seed: Seed of the points' positions.
 
     Returns:
         The index of each point's triangle [N], and the point's barycentric coordinates [N,3].
@@ -105,7 +102,7 @@ def choose_triangles(
 
 
 def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
-    """Return the index of the point nearest to the centre of each occupied cube of a grid."""
+    """Return the indices of the points nearest to the centres of occupied cubes."""
     cubes = np.floor(points / width)
     off = np.linalg.norm(points / width - cubes - 0.5, axis=1)
     order = np.lexsort((off, *cubes.T))
@@ -115,13 +112,13 @@ def _thin(points: NDArray, width: float) -> NDArray[np.int64]:
 
 
 def _spread(points: NDArray) -> NDArray[np.float64]:
-    """Return 0.75 times the mean distance [m] from each point to its six nearest neighbours [N]."""
+    """Return 0.75 times the mean distance [m] to the six nearest neighbours [N]."""
     nearest = scipy.spatial.KDTree(points).query(points, k=min(7, len(points)))[0]
     return 0.75 * np.maximum(np.asarray(nearest)[:, 1:].mean(axis=1), 1e-9)
 
 
 def _area(half: NDArray) -> float:
-    """Return the surface area [m^2] of a box with half sides [3]; other shapes have less area."""
+    """The surface area [m^2] is that of a box; other shapes have less area."""
     a, b, c = 2 * half
     return float(2 * (a * b + b * c + c * a))
 
@@ -152,7 +149,7 @@ def _box(half: NDArray, count: int) -> Surface:
 
 
 def _capsule(half: NDArray, count: int) -> Surface:
-    """Distribute points evenly over a cylinder that has a hemisphere at each end."""
+    """Distribute points evenly over a cylinder with a hemisphere at each end."""
     axis = int(np.argmax(half))
     across = np.delete(half, axis)
     radius, length = float(across.max()), float(half[axis] - across.max())
@@ -175,7 +172,7 @@ def _capsule(half: NDArray, count: int) -> Surface:
 
 
 def _facing(normals: NDArray) -> NDArray[np.float64]:
-    """Return quaternions [N,4] that rotate discs so that their third axes are the normals."""
+    """Return quaternions [N,4] that rotate the third axes of discs to the normals."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -183,7 +180,7 @@ def _facing(normals: NDArray) -> NDArray[np.float64]:
 
 
 def ball(count: int = 6000, diameter: float = 1.0) -> Gaussians:
-    """Return a ball that faces +x: a closed shell of flat Gaussians on a Fibonacci lattice."""
+    """Return a ball of flat Gaussians that faces +x."""
     normals = spread_directions(count)
     helper = np.where(np.abs(normals[:, 2:]) < 0.7, [[0.0, 0, 1]], [[1.0, 0, 0]])
     along = np.cross(helper, normals)

@@ -1,8 +1,7 @@
-"""Detects whether a file of Gaussians shows, besides an object, a background or a sky.
+"""Detects whether a file of Gaussians shows a background or a sky besides an object.
 
-A capture often contains the surroundings of the object. The surroundings have two disadvantages.
-The bounding box, which defines the object's size, would be much too large. In addition, the object
-and its surroundings would move as a single body.
+With surroundings, the bounding box would be too large, and the object would move together with its
+surroundings.
 """
 
 from typing import NamedTuple
@@ -14,37 +13,29 @@ from phy124.gaussians import Gaussians
 from phy124.particles import clean, visible_area
 
 SAMPLE = 100_000
-"""Number of Gaussians of a file that are examined; they are chosen at even intervals."""
+"""Number of Gaussians that are examined."""
 MOST = 0.8
-"""Fraction of the Gaussians' total visible area that is assumed to belong to the object. If the
-file contains a sky, the object is assumed to have this fraction of the Gaussians below the sky.
+"""Fraction of the visible area, or of the Gaussians below a sky, that is assumed to belong to the
+object.
 """
 SMALL = 0.3
-"""A background is reported if the object's longest side is below this fraction of the longest side
-of a box around all Gaussians.
+"""A background is reported if the object's longest side is below this fraction of the whole longest
+side.
 """
 AROUND = 1.25
-"""Size of the recommended crop box relative to the object."""
+"""Size of the recommended crop box, relative to the object."""
 TAIL = 1e-3
-"""Fraction of the Gaussians that may lie outside the bounding box of all Gaussians, at each end of
-each axis.
-"""
+"""Fraction of the Gaussians that are outliers at each end of each axis."""
 ROUNDS = 4
-"""Number of iterations that refine the centre of the object."""
+"""Number of iterations for the object's centre."""
 FAR = 3.0
-"""Smallest distance of a sky from the centre, relative to the radius of the object.
-
-A sphere with the object's radius contains the fraction `MOST` of the Gaussians below the sky.
-"""
+"""Smallest distance of a sky from the centre, relative to the object's radius."""
 THIN = 0.2
-"""Largest standard deviation of the distances between a sky's Gaussians and the centre, relative to
-the mean of these distances.
-"""
+"""Largest standard deviation of a sky's distances from the centre, relative to their mean."""
 MANY = 0.01
-"""A sky must contain at least this fraction of all Gaussians.
+"""Smallest fraction of the Gaussians that belong to a sky.
 
-In addition, the sky must surround the object: at least seven of the eight octants around the centre
-must each contain this fraction of the sky's Gaussians.
+At least seven of the eight octants must also contain this fraction of the sky's Gaussians.
 """
 
 
@@ -53,7 +44,7 @@ def surroundings(
 ) -> list[str]:
     """Return sentences about an object's surroundings, and the `--crop` option that removes them.
 
-    The Gaussians and the `origin` [3] of their coordinates have the axes and units of the file.
+    The Gaussians and their `origin` [3] have the axes and units of the file.
     """
     visible = np.flatnonzero(gaussians.longest > 0)
     if not len(visible):
@@ -70,18 +61,13 @@ def surroundings(
 
 
 class _Around(NamedTuple):
-    """Detected surroundings of an object, and the bounding box of the object."""
-
     words: str
     box: tuple[NDArray[np.float64], NDArray[np.float64]]
-    """Lower and upper corner of the object's crop box [3], [3]."""
+    """Lower and upper corner [3], [3] of the crop box."""
 
 
 def _sky(means: NDArray[np.float64]) -> _Around | None:
-    """Describe the sky around the object if there is one.
-
-    A sky is a shell of centres [N,3] far around the other Gaussians.
-    """
+    """A sky is a shell of centres [N,3] far around the other Gaussians."""
     places = means - np.median(means, axis=0)
     distances = np.linalg.norm(places, axis=1)
     far = distances > np.quantile(distances, 1 - MANY / 2) / 2
@@ -102,10 +88,7 @@ def _sky(means: NDArray[np.float64]) -> _Around | None:
 
 
 def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
-    """Describe a background if there is one; the object is then a small part of the bounding box.
-
-    `means` [N,3] are the Gaussians' centres, `seen` [N] their visible areas.
-    """
+    """Find a background around centres [N,3] with the visible areas `seen` [N]."""
     low, high = _part(means, seen)
     whole = np.ptp(np.quantile(means, [TAIL, 1 - TAIL], axis=0), axis=0).max()
     side = float((high - low).max())
@@ -122,10 +105,7 @@ def _place(means: NDArray[np.float64], seen: NDArray) -> _Around | None:
 def _part(
     means: NDArray[np.float64], seen: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of a small box with the fraction `MOST` of the Gaussians' visible area.
-
-    `means` [N,3] are the Gaussians' centres, and `seen` [N] are their visible areas.
-    """
+    """Return the corners of a small box with the fraction `MOST` of the area `seen` [N]."""
     part = np.ones(len(means), bool)
     for _ in range(ROUNDS):
         middle = np.array([_median(axis, seen[part]) for axis in means[part].T])

@@ -1,10 +1,7 @@
 """Generator `relief`: inflates an image with alpha into a closed shell of flat Gaussians.
 
-The generator needs no trained weights. The shape is not reconstructed. The solid is the most
-plausible one for the silhouette (`phy124.generators.relief.solids`). The front shows the image, and
-the look of the back is invented (`phy124.generators.relief.back`). If there is an image from the
-side, the depth follows from this image (`phy124.generators.relief.hull`). docs/lab/relief.md
-compares the results with objects whose shape is known from all sides.
+The generator needs no trained weights. The solid is the most plausible one for the silhouette.
+docs/lab/relief.md compares the results with objects whose shape is known.
 """
 
 from typing import Literal
@@ -45,37 +42,34 @@ def relief(
     photo_elevation: float | None = None,
     highlights: Literal["keep", "remove"] = "keep",
 ) -> Gaussians:
-    """Inflate the opaque part of an image to the closed shell of an object.
+    """Inflate the opaque part of an image to the closed shell of an upright object that faces +x.
 
-    The object faces +x and stands upright. A camera at the distance `VIEW_DISTANCE` in front of the
-    shell, raised by the elevation from which the picture was taken, sees the silhouette of the
-    image. For a camera that is not raised, the longest side of the silhouette in the vertical plane
-    x = 0 is 1 m. If the object is longer in the side image, its longest side there is 1 m instead.
-    Calls with the same seed return the same Gaussians.
+    A camera at the distance `VIEW_DISTANCE`, raised by the elevation of the picture, sees the
+    silhouette of the image. For a camera that is not raised, the longest side of the silhouette in
+    the plane x = 0 is 1 m. If the object is longer in the side image, the longest side there is 1 m
+    instead. Equal seeds give equal Gaussians.
 
     Args:
         image_rgba: The image [H,W,4].
-        seed: Seed of the points' random positions.
+        seed: Seed of the points' positions.
         progress: Callback as described in `phy124.progress`.
         count: Approximate number of Gaussians.
-        depth: Depth map of the image [H,W] in any unit, in which larger values are nearer, or a
-            network that estimates the map; if None, the front is inflated like the back.
+        depth: Depth map of the image [H,W] in any unit, larger values nearer, or a network that
+            estimates the map. None: the front is inflated like the back.
         side: Image of the segmented object from one side, which determines the object's depth.
         facing: Direction in which the object's front points in `side`.
         back: Image of the segmented object from behind.
-        back_look: Look of the back if there is no image from behind. "mirror": the mirrored front;
+        back_look: Look of the back without an image from behind. "mirror": the mirrored front;
             "plain": the materials of the front without its features; "auto": plain if the
             silhouette is symmetric, otherwise mirrored.
-        thickness: Factor by which the depth guessed from the silhouette is multiplied; None means
-            1.
+        thickness: Factor of the guessed depth; None: 1.
         shape: "round": as deep as its parts are wide; "upright": a solid of revolution with a
             vertical axis; "flat": a thin sheet; "auto": the most plausible of these, a slab or a
             box.
         photo_elevation: Angle above the horizontal from which the picture was taken [degrees], 0 to
-            80. None: the angle is estimated for a vessel, a ring or a box, and is 0 for other
-                objects.
-        highlights: "keep": highlights are painted on the object and move with it; "remove":
-            highlights are removed from the images first.
+            80. None: estimated for a vessel, a ring or a box, and 0 for other objects.
+        highlights: "keep": highlights are painted on the object; "remove": highlights are removed
+            from the images.
 
     Raises:
         InputError: If an image has no opaque pixels, the depth map does not fit the image, or the
@@ -131,7 +125,6 @@ def relief(
 
 
 def _refuse_double(**options: object | None) -> None:
-    """Raise InputError if an option is set that conflicts with the picture from the side."""
     limit = "The picture from the side determines the object's depth already."
     for field, option in options.items():
         if option is not None:

@@ -1,8 +1,7 @@
 """Recognises objects with straight vertical and horizontal edges: appliances, buildings, clothes.
 
-The outlines of these objects are often symmetric, like those of solids of revolution. Between the
-two ends of a solid of revolution, however, few edges are horizontal, and light changes its
-brightness from one side to the other.
+A solid of revolution has few horizontal edges between the ends, and light changes the brightness
+from one side to the other.
 """
 
 import cv2
@@ -16,36 +15,29 @@ from phy124.generators.relief.robust import fit_most
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 ROUGH = 1.5
-"""Largest distance of the outline from its straight edges [pixels]."""
+"""Largest distance of the outline from straight edges [pixels]."""
 SHORTEST = 20.0
-"""Smallest length of a straight edge [pixels]. The longest side of the object has 248 pixels."""
+"""Smallest length of a straight edge [pixels]; the object's longest side has 248 pixels."""
 TILTED = 3.0
 """Largest angle between an edge and the vertical or the horizontal [degrees]."""
 EITHER = 0.15
-"""Smallest share of the outline for vertical edges, and for horizontal edges."""
+"""Smallest fraction of the outline in each direction."""
 BOTH = 0.4
-"""Smallest share of the outline for vertical and horizontal edges together."""
+"""Smallest fraction of the outline in both directions together."""
 SOLID = 0.8
-"""The silhouette fills at least this fraction of its convex hull; hourglasses fill less."""
+"""Smallest area relative to the convex hull; hourglasses fill less."""
 ACROSS, EXPLAINED = 0.15, 0.25
-"""On a round object, the brightness changes from the axis to a side by at least this value,
-relative to the mean brightness.
-
-`EXPLAINED` is the smallest fraction of the variation within the rows that the shading must explain.
+"""Smallest change of brightness from the axis of a round object to a side, relative to the mean,
+and smallest fraction of the variation that the shading explains.
 """
 INNER = 0.92
-"""The shading is examined up to this distance from the middle of a row, relative to half the row's
-length.
-"""
+"""Largest examined distance from the middle of a row, relative to half the row's length."""
 NOISE = 0.01
-"""Noise of the brightness, relative to its mean."""
+"""Noise of the brightness, relative to the mean."""
 
 
 def is_angular(rgba: Field) -> bool:
-    """Return whether an image [H,W,4] shows an object with vertical and horizontal edges.
-
-    An object that is shaded like an upright cylinder is not angular.
-    """
+    """Whether an image [H,W,4] shows vertical and horizontal edges without a cylinder's shading."""
     object_mask = rgba[..., 3] > 0.5
     outline = outline_of(object_mask)
     corners = cv2.approxPolyDP(outline, ROUGH, closed=True)[:, 0].astype(np.float64)
@@ -60,9 +52,7 @@ def is_angular(rgba: Field) -> bool:
 
 
 def is_shaded_across(rgba: Field) -> bool:
-    """Return whether the brightness of an image [H,W,4] changes along the rows as on an upright
-    cylinder.
-    """
+    """Whether an image [H,W,4] is shaded along the rows like an upright cylinder."""
     object_mask = rgba[..., 3] > 0.5
     rows, columns = np.nonzero(object_mask)
     every = np.arange(len(object_mask))

@@ -1,8 +1,8 @@
-"""Builds the shell of an object that consists of boards; only the part inside the silhouette is
+"""Builds the shell of an object of boards, such as a chair; only the part inside the silhouette is
 kept.
 
-A board is a convex solid, such as the seat or a leg of a chair. The view rays along the outline cut
-the boards, so that rounded corners, and holes in a backrest, follow the image.
+A board is a convex solid. The view rays along the outline cut the boards, so that holes in a
+backrest follow the image.
 """
 
 from collections.abc import Sequence
@@ -22,39 +22,35 @@ from phy124.generators.shapes import choose_triangles
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 BURIED = 1.0
-"""Points of the surface are left out if they lie deeper than this inside another board [pixels]."""
+"""Points deeper inside another board are left out [pixels]."""
 FACING = 0.2
-"""A point gets its colour from the image if the cosine of the angle between its normal and the view
-ray is at least this value.
-"""
+"""Smallest cosine between the normal and the view ray at which a point gets the image's colour."""
 
 EDGE = 1.5
-"""The silhouette is blurred by this width before the normals of its outline are determined
-[pixels].
-"""
+"""Blur of the silhouette, for the normals of the outline [pixels]."""
 MIXED = 12
-"""Number of visible points whose colours are averaged for a point that the image does not show."""
+"""Number of visible points whose colours are averaged for a hidden point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """The convex hull of a board's corners, in upright coordinates relative to the image centre."""
+    """The convex hull of corners, in upright coordinates relative to the image's centre."""
 
     corners: Field
     """Corners [C,3], pixels."""
     kind: str
     """Boards of the same kind have the same colours."""
     axes: Field
-    """Directions of the board's two horizontal axes, and the direction down [3,3]."""
+    """Two horizontal axes of the board, and the direction down [3,3]."""
 
     @cached_property
     def hull(self) -> scipy.spatial.ConvexHull:
-        """The triangles and the planes of the surface."""
+        """Triangles and planes of the surface."""
         return scipy.spatial.ConvexHull(self.corners)
 
     @property
     def triangles(self) -> Field:
-        """Corners of the triangles of the surface [T,3,3]."""
+        """Corners of the surface's triangles [T,3,3]."""
         return self.corners[self.hull.simplices]
 
     def outside(self, points: Field) -> Field:
@@ -66,7 +62,7 @@ class Board:
         """Return where rays [N,3] from the eye enter and leave the board [N], in units of the rays'
         lengths.
 
-        For a ray that misses the board, the first value is larger than the second.
+        If a ray misses the board, the first value is larger.
         """
         planes = self.hull.equations
         speed, gap = rays @ planes[:, :3].T, -(eye @ planes[:, :3].T + planes[:, 3])
@@ -75,10 +71,10 @@ class Board:
         return enter, np.where(speed > 0, cross, np.inf).min(axis=1)
 
     def fold(self, points: Field) -> Field:
-        """Return positions [N,3] relative to the board's axis; mirror images have equal positions.
+        """Return positions [N,3] relative to the board's axis, which are equal for mirror images.
 
         Left and right are mirror images, and so are front and back. In flat boards, above and below
-        are mirror images, too.
+        are also mirror images.
         """
         local, corners = points @ self.axes.T, self.corners @ self.axes.T
         low, high = np.sort(corners[:, 2].round(3))[[0, -1]]
@@ -97,9 +93,9 @@ def board_shell(
     count: int,
     rng: np.random.Generator,
 ) -> Shell:
-    """Return the shell of the part of the boards that lies inside the silhouette.
+    """Return the shell of the boards inside the silhouette.
 
-    Points that the image does not show have the colours of visible points of boards of this kind.
+    Hidden points get the colours of visible points on boards of the same kind.
 
     Args:
         boards: The boards.
@@ -137,9 +133,8 @@ def board_shell(
 
 
 def _edge_rays(solid: Mask, middle: Field, camera: Raised, step: int) -> tuple[Field, Field]:
-    """Return the view rays along the outline, from the camera to the centre's distance [N,3].
-
-    Also return the outward normals [N,3] of the faces that the rays cut.
+    """Return the view rays along the outline [N,3], as long as the camera's distance, and the
+    outward normals [N,3] of the cuts.
     """
     outlines, _ = cv2.findContours(solid.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     pixels = np.concatenate([line[::step, 0] for line in outlines])
@@ -175,7 +170,6 @@ def _colours(
     middle: Field,
     camera: Raised,
 ) -> Field:
-    """Return the colours [N,3] of points, some of which the image does not show."""
     shown = Shown(
         clean_picture(rgba), (middle[0], middle[1]), np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
     )

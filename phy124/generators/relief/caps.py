@@ -12,13 +12,12 @@ from phy124.generators.relief.surface import Surface, View
 
 Field = NDArray[np.float64]
 SEEN = 0.7
-"""Weight of the front edge when the height of a flat end is computed.
+"""Weight of the front edge in the height of a flat end.
 
-The front edge is the lowest line of the object in the image. The height of the end's corners has
-the remaining weight. If the end consists of separate feet, the weight of the front edge is 1.
+The end's corners have the remaining weight. Separate feet have the weight 1.
 """
 STRIP = 8
-"""Height of the image strip that provides the colours of an end [pixels]."""
+"""Height of the strip that colours an end [pixels]."""
 BLUR = 12.0
 """Blur of these colours, as a standard deviation [pixels]."""
 
@@ -27,23 +26,21 @@ BLUR = 12.0
 class Plane:
     """The horizontal plane of a flat end.
 
-    A near part of the plane may appear beyond the object's outline in the image. This part is
-    replaced by a bevel along the view rays of the outline.
+    A part that would appear outside the outline is replaced by a bevel along the view rays.
     """
 
     level: float
     """Projected y of the plane [pixels]."""
     outline: Field
-    """The last row of the object in each column of the image [W]."""
+    """Last row of the object in each column [W]."""
     view: View
-    """The front camera."""
     sign: int
-    """1 for the bottom of the object, -1 for its top."""
+    """1 for the bottom, -1 for the top."""
 
     def rows(self, columns: Field, z: Field) -> tuple[Field, NDArray[np.bool_]]:
-        """Return the rows [N] of the face, and whether each row belongs to the plane or the bevel.
+        """Return the rows [N] of the face, and whether the rows are bevelled.
 
-        `columns` [N] are the points' columns before projection, `z` [N] is towards the camera.
+        `columns` [N] are before projection, and `z` [N] is towards the camera.
         """
         flat = self.level / self.view.k(z) + self.view.middle[1]
         outline = np.interp(columns, np.arange(len(self.outline)), self.outline)
@@ -59,36 +56,36 @@ class Plane:
         return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def includes(self, points: Field, by: float) -> NDArray[np.bool_]:
-        """Return whether points [N,3] lie on the plane's inner side by at least `by` pixels."""
+        """Whether points [N,3] lie on the inner side by at least `by` pixels."""
         x, y, z = points.T
         return (self.rows(x, z)[0] - y) * self.sign * self.view.k(z) >= by
 
 
 @dataclass(frozen=True, eq=False)
 class Cap:
-    """The flat face that closes an end of the object."""
+    """The flat face of an end."""
 
     points: Field
-    """Regularly spaced points on the face [M,3], pixels."""
+    """Regularly spaced points [M,3], pixels."""
     normals: Field
-    """Unit normals of the points before projection [M,3]."""
+    """Unit normals before projection [M,3]."""
     plane: Plane
-    """The plane of the face; everything beyond this plane is cut off."""
+    """The object is cut off at this plane."""
     last: float
-    """The last row of the object at this end."""
+    """Last row of the object at the end."""
 
 
 def make_cap(
     surface: Surface, view: View, end: End, object_mask: NDArray[np.bool_], pitch: float
 ) -> Cap:
-    """Make the flat face of an end; the face's height follows from the end's rows in the image.
+    """Make the flat face of an end.
 
     Args:
         surface: The inflated solid.
         view: The front camera.
         end: The flat end that the face closes.
         object_mask: Mask of the object, without its mirror images [H,W].
-        pitch: Spacing of the points, pixels.
+        pitch: Spacing of the points [pixels].
     """
     thick = _thick(surface, end.corner - 0.5 * end.sign)
     feet = _thick(surface, end.outermost - RIM * end.sign) if end.divided else thick
@@ -111,10 +108,7 @@ def make_cap(
 
 
 def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the last row of the object in each column [W].
-
-    If the object has no such end, return the outermost row.
-    """
+    """Return the last row of the object in each column [W]."""
     if end.divided:
         return np.full(object_mask.shape[1], end.outermost)
     at_corner = object_mask[int(end.corner - 0.5 * end.sign)]
@@ -124,16 +118,16 @@ def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
 
 
 def _thick(surface: Surface, row: float) -> float:
-    """Return the largest half thickness of the object in a row [pixels]."""
+    """Return the largest half thickness in a row [pixels]."""
     return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))
 
 
 def colour_cap(cap: Cap, unlit: Field, light: Field) -> Field:
-    """Return the colours [M,3] of a cap, which are those of the image along the end.
+    """Return the colours [M,3] of a cap, which continue the image along the end.
 
     Args:
         cap: The face to colour.
-        unlit: Colours of the front with the light removed [H,W,3].
+        unlit: Colours of the front without light [H,W,3].
         light: Direction and strength of the light [3].
     """
     rows = np.clip(cap.last - cap.plane.sign * np.arange(STRIP), 0, len(unlit) - 1).astype(int)

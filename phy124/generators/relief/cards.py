@@ -1,8 +1,7 @@
 """Recognises cards, photographic prints and pages, which lie in any direction.
 
-The outline of a card has four straight edges. A box seen obliquely shows six corners, so an outline
-with four corners that is no upright rectangle is that of a card. An upright rectangle is a card if
-its front is neither plain, as that of a box may be, nor shaded like a cylinder.
+A card has four straight edges, whereas a box seen obliquely shows six corners. An upright rectangle
+is a card if the front is neither plain nor shaded like a cylinder.
 """
 
 from __future__ import annotations
@@ -17,20 +16,17 @@ from phy124.generators.relief.boxes import rounded_polygon
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SIDE = 128
-"""Side of the square to which the front is straightened [pixels]."""
+"""Side of the straightened front [pixels]."""
 INSET = 0.02
-"""Width of the edge that is left out of this square, relative to the length of the edges."""
+"""Width of the edge that is left out, relative to the edges' lengths."""
 NARROWEST = 0.4
-"""Smallest ratio of the edges of a card; narrower objects may be sticks."""
+"""Smallest ratio of a card's edges; narrower objects may be sticks."""
 FARTHER = 0.6
-"""Smallest ratio of two opposite edges, of which the farther appears shorter; cones have less."""
+"""Smallest ratio of opposite edges, of which the farther appears shorter; cones have less."""
 
 
 def is_card(rgba: Field, plain: bool) -> bool:
-    """Return whether an image [H,W,4] shows a card.
-
-    `plain` says that the front shows no shading, so that an upright rectangle may be a box.
-    """
+    """Whether an image [H,W,4] shows a card; upright rectangles with a `plain` front are boxes."""
     corners = rounded_polygon(rgba[..., 3] > 0.5, 4)
     if corners is None:
         return False
@@ -47,12 +43,7 @@ def is_card(rgba: Field, plain: bool) -> bool:
 
 
 def _is_beaker(corners: Field, upright: Mask) -> bool:
-    """Return whether an outline with horizontal ends is wider above; the far end of a card is not.
-
-    Args:
-        corners: The corners [4,2].
-        upright: Whether the edge after each corner is vertical or horizontal [4].
-    """
+    """Whether an outline with horizontal ends is wider above; the far end of a card is narrower."""
     if np.count_nonzero(upright) != 2:
         return False
     across = corners[np.argsort(corners[:, 1]), 0]
@@ -60,7 +51,7 @@ def _is_beaker(corners: Field, upright: Mask) -> bool:
 
 
 def _straighten(rgba: Field, corners: Field) -> Field:
-    """Return the front [SIDE,SIDE,4] between corners [4,2] of an image [H,W,4] as a square."""
+    """Return the front [SIDE,SIDE,4] between the corners [4,2]."""
     low, high = -INSET * SIDE, (1 + INSET) * SIDE
     square = np.array([[low, low], [high, low], [high, high], [low, high]], np.float32)
     change = cv2.getPerspectiveTransform(corners.astype(np.float32), square)

@@ -1,7 +1,7 @@
-"""Turns an object upright if its camera is raised, so that the object stands on the floor.
+"""Turns an object upright if the camera was raised.
 
-Upright coordinates are pixels: x right, y down, z horizontally towards the camera. In the image of
-the raised camera, the points do not move.
+Upright coordinates are pixels: x right, y down, z horizontally towards the camera. The points do
+not move in the camera's image.
 """
 
 from dataclasses import dataclass, replace
@@ -20,26 +20,26 @@ class Raised:
     """A camera that looks down on the object's centre."""
 
     elevation: float
-    """Angle between the camera's direction and the horizontal plane [radians]."""
+    """Angle above the horizontal [radians]."""
     distance: float
-    """Distance of the camera from the object's centre [pixels]."""
+    """Distance from the object's centre [pixels]."""
 
     @cached_property
     def turn(self) -> Field:
-        """Rotation from upright coordinates to those of the camera [3,3]."""
+        """Rotation from upright coordinates to the camera's [3,3]."""
         sine, cosine = np.sin(self.elevation), np.cos(self.elevation)
         return np.array([[1, 0, 0], [0, cosine, sine], [0, -sine, cosine]])
 
     def pixels(self, points: Field) -> Field:
-        """Project upright points [N,3] into the image; return offsets [N,2] from its centre."""
+        """Project upright points [N,3]; return offsets [N,2] from the image's centre."""
         seen = points @ self.turn.T
         return seen[:, :2] / (1 - seen[:, 2:] / self.distance)
 
     def stand(self, shell: Shell) -> Shell:
-        """Turn a shell upright; the shell was made for a camera in front of the object.
+        """Turn a shell upright that was made for a camera in front of the object.
 
         Each point moves along its view ray, so that the plane through the object's centre becomes
-        vertical. The shell's points and normals are in the coordinates of the camera.
+        vertical.
         """
         x, y, z = shell.points.T
         k = 1 - z / self.distance

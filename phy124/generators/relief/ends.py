@@ -1,10 +1,7 @@
 """Detects the flat ends of an object: the base on which the object stands, and a flat top.
 
-The lower edge of a standing object appears in an image as a straight line. With perspective, the
-edge appears as an arc between two corners. If the solid were rounded at this edge, as at the rest
-of the rim, it would have a sharp ridge at the bottom. To avoid the ridge, the silhouette is
-extended below the edge by its mirror image, inflated, and then cut off flat. Flat tops are treated
-in the same way.
+The solid would have a sharp ridge at a flat end if it were rounded there. To avoid the ridge, the
+silhouette is mirrored at the end, inflated, and then cut off flat.
 """
 
 from __future__ import annotations
@@ -20,78 +17,71 @@ from phy124.generators.relief.upright import upright_body
 
 Field = NDArray[np.float64]
 MIRRORED = 0.25
-"""Height of the mirror image, relative to the image's height; a larger value changes little."""
+"""Height of the mirror image, relative to the image; a larger value changes little."""
 FLAT = 0.2
-"""Smallest width of a flat end, as a fraction of the object's width."""
+"""Smallest width of a flat end, relative to the object's width."""
 ARC = 0.15
-"""Largest height of an end's arc, as a fraction of the end's width."""
+"""Largest height of an end's arc, relative to the end's width."""
 CURVED, STRAIGHT = 4, 2
-"""A lower edge counts as an arc if its height is at least the first value, and as a straight line
-if its height is at most the second value [pixels].
-"""
+"""Smallest height of an arc, and largest height of a straight edge [pixels]."""
 CORNERED = 0.92
-"""Where the arc of an end starts, the end is at least this fraction as wide as at twice the arc's
-height.
-
-For a ball, this ratio is 0.74.
+"""Smallest width at the start of an end's arc, relative to the width at twice the arc's height. For
+a ball, this ratio is 0.74.
 """
 RAGGED = 0.03
-"""Gaps between the parts of an end are real if they are deeper than this fraction of the end's
-width. Shallower gaps are assumed to be irregularities of the mask."""
-TALL = 0.8
-"""An object has flat ends only if the ratio of its height to its width is at least this value.
-
-Flatter objects are assumed to lie, not to stand.
+"""Smallest depth of a gap between parts, relative to the end's width. Shallower gaps are
+irregularities of the mask.
 """
+TALL = 0.8
+"""Smallest ratio of height to width of a standing object; flatter objects lie."""
 
 
 @dataclass(frozen=True)
 class End:
-    """A flat end of the object, described by rows of the image, which are counted from the top."""
+    """A flat end of the object; rows are counted from the top of the image."""
 
     corner: float
-    """Row at which the arc begins; the silhouette is mirrored at this row."""
+    """Row at which the arc begins and the silhouette is mirrored."""
     outermost: float
     """Row at which the arc ends."""
     sign: int
-    """1 for the bottom of the object, -1 for its top."""
+    """1 for the bottom, -1 for the top."""
     divided: bool = False
-    """Whether the end shows the outlines of several round feet instead of a single arc."""
+    """Whether the end shows several round feet instead of a single arc."""
 
     def beyond(self, y: Field, by: float = 0.0) -> NDArray[np.bool_]:
-        """Return whether each row lies beyond the end by more than `by` pixels."""
+        """Whether each row lies beyond the end by more than `by` pixels."""
         return (y - self.outermost) * self.sign > by
 
 
 @dataclass(frozen=True, eq=False)
 class Continued:
-    """An image whose silhouette is extended beyond its flat ends."""
+    """An image with a silhouette that is extended beyond flat ends."""
 
     rgba: Field
-    """The image [H,W,4], padded to the size of `alpha`."""
+    """Image [H,W,4] with the size of `alpha`."""
     alpha: Field
-    """The silhouette, extended by its mirror images [H,W]."""
+    """Extended silhouette [H,W]."""
     ends: tuple[End, ...]
 
     @property
     def object_mask(self) -> NDArray[np.bool_]:
-        """Mask of the object, which does not include the mirror images [H,W]."""
+        """Mask of the object [H,W], without the mirror images."""
         return self.rgba[..., 3] > 0.5
 
     @cached_property
     def body(self) -> NDArray[np.bool_] | None:
-        """The part of the object that is a vessel or a drum [H,W]; None if there is none."""
+        """Mask of a vessel or drum [H,W]; None if there is none."""
         return upright_body(self.object_mask)
 
     def shorten(self) -> Continued:
-        """Return the image after its mirror images and the ends of the object are removed."""
+        """Return the image without mirror images and ends."""
         return Continued(self.rgba, self.rgba[..., 3], ())
 
 
 def continue_silhouette(rgba: Field, padding: int) -> Continued:
-    """Extend the silhouette of an image [H,W,4] beyond its flat ends.
-
-    The image's border has `padding` pixels.
+    """Extend the silhouette of an image [H,W,4], whose border has `padding` pixels, beyond flat
+    ends.
     """
     alpha, ends = rgba[..., 3], []
     standing = stands(alpha > 0.5) or upright_body(alpha > 0.5) is not None
@@ -121,10 +111,10 @@ def continue_silhouette(rgba: Field, padding: int) -> Continued:
 
 
 def stands(solid: NDArray[np.bool_]) -> bool:
-    """Return whether the outline is that of an upright cylinder.
+    """Whether the outline is that of an upright cylinder.
 
-    The outline of an upright cylinder has arcs at the top and the bottom, and straight lines at the
-    sides. The arcs of a lying cylinder are at the left and right.
+    Such an outline has arcs at the top and the bottom. The arcs of a lying cylinder are at the left
+    and right.
     """
     arcs = _arc(solid), _arc(solid[::-1])
     sides = _arc(solid.T), _arc(solid.T[::-1])
@@ -132,10 +122,7 @@ def stands(solid: NDArray[np.bool_]) -> bool:
 
 
 def _arc(solid: NDArray[np.bool_]) -> int:
-    """Return the height, in rows, of the arc at the lower end; 0 if the end is not flat.
-
-    A flat end has corners. The sides above the corners are steep, so the width hardly changes.
-    """
+    """Return the height of the lower end's arc in rows; 0 if the end is not flat."""
     solid = solid[::-1][np.flatnonzero(solid[::-1].any(axis=1))[0] :]
     widths = np.count_nonzero(solid, axis=1)
     for rows in range(1, (len(solid) - 2) // 2):
@@ -149,24 +136,21 @@ def _arc(solid: NDArray[np.bool_]) -> int:
 
 
 def _widest(row: NDArray[np.bool_]) -> int:
-    """Return the length of the longest run of True values in a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
     return int((edges[1::2] - edges[::2]).max())
 
 
 def _divides(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Return whether any row of the lower end has more runs of pixels than the first row."""
     runs = _count_runs(solid, rows)
     return bool(runs.max() > runs[0])
 
 
 def _is_parted(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Return whether any row of the lower end consists of several parts, such as two legs."""
     return bool(_count_runs(solid, rows).max() > 1)
 
 
 def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
-    """Count the parts in each row of the lower end; only deep gaps separate parts."""
+    """Count the parts in each row of the lower end; shallow gaps do not separate parts."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     first = last - rows + 1
     depth = round(RAGGED * _widest(solid[first]))
@@ -175,7 +159,6 @@ def _count_runs(solid: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
 
 
 def _rises(solid: NDArray[np.bool_], rows: int) -> bool:
-    """Return whether the object is at least `TALL` times as high as it is wide."""
     last = int(np.flatnonzero(solid.any(axis=1))[-1])
     row = solid[last - rows + 1]
     columns = solid[: last - rows + 2, row][::-1]

@@ -1,10 +1,8 @@
 """Flattens objects whose fronts show no shading, such as keys, leaves, coins and signs.
 
-Light from any direction changes the brightness of a round surface from one side to the other, or
-from the middle to the rim. If a photograph shows no such change, the front of the object is assumed
-to be flat. The edge of a flat front is rounded, and the depth of the object is limited. The limit
-depends on the outline. Narrow objects, such as tools, are flatter than compact objects, such as
-cars seen from their side. Discs are flatter still.
+Light changes the brightness of a round surface. If a photograph shows no such change, the front is
+assumed to be flat. Narrow objects, such as tools, are flatter than compact objects, such as cars
+seen from their side. Discs are flatter still.
 """
 
 from __future__ import annotations
@@ -22,28 +20,25 @@ from phy124.generators.relief.surface import Surface
 
 Field = NDArray[np.float64]
 PLAIN = 0.004
-"""In a photograph, the logarithm of the brightness varies by at least this value.
+"""Smallest variation in a photograph, as the logarithm of the brightness.
 
-Drawings in plain colours vary less, and show no shading even if the object is round.
+Drawings in plain colours vary less, even if the object is round.
 """
 SHADED = (0.015, 0.018)
-"""Contrast of the shading below which the front is flat, and above which it is round."""
+"""Contrasts of the shading below which a front is flat, and above which it is round."""
 RADII = (0.1, 0.15, 0.22, 0.3, 0.4, 0.45)
 HALVES = (0.03, 0.04, 0.08, 0.24, 0.24, 0.08)
-"""Radii of the largest inscribed disc, and half thicknesses of flat objects with these radii.
-
-Radii and half thicknesses are relative to the image's size.
-"""
+"""Radii of the largest inscribed disc, and half thicknesses, relative to the image's size."""
 DISC = 0.4
-"""Relative radius above which the outline is close to a disc."""
+"""Relative radius of an outline that is close to a disc."""
 GROUND = 0.1
-"""Height of the lowest part, with separate feet and wheels, relative to the object's height."""
+"""Height of the lowest part, relative to the object's height."""
 TOUCH = 0.03
-"""Largest height of a foot's lowest point above ground, relative to the object's height."""
+"""Largest height of a foot above ground, relative to the object's height."""
 FOOT = 0.35
-"""Largest width of a foot, relative to that of the object."""
+"""Largest width of a foot, relative to the object's width."""
 SHARPNESS = 4
-"""Exponent of the smooth minimum of the round shape and the limit."""
+"""Exponent of the smooth minimum."""
 
 
 def flatten(
@@ -55,16 +50,15 @@ def flatten(
     always: bool = False,
     most: float = 1.0,
 ) -> Field | None:
-    """Limit squared half thicknesses [H,W] of an object whose front shows no shading.
-
-    Return None if the object is round.
+    """Limit squared half thicknesses [H,W] of an object without shading; return None for a round
+    one.
 
     Args:
         half: Squared half thicknesses of a round object.
         surface: Surface of the round object.
         picture: Colours of the image, and mask of the object.
-        size: Size of the object, pixels.
-        always: Whether the object is flat in any case, regardless of its front.
+        size: Size of the object [pixels].
+        always: Whether the object is flat regardless of the front.
         most: Largest half thickness of a flat object, relative to `size`.
     """
     shading = Shading.of(picture.rgba[..., :3], surface, picture.object_mask)
@@ -81,25 +75,20 @@ def flatten(
 
 
 def limit_thickness(half: Field, limit: Field | float) -> Field:
-    """Limit squared half thicknesses [H,W] smoothly; `limit` is the largest half thickness
-    [pixels].
-    """
+    """Limit squared half thicknesses [H,W] smoothly; `limit` is a half thickness [pixels]."""
     ratio = half / limit**2
     return half / (1 + ratio**SHARPNESS) ** (1 / SHARPNESS)
 
 
 def _is_thick(picture: Continued, radius: float) -> bool:
-    """Return whether the outline shows a solid of revolution, or an object on feet.
-
-    `radius` is that of the largest inscribed disc, relative to the image's size.
-    """
+    """Whether the outline shows a solid of revolution, or an object on feet."""
     if radius < DISC and is_turned(body_without_handles(picture.object_mask)):
         return True
     return picture.body is not None or stands_on_feet(picture.object_mask)
 
 
 def stands_on_feet(object_mask: NDArray[np.bool_]) -> bool:
-    """Return whether a silhouette [H,W] ends in several feet or wheels at the same height."""
+    """Whether a silhouette [H,W] ends in several feet or wheels at the same height."""
     rows = np.flatnonzero(object_mask.any(axis=1))
     width = np.ptp(np.flatnonzero(object_mask.any(axis=0))) + 1
     low = object_mask[rows[-1] + 1 - max(2, round(GROUND * len(rows))) : rows[-1] + 1]

@@ -1,4 +1,4 @@
-"""Solves Laplace's equation inside a silhouette. The rim is the contour alpha = 1/2."""
+"""Solves Laplace's equation inside a silhouette; the rim is the contour alpha = 1/2."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0))
 THETA_MIN = 0.1
-"""Lower bound of the distance to the rim [pixels]; it keeps the matrix well conditioned."""
+"""Smallest distance to the rim [pixels], which keeps the matrix well conditioned."""
 
 
 class Factors:
-    """Sparse LU factors of a matrix, which are computed, used and freed in a separate thread.
+    """Sparse LU factors of a matrix, in a thread of their own.
 
     SciPy frees the memory of factors only in the thread that created them.
     """
 
     def __init__(self, matrix: Any) -> None:
-        """Start the factorisation of a matrix."""
         self._pool, made = ThreadPoolExecutor(1, "factorise"), list[Any]()
         self._made = made
         # Supernodal panels wider than one column take 1.5 times as long.
@@ -34,53 +33,50 @@ class Factors:
         finalize(self, _free, self._pool, made).atexit = False
 
     def solve(self, values: NDArray) -> NDArray:
-        """Return the solution for right-hand sides of shape [N] or [N,C]."""
+        """Return the solution for values [N] or [N,C]."""
         made = self._made
         return self._pool.submit(lambda: made[0].solve(values)).result()
 
 
 def _free(pool: ThreadPoolExecutor, made: list[Any]) -> None:
-    """Release the factors in the thread that created them, then end this thread."""
+    """Release the factors in the thread that created them."""
     pool.submit(made.clear)
     pool.shutdown(wait=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """The Laplace operator on the pixels inside a silhouette, with a rim at subpixel accuracy.
+    """The Laplace operator inside a silhouette, with a rim at subpixel accuracy.
 
-    The rim is the contour alpha = 1/2. If a neighbour of a pixel is outside, the weight of the
-    neighbour is 1/theta, where theta is the pixel's distance from the rim. These weights form the
-    symmetric second-order scheme of Gibou et al. 2002.
+    A neighbour outside has the weight 1/theta, where theta is the pixel's distance from the rim
+    (Gibou et al. 2002).
     """
 
     inside: NDArray[np.bool_]
-    """Mask of the pixels whose centres are inside the rim [H,W]."""
     weights: Field
-    """Weights 1/theta of the rim in the direction of each neighbour [4,H,W]; 0 if the neighbour is
-    inside."""
+    """Weights 1/theta of the neighbours outside [4,H,W]; 0 for neighbours inside."""
 
     @classmethod
     def of(cls, alpha: Field) -> Silhouette:
-        """Return the operator for an alpha channel [H,W] in 0..1 that has a transparent border."""
+        """Return the operator for an alpha [H,W] in 0..1 with a transparent border."""
         inside = alpha > 0.5
         weights = np.stack([_rim_weight(alpha, inside, shift) for shift in NEIGHBOURS])
         return cls(inside, weights)
 
     @cached_property
     def factors(self) -> Factors:
-        """LU factors of the operator's matrix, which a thread computes."""
+        """LU factors of the matrix."""
         return Factors(_laplacian(self.inside, self.weights))
 
     def poisson(self, source: float) -> Field:
-        """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W], which is 0 outside."""
+        """Solve -Laplace(u) = source with u = 0 on the rim; return u [H,W]."""
         u = np.zeros(self.inside.shape)
         u[self.inside] = self.factors.solve(np.full(int(self.inside.sum()), source))
         return u
 
     @cached_property
     def distance(self) -> Field:
-        """Distance of each inside pixel from the rim [H,W], pixels; 0 for pixels outside."""
+        """Distance of each inside pixel from the rim [H,W], pixels; 0 outside."""
         rim = np.concatenate(
             [
                 np.argwhere(weight > 0) + np.outer(1 / weight[weight > 0], shift)
@@ -92,9 +88,9 @@ class Silhouette:
         return distance
 
     def sides(self) -> tuple[Field, Field]:
-        """Return the columns at which the rim begins and ends in each row: left [H] and right [H].
+        """Return the columns at which the rim begins and ends: left [H] and right [H].
 
-        In a row without pixels of the object, the left column is greater than the right column.
+        In a row without object, left is greater than right.
         """
         rows, width = np.arange(len(self.inside)), self.inside.shape[1]
         first, last = self.inside.argmax(axis=1), width - 1 - self.inside[:, ::-1].argmax(axis=1)
@@ -104,9 +100,8 @@ class Silhouette:
         return first - 1 / np.maximum(left, 1.0), last + 1 / np.maximum(right, 1.0)
 
     def extend(self, u: Field) -> Field:
-        """Extrapolate `u` linearly across the rim.
-
-        Outside, `u` is negative and decreases with distance.
+        """Extrapolate `u` linearly across the rim; outside, `u` is negative and decreases with
+        distance.
         """
         total, count = np.zeros_like(u), np.zeros_like(u)
         for weight, (dy, dx) in zip(self.weights, NEIGHBOURS, strict=True):
@@ -121,7 +116,7 @@ class Silhouette:
 
 
 def nearest_of(wanted: NDArray[np.bool_]) -> tuple[Field, tuple[NDArray, NDArray]]:
-    """Return the distance from each pixel to the nearest True pixel, and that pixel's position."""
+    """Return the distance to the nearest True pixel, and that pixel's position."""
     distance, (y, x) = scipy.ndimage.distance_transform_edt(~wanted, return_indices=True)  # pyright: ignore
     return distance, (y, x)
 

@@ -1,10 +1,8 @@
-"""Removes highlights from an image; otherwise, the highlights would move with the object.
+"""Removes highlights from an image, because they would move with the object.
 
-A highlight is white light that is added to the colour of the surface. A highlight appears as a
-small spot that is brighter than its surroundings by equal amounts of red, green and blue, unless a
-channel is clipped. White paint on a coloured surface, in contrast, mainly adds the colours that the
-surface lacks. On a grey surface, highlights and paint cannot be distinguished, so grey surfaces are
-left unchanged.
+A highlight is a small spot that is brighter than its surroundings by equal amounts of red, green
+and blue, unless a channel is clipped. White paint mainly adds the colours that the surface lacks.
+Grey surfaces are left unchanged, because paint and highlights look alike on grey.
 """
 
 import cv2
@@ -17,26 +15,25 @@ from phy124.generators.relief.picture import WORK, opaque_size
 
 Field = NDArray[np.float64]
 LARGEST = 0.065
-"""Radius of the largest highlight, relative to the image's size."""
+"""Largest radius of a highlight, relative to the image's size."""
 SMALLEST = 3
-"""Radius of the smallest highlight [pixels]; narrower bright spots are assumed to be edges between
-colours."""
+"""Smallest radius of a highlight [pixels]; narrower spots are edges between colours."""
 BRIGHT = 0.08
 """Smallest difference in brightness between a highlight and its surroundings."""
 NEUTRAL = 0.15
-"""The amounts of red, green and blue that a highlight adds differ by at most this value, relative
-to the largest of the three amounts.
+"""Largest difference between the added amounts of red, green and blue, relative to the largest
+amount.
 """
 COLOURED = 0.15
-"""Smallest saturation of the surroundings of a highlight."""
+"""Smallest saturation of a highlight's surroundings."""
 FULL = 0.985
 """Smallest value of a clipped channel."""
 RIM = 2
-"""Width of the faint rim of a highlight [pixels]."""
+"""Width of a highlight's faint rim [pixels]."""
 
 
 def matte(picture: Image.Image) -> Image.Image:
-    """Replace the highlights of an RGBA image with the colours around them."""
+    """Replace the highlights of an RGBA image with the colours around the highlights."""
     scale = WORK / max(opaque_size(picture))
     size = max(3, round(picture.width * scale)), max(3, round(picture.height * scale))
     small = np.asarray(picture.resize(size, Image.Resampling.BILINEAR), np.float64) / 255
@@ -49,7 +46,7 @@ def matte(picture: Image.Image) -> Image.Image:
 
 
 def _light(rgba: Field) -> Field:
-    """Return the brightness that highlights add [H,W,3] in an image [H,W,4] of size `WORK`."""
+    """Return the brightness that highlights add [H,W,3]."""
     rgb, inside = clean_picture(rgba).astype(np.float32), rgba[..., 3] > 0.5
     disc = _disc(round(LARGEST * WORK))
     # A morphological opening removes bright spots that are smaller than the disc.
@@ -63,7 +60,7 @@ def _light(rgba: Field) -> Field:
 
 
 def _white(rgb: NDArray[np.float32], under: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return the mask [H,W] of pixels whose colour is `under` [H,W,3] plus white light."""
+    """Return whether each colour [H,W,3] is `under` [H,W,3] plus white light [H,W]."""
     added, full = rgb - under, rgb > FULL
     light = np.where(full, -np.inf, added).max(axis=2, keepdims=True)
     light = np.where(np.isfinite(light), light, added.max(axis=2, keepdims=True))

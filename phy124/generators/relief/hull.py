@@ -1,9 +1,7 @@
 """Builds the closed surface that matches two silhouettes, from the front and from the side.
 
-At each height, the front image determines the width of the cross-section, and the side image
-determines its depth. The two inflated silhouettes determine how round the cross-section is. If two
-legs are visible in both images, the surface has four legs. Coordinates are pixels relative to the
-object's centre: x right, y down, z towards the front camera.
+The front determines the width of each cross-section, and the side determines the depth. Coordinates
+are pixels relative to the object's centre: x right, y down, z towards the front camera.
 """
 
 from __future__ import annotations
@@ -23,14 +21,13 @@ from phy124.kernels import implicit
 
 Field = NDArray[np.float64]
 COARSE = 4
-"""Cell size of the coarse search for the surface, as a multiple of the cell size of the final
-search."""
+"""Cell size of the coarse search, relative to the final search."""
 OUTSIDE = -4.0
-"""Lower limit of the normalised silhouette's values, which is reached far outside the object."""
+"""Lower limit of the normalised silhouette far outside the object."""
 TOLERANCE = 0.25
 """Largest distance of a point from the surface [pixels]."""
 BEYOND = 3
-"""Number of extra rows of the fields above the object, and below the object."""
+"""Number of extra rows above and below the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,21 +41,21 @@ class Hull(Implicit):
 
     kernels: ClassVar[implicit.Kernels] = implicit.HULL
     front: Field
-    """The field w, and its derivatives along x and y [H,W,3]."""
+    """The field w, and derivatives along x and y [H,W,3]."""
     side: Field
-    """The field r^2 (s - 1), and its derivatives along z and y [H,D,3]."""
+    """The field r^2 (s - 1), and derivatives along z and y [H,D,3]."""
     y: Field
-    """Heights of the rows [H], evenly spaced."""
+    """Evenly spaced heights of the rows [H]."""
     planes: tuple[tuple[float, float, float], ...]
-    """Sign, height and steepness of the plane of each flat end."""
+    """Sign, height and steepness of each flat end."""
 
     @classmethod
     def of(cls, front: Field, side: Field, y: Field, ends: tuple[bool, bool]) -> Hull:
         """Build the hull from the squared half thicknesses of two silhouettes.
 
         Args:
-            front: Squared half thickness from the front [H,W]; W is odd, and the object is centred.
-            side: Squared half thickness from the side [H,D]; columns go towards the front camera.
+            front: Squared half thicknesses [H,W]; W is odd, and the object is centred.
+            side: Squared half thicknesses [H,D]; columns go towards the front camera.
             y: Heights of the rows [H].
             ends: Whether the top is flat, and whether the bottom is flat.
         """
@@ -73,7 +70,7 @@ class Hull(Implicit):
 
     @cached_property
     def struct(self) -> Any:
-        """The fields of the hull as a Warp struct for kernels."""
+        """The fields as a Warp struct."""
         struct = implicit.Hull()
         struct.front = wp.array(self.front, dtype=wp.float64, device="cpu")
         struct.side = wp.array(self.side, dtype=wp.float64, device="cpu")
@@ -83,7 +80,7 @@ class Hull(Implicit):
         return struct
 
     def scatter(self, pitch: float, rng: np.random.Generator) -> Field:
-        """Return random points near the surface, on average one per area of pitch^2."""
+        """Return random points near the surface, on average one per area pitch^2."""
         corners = self._cells(COARSE * pitch)
         offsets = np.stack(np.meshgrid(*[np.arange(COARSE)] * 3, indexing="ij"), -1).reshape(-1, 3)
         corners = (corners[:, None] + offsets * pitch).reshape(-1, 3)
@@ -94,13 +91,13 @@ class Hull(Implicit):
         return points[self.is_near(points)]
 
     def is_near(self, points: Field) -> NDArray[np.bool_]:
-        """Return whether each point [N,3] is within `TOLERANCE` of the surface."""
+        """Whether each point [N,3] is within `TOLERANCE` of the surface."""
         value, gradient = self.gradient(points)
         near = np.abs(value) < TOLERANCE * np.linalg.norm(gradient, axis=1)
         return near & (np.abs(points) <= self._reach()).all(axis=1)
 
     def _reach(self) -> Field:
-        """Return half the width, height and depth [3] of the region that the fields cover."""
+        """Return half the width, height and depth [3] of the fields."""
         sizes = self.front.shape[1] // 2, float(np.abs(self.y).max()), self.side.shape[1] // 2
         return np.array(sizes, dtype=np.float64)
 
@@ -111,7 +108,6 @@ class Hull(Implicit):
         return corners[self._near(corners + size / 2, 1.3 * size)]
 
     def _near(self, points: Field, distance: float) -> NDArray[np.bool_]:
-        """Return whether each point [N,3] is within about `distance` of the surface."""
         value, gradient = self.gradient(points)
         # If the field is r^2 - |p|^2, the distance is value / (r + |p|). Deep inside the object,
         # dividing by the norm of the gradient alone would be inaccurate.
@@ -127,13 +123,13 @@ def _add_slopes(w: Field, y: Field) -> Field:
 def spread_over(
     hull: Hull, count: int, rng: np.random.Generator, alive: Callable[[], None] = lambda: None
 ) -> tuple[Field, Field, Field]:
-    """Distribute about `count` points [N,3] evenly on the hull; also return normals and spacing.
+    """Distribute points [N,3] evenly on the hull; also return normals and spacing.
 
     Args:
         hull: The surface on which the points are placed.
         count: Approximate number of points.
         rng: Random number generator.
-        alive: Function that is called between rounds; it may raise an exception to cancel.
+        alive: Called between rounds; may raise an exception to cancel.
     """
     trial = 3.0
     pitch = trial * float(np.sqrt(max(len(hull.scatter(trial, rng)), 1) / count))

@@ -8,7 +8,7 @@ Mask = NDArray[np.bool_]
 
 
 def outline_of(object_mask: Mask) -> NDArray[np.int32]:
-    """Return the pixels [N,1,2] of the longest outer outline of a mask [H,W], column first."""
+    """Return the pixels [N,1,2] of a mask's longest outer outline, column first."""
     outlines, _ = cv2.findContours(
         object_mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
     )
@@ -16,6 +16,6 @@ def outline_of(object_mask: Mask) -> NDArray[np.int32]:
 
 
 def solidity(object_mask: Mask) -> float:
-    """Return the ratio of the silhouette's area to the area of its convex hull."""
+    """Return the silhouette's area relative to the convex hull."""
     hull = cv2.convexHull(outline_of(object_mask))
     return float(np.count_nonzero(object_mask) / max(cv2.contourArea(hull), 1.0))

@@ -1,6 +1,6 @@
-"""Inflates a single part of an object, such as a handle or a leg, without the rest of the object.
+"""Inflates a part of an object separately, such as a handle or a leg.
 
-Such a part is as deep as it is wide, and has the colours of the image on both of its sides.
+The part is as deep as it is wide, and shows the image on both sides.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ Mask = NDArray[np.bool_]
 def inflate_part(
     alpha: Field, front: Field, view: View, count: int, rng: np.random.Generator
 ) -> tuple[Shell, float]:
-    """Return the shell of a part in the vertical plane, and its half thickness [pixels].
+    """Return a part's shell in the vertical plane, and the part's half thickness [pixels].
 
     Args:
-        alpha: Silhouette of the part [H,W]; other parts have the value 0.
+        alpha: Silhouette of the part [H,W].
         front: Colours of the image [H,W,3].
         view: The front camera.
         count: Approximate number of points.
@@ -47,11 +47,11 @@ def inflate_part(
 
 
 def keep(shell: Shell, kept: Mask) -> Shell:
-    """Return the points of a shell for which a mask [N] is True."""
+    """Return the points of a shell in a mask [N]."""
     return replace(shell, **{name: values[kept] for name, values in vars(shell).items()})
 
 
 def _bounds(inside: Mask) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Return the first row and column of a mask [H,W], and the row and column after the last."""
+    """Return the first row and column, and the row and column after the last."""
     places = np.argwhere(inside)
     return places.min(axis=0), places.max(axis=0) + 1

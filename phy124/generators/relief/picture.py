@@ -13,14 +13,14 @@ Picture = Image.Image | NDArray[np.uint8]
 WORK = 248
 """Longest side of the resampled silhouette [pixels]."""
 PADDING = 4
-"""Width of the transparent border around the silhouette [pixels]."""
+"""Width of the transparent border [pixels]."""
 
 
 def open_picture(image: Picture, field: str = "image") -> Image.Image:
-    """Convert an image to RGBA, and check that at least a part of it is opaque.
+    """Convert an image to RGBA.
 
     Raises:
-        InputError: If no pixel is opaque; `field` is the name of the input in the error message.
+        InputError: If no pixel is opaque; `field` is the name of the input.
     """
     picture = image if isinstance(image, Image.Image) else Image.fromarray(np.asarray(image))
     picture = picture.convert("RGBA")
@@ -31,7 +31,7 @@ def open_picture(image: Picture, field: str = "image") -> Image.Image:
 
 
 def opaque_size(picture: Image.Image) -> tuple[int, int]:
-    """Return the width and height of the opaque part of an image [pixels]."""
+    """Return the width and height of the opaque part [pixels]."""
     left, top, right, bottom = _box(picture)
     return 1 + right - left, 1 + bottom - top
 
@@ -42,9 +42,9 @@ def work_picture(
     """Resample the opaque part to [H,W,4 or 5] in 0..1, with a border of `PADDING` pixels.
 
     Args:
-        picture: An image that was opened by `open_picture`.
-        scale: Scale factor; if None, the longest side becomes `WORK` pixels.
-        depth: Depth map of the image, which is returned as the fifth channel.
+        picture: Image from `open_picture`.
+        scale: Scale factor; None: the longest side becomes `WORK` pixels.
+        depth: Depth map, which becomes the fifth channel.
     """
     left, top, right, bottom = _box(picture)
     # One more pixel on each side keeps the half-transparent edge of the object.
@@ -70,6 +70,6 @@ def work_picture(
 
 
 def _box(picture: Image.Image) -> tuple[int, int, int, int]:
-    """Return the left, top, right and bottom limits of the opaque part [pixels]."""
+    """Return left, top, right and bottom of the opaque part [pixels]."""
     rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
     return int(columns.min()), int(rows.min()), int(columns.max()), int(rows.max())

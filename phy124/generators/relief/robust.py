@@ -1,4 +1,4 @@
-"""Fits linear models to most of the data, ignoring outliers such as letters and frames."""
+"""Fits linear models to most of the data, without outliers such as letters and frames."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,18 +8,12 @@ ROUNDS = 10
 
 
 def fit_most(known: Field, values: Field, noise: float) -> list[float]:
-    """Fit values [N] by a linear combination of the columns of `known` [N,C].
-
-    The fit minimises the absolute errors. Unlike a least-squares fit, it is not affected by a
-    minority of the values.
+    """Fit values [N] by columns [N,C] with the least absolute errors; return the coefficients.
 
     Args:
         known: The columns.
         values: The values.
         noise: Expected size of the errors, in the unit of the values.
-
-    Returns:
-        The coefficients of the columns.
     """
     weights = np.ones(len(values))
     fitted = np.zeros(known.shape[1])

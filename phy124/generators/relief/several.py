@@ -1,4 +1,4 @@
-"""Builds the shell of an object from one image of its front and one image of its side."""
+"""Builds the shell of an object from one image of the front and one image of a side."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -23,9 +23,8 @@ from phy124.generators.relief.surface import VIEW_DISTANCE
 Field = NDArray[np.float64]
 Facing = Literal["left", "right"]
 IMAGINED = 0.3
-"""Weight of a side whose colours are invented, relative to a side that a photograph shows."""
+"""Weight of a side with invented colours."""
 BACK_PLACE = 1
-"""Index of the back among the four sides."""
 
 
 def from_sides(
@@ -39,17 +38,17 @@ def from_sides(
     rng: np.random.Generator,
     step: Callable[[int], None],
 ) -> Shell:
-    """Build the surface that both silhouettes determine, and colour it from all images.
+    """Build the surface of two silhouettes, and colour the surface from all images.
 
     Args:
         picture: Image of the front.
         side: Image of the object from one side.
-        facing: Direction in which the object's front points in `side`.
+        facing: Direction of the object's front in `side`.
         back: Image of the object from behind.
-        look: Look of the back if there is no image from behind.
+        look: Look of the back without an image from behind.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Function that is called with the number of finished steps, and also during a step.
+        step: Called with the number of finished steps.
 
     Raises:
         InputError: If the silhouettes contradict each other.
@@ -82,10 +81,9 @@ def from_sides(
 def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> list[Shown]:
     """Return the images of the front, the back and both sides.
 
-    The object is assumed to be symmetric about a vertical plane. In the image with the more
-    symmetric silhouette, this plane is seen edge-on. The mirrored copy of the less symmetric image
-    then shows the opposite side of the object. The side opposite to the more symmetric image is not
-    visible in any image, so its colours are invented (`smooth_back`).
+    The object is assumed to be symmetric about the plane that the more symmetric image shows
+    edge-on. The other image is then mirrored for the opposite side. The side that no image shows
+    gets invented colours.
     """
     pictures = []
     for picture, towards, across in ((front, FRONT, ACROSS), (side_picture, ACROSS, FRONT)):
@@ -101,7 +99,6 @@ def _show_sides(front: Continued, side_picture: Continued, look: BackLook) -> li
 
 
 def _symmetry(object_mask: NDArray[np.bool_]) -> float:
-    """Return the overlap (IoU) of a silhouette [H,W] with its mirror image."""
     return overlap(object_mask, object_mask[:, ::-1])
 
 
@@ -114,7 +111,7 @@ def _profile(picture: Continued) -> Profile:
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Return the factor that scales points [N,3] so that they appear as large as in the image."""
+    """Return the factor by which points [N,3] appear as large as in the image."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

@@ -10,36 +10,37 @@ from phy124.generators.relief.picture import WORK
 
 Field = NDArray[np.float64]
 TANGENT = 0.58
-"""Standard deviation of the Gaussians along the surface, relative to the points' spacing. With this
-value, neighbours overlap without holes."""
+"""Standard deviation along the surface, relative to the points' spacing; neighbours overlap without
+holes.
+"""
 BACK_REACH = 1.25
-"""Factor by which the standard deviation along the surface is multiplied on the back."""
+"""Factor of the standard deviation along the surface on the back."""
 NORMAL = 0.12
-"""Standard deviation across the surface, relative to the points' spacing.
-
-A small value makes the outline sharp.
+"""Standard deviation across the surface, relative to the points' spacing. A small value makes the
+outline sharp.
 """
 OPACITY = 0.97
 DRAWN_IN = 1.35
-"""Depth below the surface at which the centres are placed [pixels]. Gaussians that are seen edge-on
-extend outwards by about this distance."""
+"""Depth of the centres below the surface [pixels]. Gaussians seen edge-on extend outwards by about
+this distance.
+"""
 
 
 @dataclass(frozen=True)
 class Shell:
-    """Points of a surface relative to the object's centre; x right, y down, z to the camera."""
+    """Points of a surface relative to the object's centre: x right, y down, z to the camera."""
 
     points: Field
     """Centres of the Gaussians [N,3], pixels, at `DRAWN_IN` below the surface."""
     normals: Field
     """Outward unit normals [N,3]."""
     spacing: Field
-    """Mean distance from each point to its neighbours [N], pixels."""
+    """Mean distance to the neighbours [N], pixels."""
     rgb: Field
     """Colours [N,3], 0..1."""
 
     def gaussians(self) -> Gaussians:
-        """Return the Gaussians in metres, in the axes of the world."""
+        """Return the Gaussians in metres, in the world's axes."""
         # In the world, x points towards the camera, y to the right, z up.
         means = self.points[:, [2, 0, 1]] * [1, 1, -1] / WORK
         normals = self.normals[:, [2, 0, 1]] * [1, 1, -1]

@@ -1,4 +1,4 @@
-"""Checks whether images from the side and from behind are consistent with the front image."""
+"""Checks whether images from the side and from behind agree with the front image."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from phy124.errors import InputError
 Field = NDArray[np.float64]
 Solid = NDArray[np.bool_]
 UNLIKE = 0.5
-"""Smallest allowed overlap (IoU) of the front's silhouette with the mirrored silhouette from
-behind."""
+"""Smallest overlap (IoU) of the front's silhouette with the mirrored silhouette from behind."""
 EMPTY = 0.05
-"""At no more than this fraction of the heights, only one of the two images may show the object."""
+"""Largest fraction of the heights at which only one image shows the object."""
 DEEPEST, FLATTEST = 4.0, 0.03
-"""Largest and smallest allowed depth of the object, relative to the longest side of the front."""
+"""Largest and smallest depth, relative to the longest side of the front."""
 
 
 @dataclass(frozen=True)
@@ -37,21 +36,21 @@ class Box:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the box [pixels]."""
+        """Width and height [pixels]."""
         return self.right - self.left, self.bottom - self.top
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Column and row of the box's centre, relative to the centre of pixel 0."""
+        """Column and row of the centre, relative to the centre of pixel 0."""
         return (self.left + self.right - 1) / 2, (self.top + self.bottom - 1) / 2
 
 
 def check_side(front: Solid, side: Solid) -> None:
-    """Raise an error if two silhouettes of equal height cannot belong to the same object.
+    """Refuse two silhouettes of equal height that cannot belong to the same object.
 
     Raises:
-        InputError: If the depth is out of range, or if, at too many heights, only one of the images
-            shows the object.
+        InputError: If the depth is out of range, or if only one image shows the object at too many
+            heights.
     """
     front_box, side_box = Box.of(front), Box.of(side)
     depth = side_box.size[0] / max(front_box.size)
@@ -74,11 +73,11 @@ def check_side(front: Solid, side: Solid) -> None:
 
 
 def check_back(front: Solid, back: Solid) -> None:
-    """Refuse a silhouette from behind that differs too much from the mirrored front silhouette.
+    """Refuse a silhouette from behind that differs too much from the front's.
 
     Args:
         front: Silhouette from the front.
-        back: Silhouette from behind, already mirrored, with the same height as the front's.
+        back: Mirrored silhouette from behind, with the height of the front's.
 
     Raises:
         InputError: If the silhouettes differ, or the image seems to have been mirrored beforehand.
@@ -103,7 +102,7 @@ def check_back(front: Solid, back: Solid) -> None:
 
 
 def overlap(first: Solid, second: Solid) -> float:
-    """Return the intersection over union of two silhouettes whose centres are aligned."""
+    """Return the intersection over union of two silhouettes with aligned centres."""
     boxes = Box.of(first), Box.of(second)
     width, height = (max(sizes) for sizes in zip(*(box.size for box in boxes), strict=True))
     placed = []

@@ -1,11 +1,8 @@
 """Guesses which solid a silhouette shows: a round shape, a solid of revolution, or a slab.
 
-Round parts are as deep as they are wide. The solid is the union of all balls that fit inside, so a
-disc becomes a ball and a limb becomes a cylinder. An object is assumed to be a solid of revolution
-under three conditions: the outline has a waist or is compact, each row is a single run of pixels,
-centred on a common axis, and the object is not angular. Each row is then as deep as it is wide. A
-shape with straight edges and without shading is assumed to be a flat slab. If there is a depth map,
-it replaces the guessed shape of the front.
+A round solid is the union of all balls that fit inside, so a disc becomes a ball and a limb becomes
+a cylinder. A solid of revolution is as deep as it is wide in each row. A shape with straight edges
+and without shading is a flat slab. A depth map replaces the guessed front.
 """
 
 import cv2
@@ -26,40 +23,36 @@ Field = NDArray[np.float64]
 SMOOTHING = 0.02
 """Standard deviation of the filter that smooths the thickness, relative to the image's size."""
 CENTRED = 0.06
-"""The centre of a row is at most this far from the axis of revolution, relative to half the
-object's largest width.
-"""
+"""Largest distance of a row's centre from the axis, relative to half the object's largest width."""
 EVERY = 0.97
-"""Smallest fraction of the rows that must match a solid of revolution."""
+"""Smallest fraction of the rows that match a solid of revolution."""
 WAISTED = 0.97
-"""A silhouette has a waist if its area is at most this fraction of its convex hull's area."""
+"""Largest area of a silhouette with a waist, relative to the convex hull."""
 COMPACT = 1.25
-"""A convex shape is assumed to be a solid of revolution if the ratio of its longer to its shorter
-side is at most this value. Longer shapes may lie on their side, so `stands` must be true for them.
+"""Largest ratio of sides at which a convex shape is a solid of revolution. Longer shapes may lie on
+their side.
 """
 CONVEX = 0.93
-"""An outline counts as convex if the silhouette fills at least this fraction of its convex hull."""
+"""Smallest area of a convex silhouette, relative to the convex hull."""
 OVERHANG = 3.0
-"""Largest ratio of depth to height of a brim; it limits the depth of features such as wings."""
+"""Largest ratio of depth to height of a brim, which limits features such as wings."""
 STRAIGHT = 0.98
-"""Edges count as straight if the outline's overlap (IoU) with a polygon of few corners is at least
-this value.
-"""
+"""Smallest overlap (IoU) of a straight-edged outline with a polygon."""
 CORNERS = 12
 BOXED = 0.95
-"""A rectangle with rounded corners fills at least this fraction of its bounding rectangle."""
+"""Smallest area of a rectangle with rounded corners, relative to the bounding rectangle."""
 ROUNDED = 0.1
-"""Radius of the rounded edges of a block, relative to half the block's width."""
+"""Radius of a block's edges, relative to half the block's width."""
 RIM = 3.0
-"""Width of the rounded rim of a foot's outline [pixels]."""
+"""Width of a foot's rounded rim [pixels]."""
 SHADED = 0.1
-"""Smallest change of brightness across a shaded round object, relative to the mean brightness."""
+"""Smallest change of brightness across a shaded object, relative to the mean."""
 FRAME, LEAST_FRAME = 0.2, 4.0
-"""A frame is at most as wide as the first value, relative to half the object's width, or as the
-second value [pixels], whichever is larger.
+"""Largest width of a frame: relative to half the object's width, and in pixels. The larger width
+counts.
 """
 NOISE = 0.01
-"""Noise of the brightness, relative to its mean."""
+"""Noise of the brightness, relative to the mean."""
 
 
 def inflate(
@@ -68,11 +61,11 @@ def inflate(
     """Return the surface of a round object.
 
     Args:
-        half: Squared half thicknesses [H,W], as returned by `half_thickness`.
+        half: Squared half thicknesses [H,W] from `half_thickness`.
         silhouette: The silhouette, extended beyond flat ends.
         picture: Colours of the image, and mask of the object.
         view: The front camera.
-        thickness: Factor by which the guessed depth is multiplied.
+        thickness: Factor of the guessed depth.
     """
     surface = Surface.seen(silhouette.extend(thickness**2 * half), view.middle, view.distance)
     if not picture.ends:
@@ -83,10 +76,10 @@ def inflate(
 
 
 def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
-    """Return the midsurface [H,W] after removing its ridge at flat ends.
+    """Return the midsurface [H,W] without a ridge at flat ends.
 
-    Within the arc of an end, the silhouette becomes narrower although the object does not. The
-    midsurface of a ball would be nearer to the camera where the ball is narrower.
+    A ball's midsurface is nearer to the camera where the ball is narrower. In an end's arc, only
+    the silhouette becomes narrower.
     """
     rows, widths = np.arange(len(surface.m)), np.count_nonzero(surface.w > 0, axis=1)
     m = surface.m
@@ -100,11 +93,7 @@ def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
 
 
 def _with_feet(w: Field, picture: Continued) -> Field:
-    """Return squared half thicknesses in which round feet are as deep as the object above them.
-
-    Beyond the corners of the end, the mirror image is replaced by the silhouette of the feet, with
-    a rounded rim.
-    """
+    """Make round feet as deep as the object above them."""
     distance = np.where(
         picture.object_mask,
         nearest_of(~picture.object_mask)[0] - 0.5,
@@ -119,9 +108,7 @@ def _with_feet(w: Field, picture: Continued) -> Field:
 
 
 def round_thickness(silhouette: Silhouette, size: int) -> Field:
-    """Return squared half thicknesses [H,W] for which each part, in pixels, is as deep as it is
-    wide.
-    """
+    """Return squared half thicknesses [H,W] of parts as deep as they are wide [pixels^2]."""
     _ = silhouette.factors  # a thread computes them meanwhile
     return _within(silhouette, _balls(silhouette), 0.3, 1.2, size)
 
@@ -138,11 +125,10 @@ def half_thickness(
     Args:
         silhouette: The silhouette, extended beyond flat ends.
         picture: Colours of the image, and mask of the object.
-        size: Size of the object, pixels.
+        size: Size of the object [pixels].
         shape: "upright" for a solid of revolution, "round" or "flat" for an object that is neither
             a solid of revolution nor a slab; "auto": the most plausible one.
-        joined: Squared half thicknesses from separate inflation of the parts, which makes each part
-            as deep as it is wide [H,W]; None: the parts were not inflated separately.
+        joined: Squared half thicknesses [H,W] of parts that were inflated separately, or None.
     """
     round_ = round_thickness(silhouette, size) if joined is None else joined
     if shape in ("round", "flat"):
@@ -159,17 +145,17 @@ def half_thickness(
 
 
 def flat_topped(inside: NDArray[np.bool_]) -> Field:
-    """Return squared half thicknesses [H,W] of a block as deep as the silhouette is wide."""
+    """Return squared half thicknesses [H,W] of a block as deep as it is wide."""
     distance = np.where(inside, nearest_of(~inside)[0] - 0.5, 0.5 - nearest_of(inside)[0])
     widest = float(distance.max())
     return widest**2 * np.clip(distance / max(2.0, ROUNDED * widest), -4, 1)
 
 
 def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size: int) -> Field:
-    """Return a smooth field of the squared half thickness, close to `wanted` and 0 on the rim.
+    """Return a smooth field that is close to `wanted`, and 0 on the rim.
 
-    The solution u of -Laplace(u) = 4 is smooth, and 0 on the rim. For a disc, u describes a ball.
-    The result is u times a smoothed ratio: `wanted` divided by u.
+    The solution u of -Laplace(u) = 4 describes a ball if the rim is a circle. The result is u times
+    the smoothed ratio `wanted` / u.
     """
     u = silhouette.poisson(4.0)
     ratio = np.clip(wanted / np.maximum(u, 1e-9), low, high)
@@ -180,11 +166,9 @@ def _within(silhouette: Silhouette, wanted: Field, low: float, high: float, size
 
 
 def _balls(silhouette: Silhouette) -> Field:
-    """Return the squared half thicknesses of the union of all balls that fit inside the silhouette.
+    """Return the squared half thicknesses of the union of all balls inside the silhouette.
 
-    The result is the maximum, over all centres m, of D(m)^2 - |x - m|^2, where D is the distance to
-    the rim. This maximum is the upper envelope of parabolas, and is computed along one axis after
-    the other. No ball reaches farther than the largest D.
+    The result is the maximum over m of D(m)^2 - |x - m|^2, where D is the distance to the rim.
     """
     squares = silhouette.distance**2
     reach = int(silhouette.distance.max())
@@ -200,7 +184,7 @@ def _balls(silhouette: Silhouette) -> Field:
 
 
 def is_turned(object_mask: NDArray[np.bool_]) -> bool:
-    """Return whether a silhouette [H,W] may be a solid of revolution with a vertical axis."""
+    """Whether a silhouette [H,W] may be a solid of revolution with a vertical axis."""
     rows = np.flatnonzero(object_mask.any(axis=1))
     low, high = (
         object_mask[rows].argmax(axis=1),
@@ -218,10 +202,9 @@ def is_turned(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def is_block(picture: Continued) -> bool:
-    """Return whether a symmetric outline is that of an angular object, such as a printer.
+    """Whether a symmetric outline is that of an angular object, such as a printer.
 
-    Objects with arcs at both ends are cylinders. Convex outlines that end in a tip are those of
-    shields and clothes.
+    Objects with arcs at both ends are cylinders. Shields and clothes are convex and end in a tip.
     """
     solid = picture.object_mask
     if picture.body is not None:
@@ -233,11 +216,7 @@ def is_block(picture: Continued) -> bool:
 
 
 def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
-    """Return the squared half thicknesses of a solid of revolution with a vertical axis.
-
-    The silhouette extends beyond flat ends. If `picture` shows a vessel, its brim is as deep as it
-    is wide, whatever the height of the brim is.
-    """
+    """A vessel's brim is as deep as it is wide at any height."""
     inside, body = silhouette.inside, picture.body
     left, right = silhouette.sides()
     deepest = OVERHANG / 2 * _runs(inside)
@@ -252,7 +231,7 @@ def _lathe(silhouette: Silhouette, picture: Continued) -> Field:
 
 
 def _runs(inside: NDArray[np.bool_]) -> Field:
-    """Return, for each inside pixel, the length of the vertical run that contains it [H,W]."""
+    """Return the length of the vertical run that contains each pixel [H,W]."""
     rows = np.arange(len(inside))[:, None]
     above = np.maximum.accumulate(np.where(inside, -1, rows), axis=0)
     below = np.minimum.accumulate(np.where(inside, len(rows), rows)[::-1], axis=0)[::-1]
@@ -260,7 +239,7 @@ def _runs(inside: NDArray[np.bool_]) -> Field:
 
 
 def is_polygonal(object_mask: NDArray[np.bool_]) -> bool:
-    """Return whether the outline is a polygon of few corners or a rounded rectangle."""
+    """Whether the outline is a polygon of few corners or a rounded rectangle."""
     outline = outline_of(object_mask)
     width, height = cv2.minAreaRect(outline)[1]
     if np.count_nonzero(object_mask) > BOXED * (width + 1) * (height + 1):
@@ -272,14 +251,11 @@ def is_polygonal(object_mask: NDArray[np.bool_]) -> bool:
 
 
 def _is_shaded(picture: Continued, round_: Field) -> bool:
-    """Return whether the brightness changes in the same way as on a shaded round object.
+    """Whether the brightness changes as on a shaded round object.
 
-    A linear function of the round solid's normals is fitted to the brightness. Only the component
-    of the normals towards the camera is used; on a round object, this component is largest in the
-    middle. On a flat object, printed gradients and gradients caused by light run from one side to
-    the other. The median of each row is subtracted, because labels and features such as the roof of
-    a house are horizontal bands. Frames are excluded from the fit. A wide object may be lying on
-    its side, so the fit is repeated with columns in place of rows.
+    The brightness is fitted by the normals' component towards the camera, because flat objects show
+    only gradients from side to side. Bands are removed by the median of each row, and frames are
+    excluded.
     """
     depth, _ = nearest_of(~picture.object_mask)
     seen = depth > max(LEAST_FRAME, FRAME * float(depth.max()))
@@ -304,16 +280,15 @@ def _is_shaded(picture: Continued, round_: Field) -> bool:
 def make_slab(
     picture: Continued, view: View, thickness: float = 1.0, most: float | None = None
 ) -> Surface:
-    """Return a slab with flat front and back.
-
-    A square becomes a cube, and other shapes are thinner.
+    """Return a slab with flat front and back; a square becomes a cube, and other shapes are
+    thinner.
 
     Args:
         picture: Mask of the object.
         view: The front camera.
-        thickness: Factor by which the guessed depth is multiplied.
-        most: Largest half thickness of a thin slab before this multiplication, pixels; the smallest
-            is half of it.
+        thickness: Factor of the guessed depth.
+        most: Largest half thickness of a thin slab before this multiplication [pixels]; the
+            smallest is half as large.
     """
     object_mask = picture.object_mask
     rows, columns = np.flatnonzero(object_mask.any(axis=1)), np.flatnonzero(object_mask.any(axis=0))
@@ -342,16 +317,15 @@ def make_slab(
 
 
 MIXED_RIM = 8.0
-"""Width of the zone along the rim in which depth maps mix the depths of object and background
-[pixels]."""
+"""Width of the zone along the rim in which depth maps mix object and background [pixels]."""
 PLANE = 0.01
-"""The front is flat if the standard deviation of the depth is below this fraction of its range."""
+"""Largest standard deviation of a flat front's depth, relative to the range of the depth."""
 THINNEST = 2.0
 """Smallest half thickness away from the rim [pixels]."""
 
 
 def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
-    """Normalise a depth map to 0..1, and check that it is consistent with the object's alpha [H,W].
+    """Normalise a depth map to 0..1, and compare the map with the object's alpha [H,W].
 
     Raises:
         InputError: If the map is constant, or the object is farther away than its surroundings.
@@ -371,9 +345,8 @@ def normalise_depth(depth: NDArray, alpha: NDArray) -> NDArray[np.float32]:
 def apply_depth(surface: Surface, depth: Field, object_mask: NDArray[np.bool_]) -> Surface:
     """Replace the front of a surface with a depth map [H,W] in 0..1, in which 1 is nearest.
 
-    The scale and the offset of the depth map are unknown. The map is therefore scaled and shifted
-    to have the mean and the standard deviation of the inflated front, unless the map is flat. The
-    back is unchanged.
+    The map gets the mean and the standard deviation of the inflated front, because scale and offset
+    are unknown.
     """
     far, _ = nearest_of(~object_mask)
     known = far > min(MIXED_RIM / 2, 0.5 * float(far.max()))

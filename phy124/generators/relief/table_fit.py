@@ -1,8 +1,6 @@
 """Recognises tables, stools and chairs by fitting them to a silhouette.
 
-The silhouette is compared with coarse drawings of tables with many proportions, seen from many
-directions. The values of the best drawings are then improved, first in coarse images, then in finer
-ones. The silhouette shows a table if the image of the fitted table covers it.
+The fits start from coarse drawings of tables with many proportions and directions.
 """
 
 from __future__ import annotations
@@ -29,36 +27,33 @@ from phy124.generators.relief.tables import (
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 OVERLAP = 0.85
-"""Smallest overlap (IoU) of the silhouette with the image of the table."""
+"""Smallest overlap (IoU) of the silhouette with the table's image."""
 CLEAR = 0.9
-"""Smallest overlap where the silhouette may also be that of an animal or a vehicle. Tables overlap
-by 0.97, a bison by 0.87."""
+"""Smallest overlap if the silhouette may also be an animal or a vehicle. Tables overlap by 0.97, a
+bison by 0.87.
+"""
 FIRST, MORE = 0.55, 0.05
-"""A fit starts only from a coarse drawing whose overlap is at least the first value. The last fit
-is assumed to increase the overlap by at most the second value. Before the fit, a table's silhouette
-overlaps the best drawing by at least 0.65, and a dog's by 0.5.
+"""Smallest overlap of a coarse drawing from which a fit starts, and largest increase by the last
+fit. Drawings of tables overlap by at least 0.65, a dog by 0.5.
 """
 SIMPLER = 0.01
-"""A table with corners, with a backrest, or seen from behind is chosen only if the overlap
-increases by this amount.
-"""
+"""Smallest increase of the overlap for which a more complex table is chosen."""
 COARSE = 4
-"""Factor by which images are reduced for the first fit."""
+"""Reduction of images for the first fit."""
 FINE = 2
-"""Factor by which images are reduced for the last fit."""
+"""Reduction of images for the last fit."""
 BLUR = 1.5
-"""Blur of these images, as a standard deviation [pixels]."""
+"""Blur of the images, as a standard deviation [pixels]."""
 TRIED = 4
-"""For each item of `SEEN`, fits start from this number of coarse drawings."""
+"""Number of coarse drawings from which fits start, for each item of `SEEN`."""
 ROUNDS, ATTEMPTS, DONE = 12, 4, 1e-3
-"""Largest number of rounds of a fit, and largest number of attempts in a round; each attempt takes
-a shorter step.
+"""Largest numbers of rounds and of attempts in a round; each attempt takes a shorter step.
 
-A fit ends if the error decreases by less than `DONE`, relative to the error.
+A fit ends if the error decreases by less than the fraction `DONE`.
 """
 GAP, LEGS = 0.12, 0.5
-"""The gaps between legs are at least as high as the first value, relative to the object's height.
-All legs together are at most as wide as the second value, relative to the object's width.
+"""Smallest height of the gaps between legs, relative to the object's height, and largest width of
+all legs, relative to the object's width.
 """
 ELEVATIONS = np.radians([3.0, 14.0, 25.0, 40.0])
 QUARTER, FRONT = np.radians(np.arange(0, 90, 15)), np.radians(np.arange(-72, 90, 24))
@@ -68,28 +63,28 @@ SEEN = (
     (CHAIR, FRONT),
     (CHAIR, FRONT + np.pi),
 )
-"""Kinds of tables and the directions from which they are seen [radians]."""
+"""Kinds of tables and directions of view [radians]."""
 USUAL = Sizes(0, 0, 0, 0, 1, 1, 0.12, 0.08, 1, 1, 1, 1, 0.9, 0.95)
-"""Usual proportions. Lengths are relative to the half width of the top."""
+"""Usual proportions; lengths are relative to half the width of the top."""
 CERTAIN = Sizes(4, 0, 0, 0, 0, 1.5, 2, 3, 0, 0, 3, 3, 5, 5)
-"""Weights of these proportions in the fit, for values that the silhouette does not show."""
+"""Weights of the usual proportions."""
 SQUARE_SEAT = 9.0
-"""Weight of the usual depth of a chair, whose seat is about square."""
+"""Weight of a chair's usual depth, because seats are about square."""
 STEPS = Sizes(0.02, 0.02, 1, 1, 1, 1, 1, 0.5, 1, 1, 1, 0.02, 0.02, 0.02)
-"""Changes of the values that move edges in the image by about a pixel."""
+"""Changes that move edges in the image by about a pixel."""
 LEAST = Sizes(0, -np.inf, -np.inf, -np.inf, 8, 8, 2, 1.5, 8, 4, 4, 0.6, 0.4, 0.4)
 MOST = Sizes(*[np.inf] * 14)._replace(elevation=0.7, rear=1.2, tops=1.0, feet=1.6)
 """Limits of the values."""
 HIGHEST = 0.69
-"""Largest elevation that can be determined from a silhouette [radians]."""
+"""Largest elevation that a silhouette determines [radians]."""
 THIN = 0.5
-"""Largest thickness of a table's top, relative to the length of its legs; cars have more."""
+"""Largest thickness of a top, relative to the legs' length; cars have more."""
 SLENDER = 0.2
-"""Largest half thickness of a leg, relative to half the length of a side of the top."""
+"""Largest half thickness of a leg, relative to half the top's side."""
 LOW = 0.3
-"""Smallest height of the legs, relative to half the length of a side of the top."""
+"""Smallest height of the legs, relative to half the top's side."""
 INWARD = 0.9
-"""Smallest distance of the feet from the centre, relative to that of the legs' upper ends."""
+"""Smallest distance of the feet from the centre, relative to the legs' upper ends."""
 
 
 def find_table(
@@ -99,15 +94,14 @@ def find_table(
     elevation: float | None,
     least: float = OVERLAP,
 ) -> Table | None:
-    """Return the table, stool or chair that a raised camera sees; None if there is none.
+    """Return the table, stool or chair that a raised camera sees, or None.
 
     Args:
         object_mask: The silhouette [H,W].
         middle: Column and row at the centre of the image [2].
-        distance: Distance of the camera, pixels.
-        elevation: Elevation of the camera [radians]; None: the elevation is estimated from the
-            silhouette.
-        least: Smallest overlap (IoU) of the silhouette with the image of the table.
+        distance: Distance of the camera [pixels].
+        elevation: Elevation of the camera [radians]; None: estimated from the silhouette.
+        least: Smallest overlap (IoU) of the silhouette with the table's image.
     """
     if not has_legs(object_mask):
         return None
@@ -133,7 +127,7 @@ def find_table(
 
 
 def has_legs(object_mask: Mask) -> bool:
-    """Return whether many rows in the lower half of a silhouette [H,W] show several thin parts."""
+    """Whether many lower rows of a silhouette [H,W] show several thin parts."""
     rows, wide = np.flatnonzero(object_mask.any(axis=1)), object_mask.any(axis=0).sum()
     low = object_mask[(rows[0] + rows[-1]) // 2 : rows[-1]]
     parts = np.count_nonzero(np.diff(low.astype(int), axis=1) > 0, axis=1)
@@ -146,11 +140,11 @@ class Goal:
     """The silhouette to which a table is fitted."""
 
     solid: Field
-    """The silhouette [H,W] in 0..1; the sides are multiples of `COARSE`."""
+    """Silhouette [H,W] in 0..1; the sides are multiples of `COARSE`."""
     known: Field
-    """1, but 0 in holes of the silhouette, such as those between the bars of a backrest [H,W]."""
+    """0 in holes of the silhouette, such as those in a backrest, otherwise 1 [H,W]."""
     middle: Field
-    """Column and row at the centre of the image [2]."""
+    """Column and row of the image's centre [2]."""
 
     @classmethod
     def of(cls, object_mask: Mask, middle: Field) -> Goal:
@@ -162,7 +156,7 @@ class Goal:
 
     @cached_property
     def extent(self) -> tuple[Field, Field]:
-        """Centre and size of the silhouette's bounding box, relative to the image's centre."""
+        """Centre and size of the bounding box, relative to the image's centre."""
         rows, columns = (np.flatnonzero(self.solid.any(axis=axis)) for axis in (1, 0))
         low, high = np.array([columns[0], rows[0]]), np.array([columns[-1], rows[-1]])
         return (low + high) / 2 - self.middle, high - low + 1.0
@@ -177,8 +171,8 @@ class Goal:
     def fit(self, table: Table, scale: int, fixed: bool) -> Table:
         """Return a table whose image differs less from the silhouette.
 
-        The fit is damped (Levenberg 1944, Marquardt 1963). If `fixed` is True, the elevation of the
-        camera does not change.
+        The fit is damped (Levenberg 1944, Marquardt 1963). `fixed` keeps the elevation of the
+        camera.
         """
         weight = shrink(self.known, scale)
         target = cv2.GaussianBlur(shrink(self.solid, scale), (0, 0), BLUR)
@@ -213,23 +207,18 @@ class Goal:
 
 
 def _without_lip(table: Table) -> Table:
-    """Return a square table instead of a chair whose backrest is as low as the limits allow."""
+    """Replace a chair with the lowest possible backrest by a table."""
     lip = table.kind.backed and table.sizes.back <= LEAST.back
     return replace(table, kind=SQUARE_TABLE) if lip else table
 
 
 def _complexity(table: Table) -> int:
-    """Return 0 for a round top, 1 for a top with corners, 2 for a chair, 3 for a chair from
-    behind.
-    """
+    """Return 0 for a round top, 1 for corners, 2 for a chair, 3 for a chair from behind."""
     away = table.kind.backed and np.cos(table.sizes.yaw) < 0
     return (len(table.kind.top) == len(SQUARE_TABLE.top)) + table.kind.backed + int(away)
 
 
 def _is_usual(s: Sizes) -> bool:
-    """Return whether the top is thin, and the legs are slender, long, and spread towards the
-    floor.
-    """
     short, long = sorted([s.half, s.deep])
     return (
         s.thick < THIN * s.high
@@ -240,7 +229,6 @@ def _is_usual(s: Sizes) -> bool:
 
 
 def _unusual(table: Table) -> Field:
-    """Return the weighted differences from the usual proportions."""
     s = table.sizes
     lengths = np.log([s.deep, s.thick, s.leg, s.wide / s.rear]) - np.log(s.half)
     numbers = [Sizes._fields.index(name) for name in ("deep", "thick", "leg", "wide")]
@@ -255,7 +243,7 @@ def _unusual(table: Table) -> Field:
 def _tables(
     kind: Kind, yaws: Field, goal: Goal, distance: float, elevation: float | None
 ) -> list[Table]:
-    """Return tables of many proportions that are as wide and as high as the silhouette."""
+    """Return tables of many proportions with the width and height of the silhouette."""
     depths = (0.6, 1.0, 1.6) if kind is SQUARE_TABLE else (1.0,)
     backs = (0.6, 1.1) if kind.backed else (0.0,)
     raised = ELEVATIONS.tolist() if elevation is None else [elevation]
@@ -266,13 +254,13 @@ def _tables(
 
 
 def _match_extent(table: Table, goal: Goal, deep: float, back: float) -> Table:
-    """Scale and move a table so that its image is as wide and as high as the silhouette.
+    """Scale and move a table to the width and height of the silhouette.
 
     Args:
         table: The table.
         goal: The silhouette.
-        deep: Depth of the top, relative to its width.
-        back: Height of the backrest, relative to that of the legs.
+        deep: Depth of the top, relative to the width.
+        back: Height of the backrest, relative to the legs.
     """
     centre, (width, height) = goal.extent
     half, high, up = width / 2.5, height / 2, table.sizes.elevation

@@ -1,7 +1,4 @@
-"""Describes tables, stools and chairs: a top on three or four legs, perhaps with a backrest.
-
-Fourteen values describe such an object and the elevation of the camera that sees it.
-"""
+"""Describes tables, stools and chairs: a top on three or four legs, perhaps with a backrest."""
 
 from __future__ import annotations
 
@@ -25,18 +22,17 @@ def _circle(corners: int) -> Field:
 
 
 SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float64)
-"""Corners of a rectangle, relative to its half sides; the second column points to the front."""
+"""Corners of a rectangle, relative to half the sides; the second column points to the front."""
 
 
 class Kind(NamedTuple):
-    """What the values of `Sizes` describe."""
+    """Shape of the top, places of the legs, and whether there is a backrest."""
 
     top: Field
-    """Corners of the top, relative to its half width and half depth [C,2]."""
+    """Corners of the top, relative to half the width and half the depth [C,2]."""
     legs: Field
     """Places of the legs [L,2]."""
     backed: bool
-    """Whether there is a backrest."""
 
 
 SQUARE_TABLE, CHAIR = Kind(SQUARE, SQUARE, False), Kind(SQUARE, SQUARE, True)
@@ -44,17 +40,16 @@ ROUND_TABLES = Kind(_circle(24), _circle(4), False), Kind(_circle(24), _circle(3
 
 
 class Sizes(NamedTuple):
-    """The values of a table. Lengths are in pixels, and angles in radians."""
+    """Sizes and place of a table, in pixels and radians."""
 
     elevation: float
-    """Elevation of the camera."""
     yaw: float
     """Angle about the vertical axis between the front and the camera."""
     right: float
     down: float
-    """Position of the centre of the table top's upper face, relative to the centre of the image."""
+    """Place of the top's upper face, relative to the image's centre."""
     half: float
-    """Half width of the top, at the front."""
+    """Half width of the top at the front."""
     deep: float
     """Half depth of the top."""
     thick: float
@@ -68,21 +63,21 @@ class Sizes(NamedTuple):
     wide: float
     """Half width of the backrest."""
     rear: float
-    """Width of a rectangular top at the rear, relative to its width at the front."""
+    """Width of the top at the rear, relative to the front."""
     tops: float
-    """Place of the legs' upper ends, relative to the corners or the edge of the top."""
+    """Place of the legs' upper ends, relative to the top's corners or edge."""
     feet: float
-    """Place of the feet, relative to the corners or the edge of the top."""
+    """Place of the feet, relative to the top's corners or edge."""
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table, a stool or a chair. In its axes, x points to the right, and y to the front."""
+    """A table, a stool or a chair; x points to the right, and y to the front."""
 
     kind: Kind
     sizes: Sizes
     distance: float
-    """Distance of the camera from the centre of the image, pixels."""
+    """Distance of the camera [pixels]."""
 
     @cached_property
     def camera(self) -> Raised:
@@ -111,18 +106,18 @@ class Table:
         return [part @ self.axes + [s.right, 0, 0] for part in parts]
 
     def _place(self, relative: Field) -> Field:
-        """Return the positions [N,2] of places that are relative to the top's half sides [N,2]."""
+        """Return positions [N,2] from places relative to half the top's sides [N,2]."""
         s = self.sizes
         taper = (1 + s.rear) / 2 + (1 - s.rear) / 2 * relative[:, 1]
         return relative * [s.half, s.deep] * np.stack([taper, np.ones(len(relative))], axis=1)
 
     @cached_property
     def places(self) -> Field:
-        """Places of all corners in the image, relative to its centre [C,2], pixels."""
+        """Places of all corners in the image, relative to the image's centre [C,2], pixels."""
         return self.camera.pixels(np.concatenate(self.parts))
 
     def resize(self, **sizes: float) -> Table:
-        """Return the table with other values of `Sizes`."""
+        """Return the table with other sizes."""
         return replace(self, sizes=self.sizes._replace(**sizes))
 
     def boards(self) -> list[Board]:
