@@ -1,7 +1,6 @@
-"""Generators with trained networks; other modules load these generators by name only.
+"""Generators with trained networks.
 
 Each generator is a package whose `__init__` declares two variables. `GENERATORS` contains factories
-by name, and `WEIGHTS` lists the weights that the generator loads (keys of
-`phy124.weights.store.KNOWN`). Importing such a package is fast, because torch is imported only when
-a factory is called. To add a generator, add a package.
+by name, and `WEIGHTS` lists keys of `phy124.weights.store.KNOWN`. Torch is imported only when a
+factory is called.
 """

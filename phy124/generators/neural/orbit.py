@@ -1,8 +1,7 @@
 """Cameras of the generative networks: OpenGL axes with y up, and the object's front at +z.
 
-LGM, ImageDream and DreamGaussian were all trained with these axes. A camera with *positive*
-elevation is *below* the object, unlike in `phy124.camera`. A camera with an azimuth of 90 degrees
-looks at the object's left side (+x).
+A camera with *positive* elevation is *below* the object, unlike in `phy124.camera`. A camera with
+an azimuth of 90 degrees looks at the object's left side (+x).
 """
 
 import math
@@ -14,13 +13,13 @@ from phy124.gaussians import Gaussians
 from phy124.io.axes import rotate_gaussians
 
 FOV_Y = 49.1
-"""Vertical field of view with which all these networks were trained [degrees]."""
+"""Vertical field of view of all networks [degrees]."""
 TO_WORLD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Rotation matrix from the axes of the networks to those of phy124 (z up, front +x)."""
+"""Rotation from the networks' axes to those of phy124 (z up, front +x)."""
 
 
 def orbit(elevation: float, azimuth: float, radius: float) -> NDArray[np.float64]:
-    """Return a camera-to-world transform [4,4] whose columns are right, up, back and position.
+    """Return a camera-to-world transform [4,4] with the columns right, up, back and position.
 
     The angles are in degrees.
     """
@@ -36,15 +35,14 @@ def orbit(elevation: float, azimuth: float, radius: float) -> NDArray[np.float64
 
 
 def to_opencv(camera_to_world: NDArray) -> NDArray[np.float64]:
-    """Convert an OpenGL camera-to-world transform to world-to-camera [4,4].
-
-    The axes of the result are x right, y down, z forward.
+    """Convert an OpenGL camera-to-world transform to world-to-camera [4,4]; x right, y down, z
+    forward.
     """
     return np.linalg.inv(camera_to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
 
 
 def focal(height: int, fov_y: float = FOV_Y) -> float:
-    """Return the focal length [pixels] for an image that is `height` pixels high."""
+    """Return the focal length of an image [pixels]."""
     return 0.5 * height / math.tan(0.5 * math.radians(fov_y))
 
 

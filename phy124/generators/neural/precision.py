@@ -1,4 +1,4 @@
-"""Selects the device and the floating-point precision of a generator's networks."""
+"""Selects the device and the precision of a generator's networks."""
 
 import warnings
 from pathlib import Path
@@ -11,14 +11,11 @@ from phy124.runtime.memory import free_memory
 SPARE = 0.8
 """Largest fraction of the free memory that a network may use."""
 FLAGS = ("avx512_bf16", "amx_bf16")
-"""Names of CPU features that multiply bfloat16 numbers, as Linux and torch write them."""
+"""CPU features that multiply bfloat16 numbers, as Linux and torch write them."""
 
 
 def torch_device(name: str | None) -> str:
-    """Return torch's name of the device that can be used.
-
-    None selects a GPU if torch can use one.
-    """
+    """Return torch's name of a usable device; None selects a GPU if there is one."""
     usable = torch.cuda.is_available()
     if name is None:
         return "cuda" if usable else "cpu"
@@ -31,13 +28,11 @@ def torch_device(name: str | None) -> str:
 
 
 def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dtype:
-    """Return the floating-point precision that the user requested or that suits the device.
-
-    If there is no request, return the fastest accurate precision that fits into memory.
+    """Return the requested precision, or the fastest accurate one that fits into memory.
 
     Args:
-        precision: Precision that the user requested, or None.
-        device: Device on which the network runs.
+        precision: Requested precision, or None.
+        device: Device of the network.
         numbers: Number of the network's parameters.
     """
     if precision is not None:
@@ -49,13 +44,13 @@ def dtype_of(precision: Precision | None, device: str, numbers: int) -> torch.dt
 
 
 def is_short(needed: float, device: str = "cpu") -> bool:
-    """Return whether `needed` bytes exceed the part of a device's free memory that may be used."""
+    """Whether `needed` bytes exceed the part of the free memory that may be used."""
     gpu = device.startswith("cuda")
     return needed > SPARE * (torch.cuda.mem_get_info(device)[0] if gpu else free_memory())
 
 
 def multiplies_bfloat16() -> bool:
-    """Return whether this CPU has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
+    """Whether this CPU has instructions that multiply bfloat16 (AVX512-BF16, AMX)."""
     # older releases of torch lack this function
     features = getattr(torch.cpu, "get_capabilities", dict)()
     if features:

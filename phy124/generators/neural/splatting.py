@@ -1,10 +1,8 @@
 """A differentiable rasteriser of 3D Gaussians, used to fit Gaussians to images.
 
 Sources: Kerbl et al. 2023, "3D Gaussian Splatting"; the projection follows Zwicker et al. 2002
-(EWA). This reference implementation uses plain torch and processes the tiles one after the other.
-The implementation is suitable for small images and for gradients on the CPU. On CUDA devices,
-gsplat (the extra `gpu`) is used instead if it is installed. Video frames are rendered by
-`phy124.rendering.render`.
+(EWA). This reference implementation in torch is suitable for small images on the CPU. On CUDA
+devices, gsplat (the extra `gpu`) is used if it is installed.
 """
 
 import importlib.util
@@ -18,19 +16,18 @@ from phy124.generators.neural.orbit import focal, orbit, to_opencv
 from phy124.runtime.installation import install_command
 
 TILE = 16
-"""Side of a tile of the image [pixels]."""
+"""Side of a tile [pixels]."""
 BLUR = 0.3
-"""Variance added to each Gaussian along both screen axes [pixels^2], so that no Gaussian is
-narrower than about a pixel."""
+"""Variance added to each Gaussian on the screen [pixels^2]; no Gaussian is narrower than about a
+pixel.
+"""
 NEAR = 0.01
 ALPHA_MIN, ALPHA_MAX = 1 / 255, 0.99
 STOP = 1e-4
-"""Compositing of a pixel ends when the pixel's transmittance falls below this value."""
+"""Compositing of a pixel ends below this transmittance."""
 GUARD = 1.3
-"""Largest distance from the image centre at which the Jacobian of the projection is evaluated.
-
-The distance from the image centre is a multiple of half the field of view. At larger distances from
-the image centre, the Jacobian would become very large.
+"""Largest distance from the image centre at which the projection's Jacobian is evaluated, relative
+to half the field of view. Farther out, the Jacobian would become very large.
 """
 
 
@@ -54,26 +51,19 @@ class View:
 
 @dataclass(frozen=True)
 class Rendering:
-    """A rendered image, and the data that are needed for densification."""
+    """A rendered image, and data for densification."""
 
     rgb: Tensor
-    """Colours [H,W,3], composited over the background."""
+    """Colours [H,W,3] over the background."""
     alpha: Tensor
     """Alpha [H,W], 0..1."""
     centres: Tensor
-    """Projected centres [N,2], pixels.
-
-    The backward pass stores the loss's gradient for these centres in the tensor's `grad`.
-    """
+    """Projected centres [N,2], pixels; the backward pass stores the loss's gradient in `grad`."""
     radii: Tensor
-    """Radius on screen that corresponds to three standard deviations [N], pixels; 0 for invisible
-    Gaussians."""
+    """Radius of three standard deviations on screen [N], pixels; 0 for invisible Gaussians."""
 
     def screen_gradients(self) -> Tensor:
-        """Return the loss's gradients [N,2] with respect to the centres on screen.
-
-        The unit of length is half the image.
-        """
+        """Return the loss's gradients [N,2] for the centres, in units of half the image."""
         height, width = self.alpha.shape
         gradient = self.centres.grad
         if gradient is None:
@@ -90,11 +80,11 @@ def rasterize(
     view: View,
     background: Tensor,
 ) -> Rendering:
-    """Render Gaussians; the result is differentiable with respect to all their parameters.
+    """Render Gaussians; the result is differentiable.
 
     Args:
         means: Centres [N,3].
-        quats: Quaternions wxyz [N,4], which need not be normalised.
+        quats: Quaternions wxyz [N,4] of any length.
         scales: Standard deviations [N,3].
         opacities: Opacities [N], 0..1.
         colors: Colours [N,3].
@@ -119,7 +109,7 @@ def rasterize(
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """Return rotation matrices [N,3,3] for quaternions wxyz [N,4], which need not be normalised."""
+    """Return rotation matrices [N,3,3] for quaternions wxyz [N,4] of any length."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -176,17 +166,13 @@ def _conics(covariances: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _on_screen(centres: Tensor, radii: Tensor, view: View) -> Tensor:
-    """Return whether the bounding square of each Gaussian overlaps the image [N]."""
     size = centres.new_tensor([view.width, view.height])
     low, high = centres - radii[:, None], centres + radii[:, None]
     return ((high > 0) & (low < size)).all(dim=1)
 
 
 def _reach(covariances: Tensor, opacities: Tensor) -> Tensor:
-    """Return half the side [N] of the square around each Gaussian in which it is visible.
-
-    Outside the square, alpha is below ALPHA_MIN.
-    """
+    """Return half the side [N] of the square outside which alpha is below `ALPHA_MIN`."""
     variance = covariances.diagonal(dim1=1, dim2=2).amax(dim=1)
     return (2 * torch.log((opacities / ALPHA_MIN).clamp(min=1)) * variance).sqrt()
 
@@ -200,10 +186,7 @@ def _tiles(
     order: Tensor,
     view: View,
 ) -> tuple[Tensor, Tensor]:
-    """Composite the Gaussians; return colours [H,W,3] over black, and alpha [H,W].
-
-    `order` lists the Gaussians from near to far.
-    """
+    """Return colours [H,W,3] over black and alpha [H,W]; `order` is from near to far."""
     rows = []
     low, high = (
         (centres.detach() - reach[:, None])[order],
@@ -232,7 +215,7 @@ def _pixel_centres(left: int, top: int, size: tuple[int, int], like: Tensor) -> 
 def _blend(
     pixels: Tensor, centres: Tensor, conics: Tensor, opacities: Tensor, colors: Tensor
 ) -> Tensor:
-    """Composite Gaussians front to back at `pixels` [P,2]; return colour and alpha [P,4]."""
+    """Return colour and alpha [P,4] at pixels [P,2]; Gaussians are sorted from near to far."""
     d = pixels[:, None, :] - centres
     xx, xy, yy = conics.unbind(-1)
     power = -0.5 * (xx * d[..., 0] ** 2 + yy * d[..., 1] ** 2) - xy * d[..., 0] * d[..., 1]
@@ -280,13 +263,13 @@ def _with_gsplat(
 
 
 def orbit_view(elevation: float, azimuth: float, radius: float, size: int) -> View:
-    """Return a square view from a camera pose of `phy124.generators.neural.orbit`.
+    """Return a square view from a camera pose of `orbit`.
 
     Args:
-        elevation: Elevation, degrees; a positive angle is below the object.
-        azimuth: Azimuth, degrees.
+        elevation: Elevation [degrees]; a positive angle is below the object.
+        azimuth: Azimuth [degrees].
         radius: Distance of the camera from the origin.
-        size: Width and height of the image, pixels.
+        size: Width and height of the image [pixels].
     """
     matrix = torch.from_numpy(to_opencv(orbit(elevation, azimuth, radius))).float()
     return View(matrix, focal(size), size, size)

@@ -1,11 +1,9 @@
-"""Guesses the look of an object's unseen back from the image of its front.
+"""Guesses the look of an object's unseen back from the image of the front.
 
-If the silhouette is not symmetric, even after thin parts are removed, the image is assumed to show
-the object from its side. In this case, the back is the mirrored front, because both sides of most
-objects look alike. If the silhouette is symmetric, the image is assumed to show the object from its
-front. The back then has the materials of the front but not its features: colours are interpolated
-between the colours near the rim. Fine texture is copied from parts of the front that have similar
-colours and no strong edges.
+A symmetric silhouette is assumed to be the front of an object. The back then has the colours near
+the rim and fine texture, without the front's features. Other silhouettes are assumed to show the
+object from a side. The back is then the mirrored front, because both sides of most objects look
+alike.
 """
 
 from typing import Literal
@@ -20,34 +18,25 @@ from phy124.generators.relief.height import nearest_of
 Field = NDArray[np.float64]
 BackLook = Literal["auto", "mirror", "plain"]
 SYMMETRIC = 0.86
-"""The image shows the front if its silhouette overlaps the mirror image by at least this value
-(IoU).
-"""
+"""Smallest overlap (IoU) of a front's silhouette with the mirror image."""
 HANDLE, BODY = 0.4, 0.75
-"""Limits of thin parts such as handles.
-
-`HANDLE` is the largest thickness of a thin part, relative to the thickest part. `BODY` is the
-smallest fraction of the silhouette's area that remains without the thin parts.
+"""Largest thickness of handles, relative to the thickest part, and smallest area without handles,
+relative to the silhouette.
 """
 UPPER, OUTLINE, FACE = 0.4, 0.65, 0.75
-"""Upper fraction of the height that may contain a face.
-
-`OUTLINE` is the smallest overlap (IoU) of a face with its mirror image. `FACE` is the smallest
-correlation between the brightness of a face and of its mirror image.
+"""Upper fraction of the height that may contain a face. The other values are the smallest overlap
+(IoU) of a face with the mirror image, and the smallest correlation of the brightness.
 """
 LARGE, FEWEST = 20.0, 50
-"""Standard deviation of the filter that removes the shading [pixels], and smallest number of pixels
-for a comparison."""
-SHIFTS = 21
-"""Number of candidate positions for the axis of symmetry, in the middle half of the silhouette."""
-INSET = 0.03
-"""The colours near the rim are read at this distance from the rim, relative to the image's size."""
-SHORTER = 6.0
-"""Exponent in the weights of rows and columns.
-
-The colour of a pixel on the back is the weighted mean of two colours, interpolated along the row
-and along the column. The shorter of the two has the larger weight.
+"""Standard deviation of the filter that removes shading [pixels], and smallest number of compared
+pixels.
 """
+SHIFTS = 21
+"""Number of candidate axes of symmetry."""
+INSET = 0.03
+"""Distance from the rim at which colours are read, relative to the image's size."""
+SHORTER = 6.0
+"""Exponent in the weights of rows and columns; the shorter of the two has the larger weight."""
 COARSE = 3.0
 """Standard deviation of the filter that separates colours from fine texture [pixels]."""
 PATCH = 20
@@ -55,22 +44,21 @@ PATCH = 20
 STEP = 10
 """Spacing of the patches on the back [pixels]."""
 OFFSET = 3
-"""Spacing of the patches on the front from which those on the back are copied [pixels]."""
+"""Spacing of the patches on the front [pixels]."""
 QUIET = 0.4
 """Fraction of the front's patches that may be copied: those with the least texture."""
 STRONG = 0.07
-"""Standard deviation from which texture is weakened, since it shows the edges of features."""
+"""Standard deviation from which texture is weakened, because it shows edges of features."""
 BINS = 10
-"""Number of bins per channel of the histogram that counts the colours of a flat card."""
+"""Number of histogram bins per channel for a flat card's colours."""
 ALIKE = 6
-"""Number of front patches with similar colours, of which one is chosen at random."""
+"""Number of similar front patches, of which one is chosen at random."""
 
 
 def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
     """Choose the look of the back: plain if the image [H,W,4] shows the front, otherwise mirrored.
 
-    An image shows a front if its silhouette without thin parts is symmetric. An image also shows a
-    front if only its upper part is symmetric in outline and colours, such as a face above an
+    The image also shows the front if only the upper part is symmetric, such as a face above an
     outstretched arm.
     """
     solid = rgba[..., 3] > 0.5
@@ -88,9 +76,9 @@ def choose_look(rgba: Field) -> Literal["mirror", "plain"]:
 
 
 def body_without_handles(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a silhouette [H,W] without thin parts such as handles; crop it to its columns.
+    """Return a silhouette [H,W] without thin parts such as handles, cropped to the columns.
 
-    If the thin parts are large, they are not removed.
+    Thin parts are kept if they are large.
     """
     depth = nearest_of(~np.pad(solid, 1))[0][1:-1, 1:-1]
     radius = HANDLE * float(depth.max())
@@ -102,9 +90,8 @@ def body_without_handles(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
-    """Return the largest overlap (IoU) of a silhouette with its mirror image, and the mirror axis.
-
-    The axis is stated as twice its distance from the middle of the image [pixels].
+    """Return the largest overlap (IoU) of a silhouette with the mirror image, and twice the axis'
+    distance from the middle of the image [pixels].
     """
     width, area = solid.shape[1], np.count_nonzero(solid)
     best, axis = 0.0, 0
@@ -123,7 +110,7 @@ def _about(values: NDArray, axis: int) -> NDArray:
 
 
 def _alike(rgba: Field, axis: int) -> float:
-    """Return the correlation between the brightness of an image [H,W,4] and of its mirror image."""
+    """Return the correlation between the brightness of an image [H,W,4] and of the mirror image."""
     solid = _about(rgba[..., 3] > 0.5, axis).astype(np.float64)
     bright = _about(rgba[..., :3].mean(axis=2), axis) * solid
     weight = cv2.GaussianBlur(solid, (0, 0), LARGE)
@@ -143,13 +130,13 @@ def plain_back(
     rng: np.random.Generator,
     turned: bool = False,
 ) -> Field:
-    """Return colours for the back [H,W,3] that do not show the features of the front.
+    """Return colours [H,W,3] for the back without the front's features.
 
     Args:
         picture: Colours of the front [H,W,3], extrapolated beyond the silhouette.
         inside: Mask of the silhouette [H,W].
-        size: Size of the object, pixels.
-        rng: Random number generator for the choice of texture patches.
+        size: Size of the object [pixels].
+        rng: Random number generator.
         turned: Whether the object is a solid of revolution with a vertical axis.
     """
     smooth = smooth_back(picture, inside, size, turned)
@@ -159,9 +146,9 @@ def plain_back(
 def _texture(
     picture: Field, smooth: Field, inside: NDArray[np.bool_], rng: np.random.Generator
 ) -> Field:
-    """Copy fine texture [H,W,3] to the back from patches of the front with similar colours.
+    """Copy fine texture [H,W,3] from patches of the front with similar colours.
 
-    Overlapping patches are blended with weights that preserve the variance (Heitz, Neyret 2018).
+    The weights of overlapping patches preserve the variance (Heitz, Neyret 2018).
     """
     coarse = cv2.GaussianBlur(picture, (0, 0), COARSE)
     fine = picture - coarse
@@ -203,12 +190,12 @@ def _texture(
 
 
 def card_back(picture: Field, inside: NDArray[np.bool_]) -> Field:
-    """Return the back of a flat card [H,W,3]: everywhere the front's most common colour."""
+    """Return the front's most common colour everywhere [H,W,3]."""
     return np.broadcast_to(most_common(picture[inside]), picture.shape)
 
 
 def most_common(colours: Field) -> Field:
-    """Return the most common colour [3] in a list of colours [N,3]."""
+    """Return the most common colour [3] of colours [N,3]."""
     count = np.histogramdd(colours, BINS, [(0.0, 1.0)] * 3)[0]
     count = scipy.ndimage.gaussian_filter(count, 0.7)
     most = (np.array(np.unravel_index(count.argmax(), count.shape)) + 0.5) / BINS
@@ -221,14 +208,13 @@ def smooth_back(
 ) -> Field:
     """Return the back [H,W,3]: colours near the rim, interpolated along rows and columns.
 
-    Stripes therefore continue around the object. Features inside the silhouette, such as eyes or a
-    beak, do not appear on the back.
+    Stripes therefore continue around the object, and features such as eyes do not appear.
 
     Args:
         picture: Colours of the front [H,W,3], extrapolated beyond the silhouette.
         inside: Mask of the silhouette [H,W].
-        size: Size of the object, pixels.
-        turned: Whether the object is a solid of revolution; if so, colours are interpolated only
+        size: Size of the object [pixels].
+        turned: Whether the object is a solid of revolution, so that colours are interpolated only
             along rows.
     """
     depth, _ = nearest_of(~inside)
@@ -248,9 +234,8 @@ def smooth_back(
 
 
 def _thickness(depth: Field) -> Field:
-    """Return an array [H,W] with the local thickness at each pixel, rounded down to 8 levels.
-
-    The local thickness is the radius of the largest inscribed disc that covers the pixel.
+    """Return the local thickness [H,W]: the radius of the largest disc that covers the pixel, in 8
+    levels.
     """
     thick = np.ones_like(depth)
     for radius in np.geomspace(1.5, max(2.0, float(depth.max())), 8)[:-1]:
@@ -261,7 +246,7 @@ def _thickness(depth: Field) -> Field:
 def _between_ends(inside: NDArray[np.bool_], colours: Field, thick: Field) -> tuple[Field, Field]:
     """Interpolate colours [H,W,3] along runs of inside pixels in rows; also return run lengths.
 
-    The weight of the colours of thin features, such as a beak, falls with distance.
+    The colours of thin features, such as a beak, have a smaller weight.
     """
     columns = np.arange(inside.shape[1])
     before = np.maximum.accumulate(np.where(inside, 0, columns), axis=1)

@@ -1,9 +1,8 @@
-"""Recognises flat objects by their borders: coins, plates, signs, clocks and slices of fruit.
+"""Recognises flat objects by a border: coins, plates, signs, clocks and slices of fruit.
 
-A border is a band along the outline. The line between the border and the rest of the front is
-parallel to the outline, and shows as an edge in the image along almost all of the outline. On round
-objects, such lines are rare: patterns run across the outline, and shading changes gradually towards
-it. Drawings often have a dark line along the outline, which is not a border.
+A border is a band along the outline that ends at a visible edge. Such edges are rare on round
+objects, because patterns run across the outline and shading changes gradually. A dark line along
+the outline of a drawing is not a border.
 """
 
 from __future__ import annotations
@@ -21,44 +20,44 @@ from phy124.generators.relief.outlines import outline_of
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 SECTORS = 120
-"""Number of parts of equal length into which the outline is divided."""
+"""Number of parts of equal length along the outline."""
 BLUR = 1.0
-"""Blur of the image before its edges are measured, as a standard deviation [pixels]."""
+"""Blur of the image, as a standard deviation [pixels]."""
 NARROWEST, WIDEST = 5, 0.35
 """Smallest width of a border [pixels], and largest width, relative to the radius of the largest
-inscribed disc. The longest side of the object has 248 pixels.
+inscribed disc. The object's longest side has 248 pixels.
 """
 UNEVEN = 3
-"""Largest difference of the width of a border from its usual width [pixels]."""
+"""Largest difference of a border's width from the usual width [pixels]."""
 AROUND = 0.88
-"""Smallest fraction of the outline along which the edge of a border is visible."""
+"""Smallest fraction of the outline along which a border's edge is visible."""
 KNOWN = 0.6
-"""Smallest fraction of the outline at which the object is at least as thick as the border."""
+"""Smallest fraction of the outline at which the object is as thick as the border."""
 LEAST = 0.012
 """Smallest change of a colour across the edge [1 / pixel]."""
 CLEAR = 3.0
-"""Smallest ratio of this change to the changes along the outline, which are caused by patterns."""
+"""Smallest ratio of this change to the changes along the outline, which patterns cause."""
 NOISE = 0.004
 """Noise of the changes along the outline [1 / pixel]."""
 SHARP = 0.5
-"""Largest change on both sides of the edge, relative to that at the edge; shading changes more
-gradually."""
+"""Largest change on both sides of the edge, relative to the change at the edge; shading changes
+more gradually.
+"""
 ALIKE = 0.7
-"""Smallest fraction of the outline along which the change of the colour is like that a twelfth of
-the outline away. The colours of a chessboard change in both directions.
+"""Smallest fraction of the outline at which the colour changes as a twelfth of the outline away. A
+chessboard's colours change in both directions.
 """
 AWAY = (6, 10)
-"""Distances from the edge between which this change is measured [pixels]."""
+"""Range of distances from the edge in which the change is measured [pixels]."""
 LINE, BLACK = 16, 0.15
-"""A black band, of at most this brightness, is a drawn line if it is narrower than `LINE` [pixels].
-"""
+"""Largest width [pixels] and brightness of a black line in a drawing."""
 NARROW = 8
-"""A band narrower than this is a drawn line if it is darker than the front inside it [pixels]."""
+"""Largest width of a drawn line that is darker than the front inside [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bands:
-    """What an image shows at each distance from the outline, for each sector of the outline."""
+    """Colours at each distance from the outline, for each sector of the outline."""
 
     seen: Mask
     """Whether the sector has pixels at this distance [D,SECTORS]."""
@@ -104,7 +103,7 @@ class Bands:
         )
 
     def is_border(self, width: int) -> bool:
-        """Return whether a border of about this width [pixels] ends with a sharp edge."""
+        """Whether a border of about this width [pixels] ends at a sharp edge."""
         known, first = self.seen[width], width - UNEVEN
         if known.mean() < KNOWN:
             return False
@@ -121,12 +120,8 @@ class Bands:
         )
 
     def _changes_beyond(self, width: int, known: Mask, near: Field) -> float:
-        """Return the change of the colour on both sides of an edge, relative to that at the edge.
-
-        Args:
-            width: Distance of the edge from the outline [pixels].
-            known: Sectors of the outline at which there is an edge [SECTORS].
-            near: Change at the edge in these sectors [K], 1 / pixel.
+        """Return the change on both sides of an edge, relative to the change `near` [K] at the
+        edge.
         """
         sides = [width + np.arange(*AWAY), width - np.arange(*AWAY)]
         sides = [self.across[rows[rows > UNEVEN]][:, known] for rows in sides]
@@ -134,7 +129,6 @@ class Bands:
         return max(float(np.median(change / near)) for change in changes)
 
     def _is_line(self, width: int) -> bool:
-        """Return whether a band of this width [pixels] along the outline is a drawn line."""
         dark, inside = self.bright[2 : max(3, width - 1)].mean(), self.bright[width + UNEVEN]
         if width < NARROWEST:
             return True
@@ -142,7 +136,7 @@ class Bands:
 
 
 def has_border(rgba: Field) -> bool:
-    """Return whether an image [H,W,4] shows an object with a border along its outline."""
+    """Whether an image [H,W,4] shows an object with a border along the outline."""
     bands = Bands.of(rgba)
     widest = min(int(WIDEST * len(bands.seen)), len(bands.seen) - AWAY[1])
     return any(bands.is_border(width) for width in range(NARROWEST + 1, widest))

@@ -19,41 +19,37 @@ from phy124.generators.relief.surface import View
 
 Field = NDArray[np.float64]
 TOLERANCES = 0.01, 0.007, 0.004
-"""Tolerances of an approximating hexagon, relative to the outline's length; tried in turn."""
+"""Tolerances of the hexagon, relative to the outline's length."""
 OVERLAP = 0.98
-"""Smallest overlap (IoU) of such a hexagon with the silhouette."""
+"""Smallest overlap (IoU) of the hexagon with the silhouette."""
 ROUGH = 1.5
-"""Largest distance of an outline with rounded corners from its straight edges [pixels]."""
+"""Largest distance of a rounded outline from straight edges [pixels]."""
 LONG = 0.06
 """Smallest length of an edge between rounded corners, relative to the outline's length."""
 BLUNT = 8.0
 """Smallest angle between two edges with a rounded corner [degrees]."""
 ROUNDED = 0.95
-"""Smallest overlap (IoU) between an outline with rounded corners and the hexagon."""
+"""Smallest overlap (IoU) of the hexagon with a rounded outline."""
 LOWEST_VIEW = 10.0
-"""Smallest elevation of the camera that sees a box with rounded corners [degrees]."""
+"""Smallest elevation from which a rounded box is seen [degrees]."""
 ELONGATED = 4.0
-"""Largest ratio of the longest to the shortest side of a box with rounded corners."""
+"""Largest ratio of the longest to the shortest side of a rounded box."""
 YAWS, PITCHES = (20.0, 45.0, 70.0), (-2.0, -25.0, -50.0)
 """View directions from which the fit starts [degrees]; boxes are assumed to be seen from above."""
 MISFIT = 7.0
-"""Largest root mean square distance between the corners of box and hexagon [pixels].
-
-This distance is 2.8 % of the object's longest side, which has 248 pixels.
+"""Largest root mean square distance between the corners of box and hexagon [pixels]; the object's
+longest side has 248 pixels.
 """
 FARTHER, WORST = (2.0, 4.0, 8.0), 14.0
-"""Distances of cameras with a weaker perspective, relative to the distance of the front camera.
-
-These cameras are not tried if the misfit of the front camera exceeds the last number [pixels].
+"""Distances of cameras with a weaker perspective, relative to the front camera, and largest misfit
+at which these cameras are tried [pixels].
 """
 PRECISE = 1e-3
-"""Relative change of the error or of the values at which a fit ends."""
+"""Relative change at which a fit ends."""
 LONGEST = 12.0
-"""Largest ratio of the box's longest side to its shortest side."""
+"""Largest ratio of the box's longest to shortest side."""
 ASKEW = 8.0
-"""In the image, the edges of a box that stands upright deviate from the vertical by at most this
-angle [degrees].
-"""
+"""Largest angle between the vertical and an edge of an upright box in the image [degrees]."""
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 
@@ -62,16 +58,16 @@ class Cuboid:
     """A box in projected coordinates."""
 
     turn: Field
-    """Rotation from the box's axes to those of the camera [3,3]."""
+    """Rotation from the box's axes to the camera's [3,3]."""
     half: Field
     """Half of the side lengths [3], pixels."""
     centre: Field
-    """Position of the box's centre [3], pixels."""
+    """Centre [3], pixels."""
     view: View
-    """The camera from which the box has the silhouette of the object."""
+    """Camera that sees the object's silhouette."""
 
     def spread(self, count: int) -> tuple[Field, Field, float]:
-        """Distribute about `count` points evenly over the faces of the box.
+        """Distribute points evenly over the faces of the box.
 
         Returns:
             Points in projected coordinates [N,3], outward unit normals [N,3], and the spacing of
@@ -102,10 +98,10 @@ class Cuboid:
         return placed, np.concatenate(normals) @ self.turn.T, pitch
 
     def upright(self) -> Field:
-        """Return the rotation from upright coordinates to those of the camera [3,3].
+        """Return the rotation from upright coordinates to the camera's [3,3].
 
-        The box axis that looks most vertical in the image becomes vertical, unless the box stands
-        askew or is seen from below.
+        The box axis that looks most vertical becomes vertical, unless the box is askew or seen from
+        below.
         """
         roll, elevation = self._tilt()
         if abs(roll) > np.radians(ASKEW) or elevation < 0:
@@ -114,7 +110,7 @@ class Cuboid:
         return (rotation.from_euler("z", roll) * rotation.from_euler("x", -elevation)).as_matrix()
 
     def stands(self) -> bool:
-        """Return whether the box stands upright, is seen from above, and is not elongated."""
+        """Whether the box stands upright, is seen from above, and is not elongated."""
         roll, elevation = np.degrees(self._tilt())
         upright = abs(roll) <= ASKEW and elevation >= LOWEST_VIEW
         return upright and bool(self.half.max() <= ELONGATED * self.half.min())
@@ -126,9 +122,7 @@ class Cuboid:
         return float(np.arctan2(up[0], -up[1])), float(np.arcsin(up[2]))
 
     def colours(self, points: Field, normals: Field, seen: Field) -> Field:
-        """Return colours [N,3].
-
-        Points on hidden faces get the most common colour of the opposite face.
+        """Return colours [N,3]; hidden faces get the most common colour of the opposite face.
 
         Args:
             points: Projected points [N,3].
@@ -147,10 +141,9 @@ class Cuboid:
 
 
 def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
-    """Return the box whose silhouette is a mask [H,W], or None if there is no such box.
+    """Return the box with the silhouette [H,W], or None.
 
-    If the front camera `view` sees no such box, cameras that are farther away are tried, because
-    drawings of boxes often have a weak perspective.
+    Cameras farther away than `view` are also tried, because drawings often have a weak perspective.
     """
     sharp = _hexagon(object_mask)
     corners = rounded_polygon(object_mask, 6) if sharp is None else sharp
@@ -167,7 +160,7 @@ def find_box(object_mask: NDArray[np.bool_], view: View) -> Cuboid | None:
 
 
 def _fit_box(corners: Field, view: View) -> tuple[Cuboid | None, float]:
-    """Return the box that fits corners [6,2] best, and its misfit [pixels]."""
+    """Return the box that fits corners [6,2] best, and the misfit [pixels]."""
     starts = [_fit(corners, yaw, pitch, view.distance) for yaw in YAWS for pitch in PITCHES]
     fits = [fit for fit in starts if fit is not None]
     if not fits:
@@ -178,7 +171,7 @@ def _fit_box(corners: Field, view: View) -> tuple[Cuboid | None, float]:
 
 
 def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
-    """Return the corners of a silhouette [6,2], pixels; None if the silhouette is not a hexagon."""
+    """Return the corners [6,2], pixels; None if the silhouette is not a hexagon."""
     hull = cv2.convexHull(outline_of(object_mask))
     length = cv2.arcLength(hull, closed=True)
     for tolerance in TOLERANCES:
@@ -189,16 +182,15 @@ def _hexagon(object_mask: NDArray[np.bool_]) -> Field | None:
 
 
 def _covers(object_mask: NDArray[np.bool_], corners: NDArray) -> float:
-    """Return the overlap (IoU) of a silhouette [H,W] with a polygon of corners [N,1,2]."""
     drawn = cv2.fillPoly(np.zeros(object_mask.shape, np.uint8), [corners], 1) > 0
     return np.count_nonzero(drawn & object_mask) / np.count_nonzero(drawn | object_mask)
 
 
 def rounded_polygon(object_mask: NDArray[np.bool_], count: int) -> Field | None:
-    """Return the corners [C,2] of a convex polygon whose `count` corners were rounded, pixels.
+    """Return the corners [C,2], pixels, of a convex polygon whose `count` corners were rounded.
 
-    The corners are the intersections of the long edges; None if the silhouette has more or fewer
-    long edges, or if it does not fill the polygon.
+    The corners are the intersections of the long edges. If their number differs from `count`, or
+    the silhouette does not fill the polygon, return None.
     """
     hull = cv2.convexHull(outline_of(object_mask))
     start = cv2.approxPolyDP(hull, ROUGH, closed=True)[:, 0].astype(np.float64)
@@ -223,7 +215,7 @@ def _cross(first: Field, second: Field) -> Field:
 
 
 def _project(values: Field, distance: float) -> Field:
-    """Return the corners [8,2] of a box in the image from its rotation, log sizes, x and y."""
+    """Return the corners [8,2] from a box's rotation, logarithmic sizes, x and y."""
     turn = scipy.spatial.transform.Rotation.from_rotvec(values[:3]).as_matrix()
     points = (CORNERS * np.exp(values[3:6])) @ turn.T + [*values[6:], 0.0]
     return points[:, :2] / (1 - points[:, 2:] / distance)

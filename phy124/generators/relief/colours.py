@@ -1,4 +1,4 @@
-"""Colours an object from its images and from a guess of how its back looks."""
+"""Colours an object from the images and from a guessed back."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,22 +14,19 @@ from phy124.runtime.cores import cores
 
 Field = NDArray[np.float64]
 REACH = 0.2
-"""Depth behind the rim over which colours change from the mirrored image to the back.
-
-The unit is the size of the image.
-"""
+"""Depth behind the rim over which colours change to the back, relative to the image's size."""
 STRETCH = 1.0
 """Blur of the image per unit of stretch by a steep surface [pixels]."""
 BLURS = 0.0, 1.5, 3.0, 6.0
-"""Available levels of blur [pixels]."""
+"""Levels of blur [pixels]."""
 FRINGE = 2.0
 """Width of the silhouette's edge in which colours are ignored [pixels]."""
 
 
 def clean_picture(rgba: Field) -> Field:
-    """Return colours [H,W,3] from which the background that is mixed into edge pixels is removed.
+    """Return colours [H,W,3] without the background that is mixed into edge pixels.
 
-    Edge pixels and pixels outside the object get the colour of the nearest reliable opaque pixel.
+    Edge pixels and pixels outside get the colour of the nearest opaque pixel inside the object.
     """
     solid = rgba[..., 3] > 0.5
     clean = nearest_of(rgba[..., 3] <= 0.95)[0] > FRINGE
@@ -51,21 +48,21 @@ def colour_points(
     light: Field,
     reach: float,
 ) -> Field:
-    """Colour surface points [N,3] from the front image, and extend its colours around the rim.
+    """Colour surface points [N,3] from the front image.
 
     Behind the rim, the colours change gradually from the mirrored image to the back, so that no
-    seam is visible. The colours behind the rim are shaded according to the surface's normals.
+    seam is visible.
 
     Args:
-        points: Positions of the points [N,3], pixels.
+        points: Points [N,3], pixels.
         normals: Unit normals of the surface at the points [N,3].
         surface: The surface on which the points lie.
         front: Colours of the front [H,W,3].
-        unlit: Colours of the front with the light removed (`light.unlight`) [H,W,3].
-        back: Colours of the back with the light removed [H,W,3].
-        light: Direction and strength of the light (`light.fit_light`) [3].
-        reach: Depth behind the rim [pixels] over which the colours change from the mirrored image
-            to the back. If the reach is 0, only the narrow sides of a card show the mirrored image.
+        unlit: Colours of the front without light [H,W,3].
+        back: Colours of the back without light [H,W,3].
+        light: Direction and strength of the light [3].
+        reach: Depth behind the rim over which the colours change [pixels]. If 0, only the narrow
+            sides of a card show the mirrored image.
     """
     place = points[:, 1::-1].T
     blur = STRETCH * (1 / np.maximum(np.abs(normals[:, 2]), 1e-3) - 1)
@@ -81,7 +78,7 @@ def colour_points(
 
 
 def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Field:
-    """Return the weight of the back's colours at points behind the rim [N]."""
+    """Return the weight of the back's colours behind the rim [N]."""
     if reach == 0:
         return np.clip(-normals[:, 2], 0, 1) ** 2
     part = np.clip((surface.middle(points) - points[:, 2]) / reach, 0, 1)
@@ -89,12 +86,9 @@ def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Fiel
 
 
 def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
-    """Return colours [3,N] at image positions.
+    """Return colours [3,N] with a blur for each position, as a standard deviation [pixels].
 
-    Each position has its own blur, stated as a standard deviation [pixels].
-
-    On a steep surface, a pixel covers a long strip. Without the blur, such strips would appear as
-    streaks.
+    On a steep surface, a pixel covers a long strip, which would look like a streak without blur.
     """
 
     def sample_level(width: float) -> Field:
@@ -110,7 +104,7 @@ def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
 
 
 def _sample(picture: Field, place: Field) -> Field:
-    """Return colours [3,N] at image positions (y, x)."""
+    """Return colours [3,N] at positions (y, x)."""
     channels = [
         scipy.ndimage.map_coordinates(picture[..., c], place, order=1, mode="nearest")
         for c in range(3)
@@ -119,30 +113,29 @@ def _sample(picture: Field, place: Field) -> Field:
 
 
 FACING = 4.0
-"""Exponent in the weight of an image: the cosine between the normal and the view direction is
-raised to this power."""
+"""Exponent of the cosine between the normal and the view direction in an image's weight."""
 HIDDEN = 0.02
-"""Factor by which the weight of an image is multiplied if the point is hidden in this image."""
+"""Factor of an image's weight for points that are hidden in the image."""
 BEHIND = 8.0
-"""A point is hidden if its distance behind the visible surface exceeds this value [pixels]."""
+"""Smallest distance of hidden points behind the visible surface [pixels]."""
 CELL = 2.0
-"""Size of the cells in which the visibility of points is tested [pixels]."""
+"""Size of the cells in which visibility is tested [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """An image of the object from one side, and the camera of the image."""
+    """An image of the object from one side."""
 
     rgb: Field
-    """Colours [H,W,3], extrapolated beyond the silhouette."""
+    """Colours [H,W,3], also outside the silhouette."""
     middle: tuple[float, float]
     """Column and row of the object's centre."""
     towards: Field
-    """Unit vector from the object to the camera [3]."""
+    """Unit vector towards the camera [3]."""
     across: Field
-    """Unit vector along the rows of the image [3]."""
+    """Unit vector along the rows [3]."""
     weight: float = 1.0
-    """Weight of the image; a photograph has weight 1."""
+    """A photograph has the weight 1."""
 
     def colours(self, points: Field, distance: float) -> Field:
         """Return the colours [N,3] that a camera at `distance` sees at points [N,3]."""
@@ -155,7 +148,7 @@ class Shown:
         return np.stack(channels, axis=1)
 
     def weights(self, points: Field, normals: Field, distance: float) -> Field:
-        """Return the weight of the image's colour for each point [N]."""
+        """Return the weight of the image for each point [N]."""
         facing = np.maximum(normals @ self.towards, 0.0) ** FACING
         return self.weight * facing * np.where(self.sees(points, distance), 1.0, HIDDEN) + 1e-6
 
@@ -169,7 +162,7 @@ class Shown:
         return along > nearest[tuple(cells)] - BEHIND
 
     def _places(self, points: Field, distance: float) -> Field:
-        """Return the columns and rows of points, relative to the object's centre [2,N]."""
+        """Return columns and rows relative to the object's centre [2,N]."""
         near = 1 - points @ self.towards / distance
         return np.stack([points @ self.across, points[:, 1]]) / near
 
@@ -183,7 +176,7 @@ def blend_pictures(
         points: Points relative to the object's centre [N,3], pixels.
         normals: Unit normals of the surface [N,3].
         pictures: Images of the object.
-        distance: Distance of each camera from the centre, pixels.
+        distance: Distance of the cameras from the centre [pixels].
     """
     weights = np.stack([picture.weights(points, normals, distance) for picture in pictures])
     weights /= weights.sum(axis=0)

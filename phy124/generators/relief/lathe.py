@@ -1,10 +1,8 @@
 """Builds vessels and drums, with a horizontal lid, from the image of a raised camera.
 
-A solid of revolution consists of circles, which a raised camera sees as ellipses. The circle at a
-height is the largest one whose image lies inside the silhouette. Very flat ellipses can fill any
-outline. The higher the camera is, the rounder are the ellipses, and the less they fill the ends of
-the outline. The elevation of the camera is therefore assumed to be the largest one for which the
-circles fill the silhouette.
+A raised camera sees the circles of a solid of revolution as ellipses, which are rounder from higher
+elevations. Flat ellipses can fill any outline. The elevation is therefore assumed to be the largest
+one at which the circles fill the silhouette.
 """
 
 from __future__ import annotations
@@ -23,46 +21,37 @@ from phy124.generators.relief.upright import Profile
 
 Field = NDArray[np.float64]
 ELEVATIONS = np.radians([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
-"""Elevations that are tried first [radians]. If the circles fill the outline even at the last
-elevation, as for a ball, the outline shows no elevation.
-"""
+"""Elevations that are tried first [radians]. A ball is filled at all elevations, and shows none."""
 HALVINGS = 3
-"""Number of times the step between these elevations is halved."""
+"""Number of times the step between elevations is halved."""
 LEFT = 0.015
-"""Largest fraction of the silhouette that the circles leave empty."""
+"""Largest fraction of the silhouette without circles."""
 MORE = 0.004
-"""The empty fraction exceeds its minimum over all elevations by at most this value."""
+"""Largest difference of the empty fraction from the minimum over all elevations."""
 ANGLES = np.linspace(0, np.pi, 33)
 """Directions in which a circle is compared with the outline; 0 points to the camera [radians]."""
 EDGE = 1.0
-"""A circle touches the first or last row of the outline if its distance from the row is at most
-this value [pixels].
-"""
+"""Largest distance of a circle from the first or last row that it touches [pixels]."""
 SHALLOW, SLANTED, SMALL_FOOT = 0.5, 0.5, 0.4
-"""Largest height of a bowl's visible wall, relative to the radius of its rim.
-
-`SLANTED` is the smallest slope of this wall, relative to the slope at which the camera would not
-see it. The wall of a bowl is continued down to a foot. `SMALL_FOOT` is the foot's radius divided by
-the rim's radius.
+"""Largest height of a bowl's visible wall, relative to the rim's radius. `SLANTED` is the smallest
+slope of this wall, relative to the slope of an invisible wall. `SMALL_FOOT` is the radius of a
+bowl's foot, relative to the rim's radius.
 """
 CLEAR = 0.95
 """Fraction of a ring's visible angle in which the image is not stretched too much."""
 STEEP = 0.2
-"""A ring gets colours from the image only if it is visible up to this angle from the front
-[radians].
-"""
+"""Smallest visible angle from the front at which a ring gets colours from the image [radians]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lathe:
-    """A solid of revolution, from its base to its lid."""
+    """A solid of revolution, from the base to the lid."""
 
     heights: Field
     """Heights of the circles above the object's centre [M], pixels."""
     radii: Field
-    """Radii of these circles [M], pixels."""
+    """Radii of the circles [M], pixels."""
     camera: Raised
-    """The camera that sees the object."""
 
     @classmethod
     def fill(cls, profile: Profile, middle: float, camera: Raised, step: float = 1.0) -> Lathe:
@@ -70,9 +59,9 @@ class Lathe:
 
         Args:
             profile: The outline.
-            middle: Row at the centre of the image.
+            middle: Row of the image's centre.
             camera: The camera.
-            step: Distance between the circles, pixels.
+            step: Distance between the circles [pixels].
         """
         rows = profile.rows - middle
         reach = 1.5 * len(rows)
@@ -88,11 +77,10 @@ class Lathe:
         return cls(heights[kept], low[kept], camera)
 
     def between(self, first: float, last: float) -> Lathe | None:
-        """Cut off the circles below the base and above the lid; None if nothing is left.
+        """Cut off the circles below the base and above the lid; return None if nothing is left.
 
-        Base and lid are the innermost circles whose images reach the last and the first row of the
-        outline. The circles beyond base and lid form cones, which the camera does not see. A bowl
-        contains a part of the lower cone.
+        The camera does not see the cones beyond base and lid, except a part of the lower cone in a
+        bowl.
         """
         row = _images(self.heights, self.radii, self.camera)[1]
         top = np.flatnonzero(row.min(axis=1) <= first + EDGE)
@@ -104,7 +92,7 @@ class Lathe:
         return Lathe(self.heights[kept], smooth, self.camera)
 
     def _foot(self, base: int, lid: int) -> int:
-        """Return the number of the lowest circle of an object with this base and lid."""
+        """Return the lowest circle of an object with this base and lid."""
         rim, middle = float(self.radii[base:lid].max()), (base + lid) // 2
         height = self.heights[lid] - self.heights[base]
         slope = np.diff(self.radii[[base, middle]]) / np.diff(self.heights[[base, middle]])
@@ -115,21 +103,20 @@ class Lathe:
 
     @cached_property
     def path(self) -> Field:
-        """Radius and height along the outline from the base's to the lid's centre [M+2,2]."""
+        """Radius and height from the base's to the lid's centre [M+2,2]."""
         wall = np.stack([self.radii, self.heights], axis=1)
         return np.concatenate([[[0, self.heights[0]]], wall, [[0, self.heights[-1]]]])
 
     def shell(self, count: int, front: Field, middle: Field, offset: float) -> Shell:
-        """Return the shell with the colours of the image.
+        """Return the shell with the image's colours.
 
-        Hidden parts of the wall get the colours of the mirrored front. The base gets the colours of
-        the wall above it.
+        Hidden parts of the wall get the colours of the mirrored front.
 
         Args:
             count: Approximate number of points.
             front: Colours of the image [H,W,3].
             middle: Column of the axis and row of the image's centre [2].
-            offset: Distance of the axis from the centre of the image, pixels.
+            offset: Distance of the axis from the image's centre [pixels].
         """
         rings, angles, normals, pitch = spread_turned(self.path, count)
         rgb = self._colours(rings, angles, normals, front, middle)
@@ -175,13 +162,7 @@ class Lathe:
 
 
 def find_lathe(profile: Profile, middle: float, distance: float) -> Lathe | None:
-    """Return the vessel or drum that a raised camera sees; None if no elevation is certain.
-
-    Args:
-        profile: The outline of the object.
-        middle: Row at the centre of the image.
-        distance: Distance of the camera, pixels.
-    """
+    """Return the vessel or drum that a raised camera sees; None if no elevation is certain."""
 
     def empty(elevation: float) -> float:
         lathe = Lathe.fill(profile, middle, Raised(elevation, distance), 2.0)
@@ -200,21 +181,21 @@ def find_lathe(profile: Profile, middle: float, distance: float) -> Lathe | None
 
 
 def cut_lathe(profile: Profile, middle: float, camera: Raised) -> Lathe | None:
-    """Return the solid of revolution that a camera sees as an outline; None if it has no wall."""
+    """Return the solid of revolution in an outline; None if it has no wall."""
     first, last = profile.rows[[0, -1]] - middle
     return Lathe.fill(profile, middle, camera).between(first, last)
 
 
 def spread_turned(path: Field, count: int) -> tuple[Field, Field, Field, float]:
-    """Distribute about `count` points evenly over the surface of a solid of revolution.
+    """Distribute points evenly over a solid of revolution.
 
     Args:
-        path: Radius and height of the points of the outline [M,2]; the solid is on the left.
+        path: Radius and height of the outline [M,2]; the solid is on the left.
         count: Approximate number of points.
 
     Returns:
-        Radius and height of each point [N,2], its angle from the front [N], the radial and the
-        upward component of its outward normal [N,2], and the spacing of the points.
+        Radius and height [N,2], angle from the front [N], radial and upward component of the
+        outward normal [N,2], and spacing of the points.
     """
     steps = np.diff(path, axis=0)
     lengths = np.hypot(*steps.T)
@@ -235,7 +216,7 @@ def spread_turned(path: Field, count: int) -> tuple[Field, Field, Field, float]:
 
 
 def _images(heights: Field, radii: Field, camera: Raised) -> tuple[Field, Field]:
-    """Return the columns and rows [M,A] of the right halves of circles, relative to the axis."""
+    """Return columns and rows [M,A] of the circles' right halves, relative to the axis."""
     rings = np.stack([np.repeat(radii, len(ANGLES)), np.repeat(heights, len(ANGLES))], axis=1)
     pixels = camera.pixels(revolve(rings, np.tile(ANGLES, len(radii))))
     column, row = pixels.T.reshape(2, len(radii), len(ANGLES))
@@ -243,13 +224,13 @@ def _images(heights: Field, radii: Field, camera: Raised) -> tuple[Field, Field]
 
 
 def revolve(rings: Field, angles: Field) -> Field:
-    """Convert radial and upward components [N,2] at the angles [N] to vectors [N,3]."""
+    """Convert radial and upward components [N,2] at angles [N] to vectors [N,3]."""
     radius, height = rings.T
     return np.stack([radius * np.sin(angles), -height, radius * np.cos(angles)], axis=1)
 
 
 def _empty(lathe: Lathe, profile: Profile, middle: float) -> float:
-    """Return the fraction of an outline's area that the images of the circles do not cover."""
+    """Return the fraction of an outline's area without circles."""
     wide = int(profile.half.max()) + 2
     drawn = np.zeros((len(profile.half), wide), np.uint8)
     column, row = _images(lathe.heights, lathe.radii, lathe.camera)

@@ -1,14 +1,8 @@
-"""Finds the legs and wheels of objects that are seen from their side, and puts them on both sides.
+"""Finds the legs and wheels of objects seen from the side, and puts them on both sides.
 
-Animals and vehicles are symmetric about the vertical plane through their length, which is the plane
-of the image. Legs and wheels are not in this plane, but in pairs on both sides of the plane. An
-object whose inflated legs stay in the plane would look like a wheel on a stick from in front.
-
-The legs are the parts of the silhouette below the arch, which is the largest gap between the parts
-that reach the ground. Under a wide arch, there are forelegs on one side, and hind legs on the
-other. Two legs that the image shows separately are placed on different sides. Where the image shows
-one leg or one wheel, this part is placed on both sides. Under a pointed arch, there are only two
-legs, such as those of a bird. An object on wheels has flat sides.
+Legs and wheels are in pairs on both sides of the image plane, in which the object is symmetric. The
+arch is the largest gap between the parts on the ground. Under a wide arch, there are forelegs on
+one side and hind legs on the other. A pointed arch has only two legs, as of a bird.
 """
 
 from __future__ import annotations
@@ -35,41 +29,41 @@ LOWEST = 0.08
 HIGHEST = 0.65
 """Largest height of the arch, relative to the object's height."""
 ARCHED = 0.5
-"""Width of the arch at which its top is measured, relative to its largest width."""
+"""Width of the arch at the measured top, relative to the largest width."""
 UPPER, WIDE = 0.25, 0.5
-"""Distance from the top of the gap, relative to its height, at which the width of the arch is
-measured.
-
-An arch is wide, rather than pointed, if its width there is at least `WIDE` times its largest width.
+"""Distance from the top of a gap at which the width is measured, relative to the gap's height, and
+smallest width of a wide arch there, relative to the largest width.
 """
 WHEEL = 0.5
-"""Thickness of a wheel, relative to its diameter."""
+"""Thickness of a wheel, relative to the diameter."""
 LENGTH = 1.3
-"""Smallest ratio of width to height of a symmetric object that is seen from its side."""
+"""Smallest ratio of width to height of a symmetric object seen from the side."""
 TALLEST = 1.2
 """Largest ratio of height to width of an object with four legs; persons have larger ratios."""
 LARGEST = 0.37
-"""Largest fraction of the silhouette that belongs to the legs."""
+"""Largest fraction of the silhouette that belongs to legs."""
 SPAN = 0.37
 """Smallest distance between forelegs and hind legs, relative to the object's width."""
 THICKEST = 0.35
 """Largest mean width of the legs on one side of the arch, relative to the object's width."""
 SEPARATE = 0.4
-"""Smallest height of a gap between two legs, relative to the height of the arch."""
+"""Smallest height of a gap between two legs, relative to the arch's height."""
 FLARED = 2.5
-"""Largest width of the upper half of a leg, relative to the median width of its lower half."""
+"""Largest width of a leg's upper half, relative to the median width of the lower half."""
 LONG = 1.2
-"""Smallest ratio of height to width of a leg; parts with a smaller ratio, such as wheels, are
-placed on both sides."""
+"""Smallest ratio of height to width of a leg; lower parts, such as wheels, are placed on both
+sides.
+"""
 ROOT = 0.5
-"""Height to which the legs continue inside the body, relative to the body's height."""
+"""Height of the legs inside the body, relative to the body's height."""
 ROOTED = 0.6
-"""Largest half width of this continuation, relative to the leg's mean width."""
+"""Largest half width of a leg inside the body, relative to the leg's mean width."""
 APART = 0.55
-"""Distance of the legs from the middle plane, relative to the half thickness of the body."""
+"""Distance of the legs from the middle plane, relative to the body's half thickness."""
 FEWEST = 16
 """Smallest height and width of an object with legs [pixels], and smallest number of points of a
-leg."""
+leg.
+"""
 SMALLEST = 64
 """Smallest area of a leg [pixels^2]."""
 
@@ -79,21 +73,21 @@ class Leg:
     """A leg or a wheel in the image."""
 
     part: Mask
-    """The leg, and its continuation inside the body [H,W]."""
+    """Mask of the leg, also inside the body [H,W]."""
     foot: float
-    """The lowest row of the leg [pixels]."""
+    """Lowest row [pixels]."""
     sides: tuple[int, ...]
-    """1 for the side that faces the camera, -1 for the other side."""
+    """1 for the side towards the camera, -1 for the other side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Legs:
-    """The legs of an object, and its body."""
+    """The legs of an object, and the body."""
 
     rgba: Field
-    """The image of the whole object [H,W,4]."""
+    """Image of the whole object [H,W,4]."""
     body: Mask
-    """The object without its legs [H,W]."""
+    """Mask of the object without legs [H,W]."""
     legs: tuple[Leg, ...]
 
     @property
@@ -116,7 +110,7 @@ class Legs:
 
     @cached_property
     def wheeled(self) -> bool:
-        """Whether all legs are wheels, whose lower outlines are arcs of circles."""
+        """Whether all legs are wheels, with arcs of circles as lower outlines."""
         discs = circles_on_ground(self.object_mask, free=0.0)
         middles = [np.flatnonzero(leg.part.any(axis=0)).mean() for leg in self.legs]
         return all(
@@ -126,7 +120,7 @@ class Legs:
 
     @property
     def share(self) -> float:
-        """Fraction of the surface that belongs to the legs."""
+        """Fraction of the surface that belongs to legs."""
         legs = sum(np.count_nonzero(leg.part) * len(leg.sides) for leg in self.legs)
         return legs / (legs + np.count_nonzero(self.body))
 
@@ -138,7 +132,7 @@ class Legs:
         front: Field,
         rng: np.random.Generator,
     ) -> Shell:
-        """Return the shell of the body with its legs, of which no points lie inside the body.
+        """Return the shell of body and legs; no point of a leg lies inside the body.
 
         Args:
             body: Shell of the body.
@@ -169,14 +163,16 @@ class Legs:
 
 
 def _flatten(shell: Shell, factor: float) -> Shell:
-    """Scale a shell in the direction of the camera."""
+    """Scale a shell towards the camera."""
     normals = shell.normals / [1.0, 1.0, factor]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return replace(shell, points=shell.points * [1.0, 1.0, factor], normals=normals)
 
 
 def _move(shell: Shell, scale: float, side: int, away: float) -> Shell:
-    """Scale a shell, and move it away from the middle plane; on the far side, it is mirrored."""
+    """Scale a shell, and move it away from the middle plane; on the far side, the shell is
+    mirrored.
+    """
     turn = np.array([1.0, 1.0, side])
     points = (scale * shell.points + [0.0, 0.0, away]) * turn
     return replace(
@@ -185,7 +181,6 @@ def _move(shell: Shell, scale: float, side: int, away: float) -> Shell:
 
 
 def _outside(shell: Shell, surface: Surface, view: View) -> Shell:
-    """Return a shell without the points that lie inside a body."""
     z = shell.points[:, 2:]
     places = shell.points / np.concatenate([view.k(z), view.k(z), np.ones_like(z)], axis=1)
     value, gradient = surface.gradient(places + view.middle)
@@ -193,7 +188,7 @@ def _outside(shell: Shell, surface: Surface, view: View) -> Shell:
 
 
 def find_legs(rgba: Field) -> Legs | None:
-    """Return the legs of an object that an image [H,W,4] shows from its side, or None."""
+    """Return the legs of an object that an image [H,W,4] shows from the side, or None."""
     object_mask = rgba[..., 3] > 0.5
     rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
     height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
@@ -233,7 +228,7 @@ def _divide(
     *,
     wide: bool,
 ) -> Legs | None:
-    """Divide an image [H,W,4] below the top of an arch; None if the parts are too wide."""
+    """Divide an image [H,W,4] below the top of an arch; return None if the parts are too wide."""
     object_mask = rgba[..., 3] > 0.5
     solid = object_mask[box]
     height, width = solid.shape
@@ -274,7 +269,6 @@ def _divide(
 
 
 def _separate(part: Mask, gaps: list[Mask], tall: int) -> list[Mask]:
-    """Divide the legs on one side of the arch [H,W] at the gaps between them."""
     pieces, columns = [part], np.arange(part.shape[1])
     for gap in gaps:
         if np.count_nonzero(gap.any(axis=1)) < SEPARATE * tall:
@@ -287,7 +281,7 @@ def _separate(part: Mask, gaps: list[Mask], tall: int) -> list[Mask]:
 
 
 def _slender(piece: Mask) -> Mask:
-    """Return a leg [H,W] up to the row above which it is wider, for example as it joins a head."""
+    """Return a leg [H,W] without a wide upper part, such as a head."""
     widths = np.count_nonzero(piece, axis=1)
     first, last = np.flatnonzero(widths)[[0, -1]]
     middle = (first + last + 1) // 2
@@ -297,7 +291,6 @@ def _slender(piece: Mask) -> Mask:
 
 
 def _are_long(pieces: list[Mask]) -> bool:
-    """Return whether each part [H,W] is higher than wide."""
     for piece in pieces:
         high = np.count_nonzero(piece.any(axis=1))
         if high**2 < LONG * np.count_nonzero(piece):
@@ -306,7 +299,7 @@ def _are_long(pieces: list[Mask]) -> bool:
 
 
 def _root(solid: Mask, piece: Mask) -> Mask:
-    """Return the continuation of a leg [H,W] inside the body above it."""
+    """Return the continuation of a leg [H,W] inside the body."""
     rows = np.flatnonzero(piece.any(axis=1))
     top, columns = rows[0], np.flatnonzero(piece[rows[0]])
     middle, mean = columns.mean(), np.count_nonzero(piece) / len(rows)

@@ -3,8 +3,7 @@
 The brightness of a pixel is modelled as albedo * exp(s . n). Here n is the unit normal of the
 guessed solid, and s is a constant vector. The model is a first-order approximation of a Lambertian
 surface under distant lights (Ramamoorthi, Hanrahan 2001). Pixels of similar hue are assumed to have
-the same albedo. The vector s follows from a robust linear fit to the logarithm of the brightness.
-Since n and the albedo may be correlated, the fit favours small s, and the length of s is limited.
+the same albedo. The fit favours small s, because n and the albedo may be correlated.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ HUES = 7
 GREY = 0.06
 """Saturation below which a pixel is grey."""
 EVERY = 3
-"""Spacing of the pixels that are used for the fit [pixels]."""
+"""Spacing of the fitted pixels [pixels]."""
 EDGE = 4
-"""Width of the edge of the silhouette whose pixels are not used for the fit [pixels]."""
+"""Width of the silhouette's edge that is not fitted [pixels]."""
 DARKEST = 0.03
-"""Constant that is added to the brightness before its logarithm is taken."""
+"""Constant that is added to the brightness before the logarithm."""
 PRIOR = 0.3
 """Expected length of the light vector s."""
 SAMPLES = 60.0
@@ -35,24 +34,22 @@ SAMPLES = 60.0
 LIMIT = 0.3
 """Largest length of s across the view."""
 FRONTAL = 0.2
-"""Largest component of s towards the camera; at least 0, as light is rarely from behind."""
+"""Largest component of s towards the camera. The smallest is 0, because light is rarely from
+behind.
+"""
 CERTAIN = (0.08, 0.16)
-"""Two lengths of s.
-
-A vector s below the smaller length is ignored, because it may be caused by colours. A vector s
-above the larger length is used fully.
+"""Lengths of s below which s is ignored, and above which s is used fully. Short s may be caused by
+colours.
 """
 THICK = (8.0, 18.0)
-"""Two half thicknesses of the object [pixels].
-
-Below the smaller value, the normals are uncertain, and s is ignored. Above the larger value, the
-normals are reliable.
+"""Half thicknesses below which s is ignored, and above which s is used fully [pixels]. The normals
+of thin objects are uncertain.
 """
 ROUNDS = 4
 
 
 def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the light vector s [3] of an image [H,W,3] that shows the front of a surface."""
+    """Return the light vector s [3] of an image [H,W,3] of a surface's front."""
     shading = Shading.of(rgb, surface, object_mask)
     light = np.clip(shading.light, [-LIMIT, -LIMIT, 0.0], [LIMIT, LIMIT, FRONTAL])
     certain = np.interp(np.linalg.norm(light), CERTAIN, [0.0, 1.0])
@@ -61,21 +58,21 @@ def fit_light(rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> F
 
 @dataclass(frozen=True)
 class Shading:
-    """The light that best explains the brightness of an image, and the quality of the fit."""
+    """The light that best explains an image's brightness, and the quality of the fit."""
 
     light: Field
     """The light vector s [3]."""
     contrast: float
     """Standard deviation of s . n, the part of the logarithm of the brightness that the light
-    explains."""
+    explains.
+    """
     total: float
-    """Standard deviation of the logarithm of the brightness within the groups of equal hue."""
+    """Standard deviation of the logarithm of the brightness within groups of equal hue."""
 
     @classmethod
     def of(cls, rgb: Field, surface: Surface, object_mask: NDArray[np.bool_]) -> Shading:
-        """Fit the light to an image [H,W,3] that shows the front of a surface.
-
-        If the image has too few pixels, all results are 0.
+        """Fit the light to an image [H,W,3] of a surface's front; all results are 0 for too few
+        pixels.
         """
         seen = cv2.erode(object_mask.astype(np.uint8), np.ones((2 * EDGE + 1,) * 2)) > 0
         place = np.argwhere(seen)
@@ -107,15 +104,12 @@ class Shading:
 
 
 def unlight(rgb: Field, surface: Surface, light: Field) -> Field:
-    """Return the colours [H,W,3] of an image of a surface's front after removing the light."""
+    """Return the colours [H,W,3] of a surface's front without light."""
     return rgb * np.exp(-front_normals(surface) @ light)[..., None]
 
 
 def front_normals(surface: Surface) -> Field:
-    """Return the unit normals of the front [H,W,3].
-
-    Pixels beyond the rim get the normals of the rim.
-    """
+    """Return unit normals [H,W,3] of the front; pixels outside get the rim's normals."""
     half = np.sqrt(np.maximum(surface.w, 0.25))
     across = [slope / (2 * half) + tilt for slope, tilt in zip(*surface.slopes, strict=True)]
     normals = np.stack([-across[0], -across[1], np.ones_like(half)], axis=2)
@@ -123,10 +117,7 @@ def front_normals(surface: Surface) -> Field:
 
 
 def _groups(colours: Field) -> NDArray[np.int_]:
-    """Return the index of each pixel's group [N].
-
-    Group 0 is grey, the other groups differ in hue.
-    """
+    """Return the group of each pixel [N]: 0 for grey, the other groups by hue."""
     red, green, blue = (colours / (colours.sum(axis=1, keepdims=True) + DARKEST)).T
     across, along = red - green, (red + green) / 2 - blue
     turn = np.arctan2(along, across) / (2 * np.pi) % 1.0

@@ -1,9 +1,7 @@
-"""Removes the perspective from the front and side images, as if their cameras were at infinity.
+"""Removes the perspective from the front and side images, as if the cameras were at infinity.
 
-In the front image, a row of the object appears larger if it is nearer to the camera. The side image
-shows how far each row is from the front camera. The front image shows how far each row is from the
-side camera. The distance is measured where the row is thickest or, at a flat end, at the edge
-nearer to the camera.
+A row of the object appears larger if it is nearer to the camera. The other image shows how near the
+row is.
 """
 
 from dataclasses import dataclass
@@ -14,13 +12,12 @@ from numpy.typing import NDArray
 
 Field = NDArray[np.float64]
 ROUNDS = 8
-"""Number of iterations that match the heights in the front image to those in the side image."""
+"""Number of iterations that match the heights in both images."""
 SMOOTHING = 0.04
-"""Standard deviation of the filter that smooths the depths of the rows, relative to the object's
-height."""
+"""Standard deviation of the filter that smooths the rows' depths, relative to the object's height.
+"""
 END = 0.05
-"""Length, as a fraction of the object's height, over which a flat end changes the depths of the
-rows."""
+"""Length over which a flat end changes the rows' depths, relative to the object's height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +25,11 @@ class Profile:
     """A silhouette from one side, inflated to a solid."""
 
     w: Field
-    """Squared half thickness [H,W], pixels^2; it is negative outside, and extended beyond flat
-    ends."""
+    """Squared half thickness [H,W], pixels^2; negative outside, and extended beyond flat ends."""
     middle: tuple[float, float]
     """Column and row of the object's centre."""
     half: float
-    """Half of the object's height without the extensions beyond flat ends, pixels."""
+    """Half the object's height without extensions [pixels]."""
     ends: tuple[bool, bool]
     """Whether the top is flat, and whether the bottom is flat."""
 
@@ -78,12 +74,9 @@ class Rows:
 
 
 def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field, Rows, Rows]:
-    """Return heights of the object [N], and for both images the maps from heights to rows.
+    """Return heights of the object [N], and the maps from heights to rows of both images.
 
-    Args:
-        front: Profile of the object from the front.
-        side: Profile of the object from the side; its columns increase towards the front camera.
-        distance: Distance of each camera from the object's centre, pixels.
+    The side's columns increase towards the front camera; the cameras' `distance` is in pixels.
     """
     y = np.arange(-np.ceil(front.half) - 3, np.ceil(front.half) + 4)
     front_rows, side_rows, scale = Rows(np.ones_like(y)), Rows(np.ones_like(y)), 1.0
@@ -105,16 +98,15 @@ def match_heights(front: Profile, side: Profile, distance: float) -> tuple[Field
 
 
 def _ends(front: Profile, side: Profile, y: Field) -> NDArray[np.bool_]:
-    """Return whether each height [N] is within `END` of a flat end."""
+    """Return whether each height [N] is near a flat end."""
     reach = (y[-1] - y[0]) * END
     top, bottom = (any(flat) for flat in zip(front.ends, side.ends, strict=True))
     return (top & (y < y[0] + reach)) | (bottom & (y > y[-1] - reach))
 
 
 def straighten(profile: Profile, y: Field, rows: Rows) -> Field:
-    """Return the squared half thickness at heights y [N], as an array [N,W].
-
-    The width W is odd, and the middle of the profile is in the middle column.
+    """Return squared half thicknesses [N,W] at heights y [N]; the odd W has the profile in the
+    middle.
     """
     column = np.flatnonzero((profile.w > 0).any(axis=0)) - profile.middle[0]
     reach = int(np.ceil(np.abs(column).max() / rows.k.min())) + 4

@@ -1,10 +1,7 @@
 """Recognises rings and bracelets that lie on the floor and were photographed from above.
 
-A ring is an ellipse or a rectangle with rounded corners, turned about a vertical axis. Five values
-describe the ring: the radius and the height of the section's centre, the width and the height of
-the section, and the elevation of the camera. The five values follow from the edges of the outline
-and of the hole. A silhouette shows a ring if the image of the ring with these values covers the
-silhouette.
+The section of a ring is an ellipse or a rounded rectangle. Section and elevation follow from the
+edges of the outline and of the hole.
 """
 
 from __future__ import annotations
@@ -27,33 +24,30 @@ Mask = NDArray[np.bool_]
 LOWEST, HIGHEST = np.radians([3.0, 60.0]).tolist()
 """Limits of the camera's elevation [radians]; outside, the ring may also stand upright."""
 OVERLAP = 0.93
-"""Smallest overlap (IoU) of the silhouette with the image of the ring."""
+"""Smallest overlap (IoU) of the silhouette with the ring's image."""
 FACING = 0.2
-"""A point gets its colour from the image if the cosine of the angle between its normal and the view
-ray is at least this value.
-"""
+"""Smallest cosine between the normal and the view ray at which a point gets the image's colour."""
 SECTION = np.linspace(0, 2 * np.pi, 65)
 """Angles around the section; 0 is outside, a quarter turn is above [radians]."""
 ROUND, SQUARE = 1.0, 0.2
-"""Exponents of the cosine and the sine of these angles, for an ellipse and a rounded rectangle."""
+"""Exponents of cosine and sine for an ellipse and for a rounded rectangle."""
 AROUND = np.linspace(0, 2 * np.pi, 129)
 """Angles around the axis; 0 points to the camera [radians]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """A ring whose axis is vertical and passes through the centre of the image."""
+    """A ring with a vertical axis through the centre of the image."""
 
     camera: Raised
-    """The camera that sees the ring."""
     radius: float
-    """Distance of the section's centre from the axis, pixels."""
+    """Distance of the section's centre from the axis [pixels]."""
     height: float
-    """Height of the section's centre above the centre of the image, pixels."""
+    """Height of the section's centre above the image's centre [pixels]."""
     wide: float
-    """Half width of the section, pixels."""
+    """Half width of the section [pixels]."""
     high: float
-    """Half height of the section, pixels."""
+    """Half height of the section [pixels]."""
     exponent: float
     """`ROUND` or `SQUARE`."""
 
@@ -71,15 +65,13 @@ class Ring:
         return unit * [self.wide, self.high] + [self.radius, self.height]
 
     def image(self) -> Field:
-        """Return the places of the surface in the image, relative to its centre [A,SECTION,2]."""
+        """Return the places of the surface, relative to the image's centre [A,SECTION,2]."""
         ring = np.tile(self.path, (len(AROUND), 1))
         points = revolve(ring, np.repeat(AROUND, len(SECTION)))
         return self.camera.pixels(points).reshape(len(AROUND), len(SECTION), 2)
 
     def edges(self) -> Field:
-        """Return half the width, the top and the bottom, first of the outline and then of the hole
-        [6].
-        """
+        """Return half the width, the top and the bottom of the outline, then of the hole [6]."""
         column, row = np.moveaxis(self.image(), 2, 0)
         across = np.linspace(0, column.max(), len(AROUND))
         quarter = len(AROUND) // 4
@@ -105,9 +97,9 @@ class Ring:
         return both / np.count_nonzero(object_mask | (drawn > 0))
 
     def shell(self, count: int, front: Field, middle: Field) -> Shell:
-        """Return the shell with the colours of the image.
+        """Return the shell with the image's colours.
 
-        Hidden points have the colour of the nearest visible point of the same section.
+        Hidden points have the colour of the nearest visible point in the same section.
 
         Args:
             count: Approximate number of points.
@@ -128,7 +120,6 @@ class Ring:
         return Shell(revolve(inner, angles), turned, np.full(len(rings), pitch), np.stack(rgb, 1))
 
     def _faces(self, rings: Field, normals: Field, angles: Field) -> Mask:
-        """Return whether points of the surface face the camera [N]."""
         eye = self.camera.distance * self.camera.turn[2]
         rays = eye - revolve(rings, angles)
         facing = (rays * revolve(normals, angles)).sum(axis=1)
@@ -155,10 +146,9 @@ def find_ring(
 
     Args:
         object_mask: The silhouette [H,W].
-        middle: Column and row at the centre of the image [2].
-        distance: Distance of the camera, pixels.
-        elevation: Elevation of the camera [radians]; None: the elevation is estimated from the
-            silhouette.
+        middle: Column and row of the image's centre [2].
+        distance: Distance of the camera [pixels].
+        elevation: Elevation of the camera [radians]; None: estimated from the silhouette.
     """
     edges = _edges(object_mask, middle)
     if edges is None:
@@ -188,7 +178,7 @@ def find_ring(
 
 
 def _edges(object_mask: Mask, middle: Field) -> Field | None:
-    """Return the edges of a silhouette as `Ring.edges` does; None without exactly one hole."""
+    """Return the edges in the form of `Ring.edges`; None without exactly one hole."""
     holes, number = scipy.ndimage.label(~np.pad(object_mask, 1))  # pyright: ignore
     if number != 2:
         return None
@@ -201,13 +191,13 @@ def _edges(object_mask: Mask, middle: Field) -> Field | None:
 
 
 def _lines(across: Field, column: Field, row: Field, beyond: float) -> Field:
-    """Interpolate lines: return the row [S,C] at which each line crosses each column.
+    """Return the row [S,C] at which each line crosses each column.
 
     Args:
         across: Columns.
         column: Columns of the lines' points [A,S], from the middle outwards.
         row: Rows of these points [A,S].
-        beyond: Row of a line beyond its end.
+        beyond: Row of a line beyond the end.
     """
     lines = zip(np.maximum.accumulate(column, axis=0).T, row.T, strict=True)
     return np.stack([np.interp(across, *line, right=beyond) for line in lines])

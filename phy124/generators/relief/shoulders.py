@@ -1,10 +1,7 @@
 """Finds the flat upper edge of a body from which other parts rise, such as the rim of a flower pot.
 
-In an image, this edge is interrupted by leaves, candles or a handle. A solid that is rounded at the
-edge, as at the rest of the rim, has a sharp ridge there. To avoid the ridge, the silhouette is cut
-at the edge. Below the cut, the body is extended upwards by its mirror image. Above the cut, the
-other parts are extended downwards. Body and parts are inflated separately, and the body is closed
-by a horizontal plane.
+A solid that is rounded at this edge would have a sharp ridge. The silhouette is therefore cut at
+the edge, body and parts are inflated separately, and a horizontal plane closes the body.
 """
 
 from dataclasses import dataclass
@@ -25,7 +22,7 @@ HEIGHT = 0.03
 SLOPE = 0.25
 """Largest mean slope of the edge."""
 COVERED = 0.5
-"""The edge must be visible over this fraction of the body's width, and of each of its sides."""
+"""Smallest visible fraction of the edge, and of the edge at each side."""
 SIDE = 0.12
 """Width of a side, relative to the body's width."""
 WIDE = 0.35
@@ -33,9 +30,9 @@ WIDE = 0.35
 LOW = 0.35
 """Smallest height of the body below the edge, relative to the body's width."""
 LENGTH = 0.2
-"""Height of the mirror image of the body, relative to the image's height."""
+"""Height of the body's mirror image, relative to the image."""
 THINNEST = 1.0
-"""Smallest half thickness of the body at its edge [pixels]."""
+"""Smallest half thickness of the body at the edge [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,24 +40,22 @@ class Shoulder:
     """The flat upper edge of a body."""
 
     row: int
-    """First row below the edge, at which the silhouette is cut."""
+    """First row below the edge."""
     edge: Field
-    """First row of the body in each column [W].
-
-    The rows are interpolated where other parts rise, and NaN outside the body.
-    """
+    """First row of the body in each column [W]; NaN outside the body."""
     visible: Mask
-    """Columns in which the image shows the edge [W]."""
+    """Columns in which the edge is visible [W]."""
 
     def round_thickness(self, alpha: Field) -> Field:
-        """Return squared half thicknesses [H,W] for which each part is as deep as it is wide."""
+        """Return squared half thicknesses [H,W] of parts that are as deep as they are wide."""
         parts = Silhouette.of(self.separate(alpha, PADDING))
         return self.join(round_thickness(parts, WORK), alpha)
 
     def separate(self, alpha: Field, padding: int) -> Field:
-        """Return one image [H+N,W] with two silhouettes: parts above the cut, and the body below.
+        """Return an image [H+N,W] with two silhouettes: the parts, `padding` empty rows, and the
+        body.
 
-        Both silhouettes are extended beyond the cut. There are `padding` empty rows between them.
+        Both silhouettes are extended beyond the cut.
         """
         above, below = np.where(self._rises(alpha), alpha, 0.0)[: self.row], alpha[self.row :]
         length = min(round(LENGTH * len(alpha)), len(below) - 1)
@@ -71,9 +66,7 @@ class Shoulder:
         return np.concatenate([above, longer, gap, mirrored, below])
 
     def join(self, parts: Field, alpha: Field) -> Field:
-        """Combine values [H+N,W] in the separate parts of a silhouette to values [H,W] in the whole
-        silhouette.
-        """
+        """Combine values [H+N,W] of the separate parts to values [H,W]."""
         below = parts[len(parts) - len(alpha) :]
         above = np.pad(parts[: self.row], ((0, len(alpha) - self.row), (0, 0)))
         return np.where(alpha > 0.5, np.where(self._rises(alpha), above, below), 0.0)
@@ -81,8 +74,8 @@ class Shoulder:
     def close(self, surface: Surface, view: View, alpha: Field) -> Surface:
         """Return a surface on which the body ends at a horizontal plane with a rounded rim.
 
-        If the plane is above the camera, the edge in the image is the plane's front edge, which
-        hides the plane. If the plane is below the camera, the edge in the image is its back edge.
+        If the plane is above the camera, the image shows the plane's front edge, otherwise the back
+        edge.
         """
         rows, inside = np.arange(len(alpha))[:, None], surface.w > 0
         body = np.isfinite(self.edge) & ~self._rises(alpha) & inside
@@ -109,7 +102,7 @@ class Shoulder:
 
 
 def find_shoulder(picture: Continued) -> Shoulder | None:
-    """Return the widest flat upper edge of a standing body; None if the image shows no such edge.
+    """Return the widest flat upper edge of a standing body, or None.
 
     Solids of revolution and objects with a flat top need no such edge.
     """
@@ -144,10 +137,7 @@ def find_shoulder(picture: Continued) -> Shoulder | None:
 
 
 def _is_body(solid: Mask, row: int, first: int, last: int, depth: int) -> bool:
-    """Return whether the columns of a row are the upper end of a high body with steep sides.
-
-    Sides are steep if the body is hardly wider `depth` rows below.
-    """
+    """Whether columns are the upper end of a high body that is hardly wider `depth` rows below."""
     start, end = _longest_run(solid[row + depth])
     if last - first < CORNERED * (end - start):
         return False

@@ -1,4 +1,4 @@
-"""Builds the shell of an object from an image of its front alone."""
+"""Builds the shell of an object from an image of the front alone."""
 
 from __future__ import annotations
 
@@ -52,12 +52,10 @@ from phy124.generators.relief.vessel import vessel_shell
 CARD = 0.12
 """Largest half thickness of a card, relative to the image's size; thicker slabs are blocks."""
 SHEET = 0.05
-"""Largest half thickness of a card or an object with a border, relative to the image's size."""
+"""Largest half thickness of a card or of an object with a border, relative to the image's size."""
 BLOCK = 0.8
-"""Behind the rim of a block, the colours change from the mirrored image to the back over at most
-this depth.
-
-The unit is half the block's depth.
+"""Largest depth behind a block's rim over which the colours change to the back, relative to half
+the block's depth.
 """
 
 Field = NDArray[np.float64]
@@ -79,22 +77,21 @@ def from_front(
     shape: Shape,
     elevation: float | None,
 ) -> Shell:
-    """Build the upright shell of the object: a ring, a vessel, a box, a table, or the inflated
+    """Build the upright shell of an object: a ring, a vessel, a box, a table, or the inflated
     silhouette.
 
     Args:
         picture: Image of the front.
         count: Approximate number of points.
         rng: Random number generator.
-        step: Function that is called with the number of finished steps, after each step and during
-            it.
-        depth: Depth map of the image; if None, the front is inflated like the back.
+        step: Called with the number of finished steps.
+        depth: Depth map of the image; None: the front is inflated like the back.
         back: Image of the object from behind.
-        look: Look of the back if there is no image from behind.
-        thickness: Factor by which the depth guessed from the silhouette is multiplied.
+        look: Look of the back without an image from behind.
+        thickness: Factor of the guessed depth.
         shape: Kind of solid; "auto": the most plausible one.
-        elevation: Angle above the horizontal from which the picture was taken [degrees]; None: the
-            angle is estimated for a vessel, a ring or a box, and is 0 for other objects.
+        elevation: Angle above the horizontal from which the picture was taken [degrees]; None:
+            estimated for a vessel, a ring or a box, and 0 for other objects.
     """
     rgba = work_picture(picture, depth=depth)
     view = View.of(rgba[..., 3] > 0.5, VIEW_DISTANCE * WORK)
@@ -140,11 +137,9 @@ def _inflated_shell(
     shape: Shape,
     legs: Legs | None,
 ) -> Shell:
-    """Inflate the silhouette of the object to a shell that the front camera sees.
+    """Inflate the silhouette to a shell that the front camera sees.
 
-    The colours of the back are taken from an image of the back if there is one, otherwise from the
-    rim of the front. If the image has a fifth channel, the channel is the depth map. If there are
-    legs, the image shows the body alone. The other arguments are those of `from_front`.
+    A fifth channel of the image is the depth map. With legs, the image shows the body alone.
     """
     view = View.of(work.object_mask if legs is None else legs.object_mask, VIEW_DISTANCE * WORK)
     shoulder = find_shoulder(work)
@@ -212,9 +207,9 @@ def _inflated_shell(
 
 
 def _sheet(half: Field | None, work: Continued) -> tuple[Field | None, float]:
-    """Return squared half thicknesses, which are None for a card, and the largest half thickness.
+    """Return squared half thicknesses, or None for a card, and the largest half thickness.
 
-    The latter is relative to the image's size, and less than 1 for cards and objects with a border.
+    The largest half thickness is relative to the image's size, and 1 if there is no limit.
     """
     if is_card(work.rgba, plain=half is None):
         return None, SHEET
@@ -222,20 +217,17 @@ def _sheet(half: Field | None, work: Continued) -> tuple[Field | None, float]:
 
 
 def _parts_thickness(work: Continued, shoulder: Shoulder | None, legs: Legs | None) -> Field | None:
-    """Return the squared half thicknesses of a vehicle with flat sides, or of a body with a
-    shoulder; None for other objects.
-    """
+    """Return None except for a vehicle with flat sides and a body with a shoulder."""
     if legs is not None and legs.wheeled:
         return flat_topped(work.alpha > 0.5)
     return shoulder and shoulder.round_thickness(work.alpha)
 
 
 def _legs_beside(rgba: Field) -> Legs | None:
-    """Return the legs of an object that an image [H,W,4] shows from its side, or None.
+    """Return the legs of an object that an image [H,W,4] shows from the side, or None.
 
-    Boxes, objects with thin parts and objects on free discs, such as scooters, have no legs.
-    Objects seen from the front are left out as well. A symmetric outline is assumed to be a front,
-    unless it is as wide as that of a car or a bench.
+    A symmetric outline is assumed to be a front without legs, unless it is as wide as a car. Boxes,
+    objects with thin parts and scooters have no legs either.
     """
     legs = find_legs(rgba)
     if legs is None or find_thin(legs.object_mask) or is_polygonal(legs.object_mask):
@@ -253,10 +245,9 @@ def _flatten(
     shape: Shape,
     most: float,
 ) -> Field | None:
-    """Return limited squared half thicknesses of a flat or angular object; None for a round one.
+    """Return squared half thicknesses of a flat or angular object; None for a round one.
 
-    `most` is the largest half thickness, relative to the image's size, and less than 1 for an
-    object with a border.
+    `most` is the largest half thickness, relative to the image's size.
     """
     block = is_block(work) or (shoulder is not None and is_angular(work.rgba))
     always = shape == "flat" or most < 1 or (shape == "auto" and block)
@@ -264,9 +255,6 @@ def _flatten(
 
 
 def _ring_shell(rgba: Field, view: View, count: int, elevation: float | None) -> Shell | None:
-    """Return the shell of a ring on the floor; None if the image [H,W,4] does not show one from
-    above.
-    """
     middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
     ring = find_ring(rgba[..., 3] > 0.5, middle, view.distance, radians)
     return ring and ring.shell(count, clean_picture(rgba), middle)
@@ -280,21 +268,13 @@ def _table_shell(
     elevation: float | None,
     least: float,
 ) -> Shell | None:
-    """Return the shell of a table, a stool or a chair; None if the image [H,W,4] does not show
-    one.
-
-    `least` is the smallest overlap (IoU) of the silhouette with the image of the table.
-    """
     middle, radians = view.middle[:2], None if elevation is None else float(np.radians(elevation))
     table = find_table(rgba[..., 3] > 0.5, middle, view.distance, radians, least)
     return table and board_shell(table.boards(), rgba, middle, table.camera, count, rng)
 
 
 def _box_shell(box: Cuboid, front: Field, count: int, elevation: float | None) -> Shell:
-    """Return the upright shell of a box with the colours of the image [H,W,3].
-
-    If the elevation of the camera is None, it is determined from the box.
-    """
+    """Return the upright shell of a box with the colours `front` [H,W,3]."""
     points, normals, pitch = box.spread(count)
     middle = float(box.view.middle[0]), float(box.view.middle[1])
     seen = Shown(front, middle, FRONT, ACROSS).colours(points, box.view.distance)
@@ -309,9 +289,8 @@ def _turn(elevation: float) -> Field:
 
 
 def _reach_behind(surface: Surface, slab: bool, flat: bool) -> float:
-    """Return the depth behind the rim over which the mirrored image changes to the back [pixels].
-
-    For a card, which is a thin slab, this depth is 0.
+    """Return the depth behind the rim over which the colours change to the back [pixels]; 0 for a
+    card.
     """
     deepest = float(np.sqrt(max(surface.w.max(), 0.0)))
     if slab and deepest <= CARD * WORK:
@@ -320,7 +299,7 @@ def _reach_behind(surface: Surface, slab: bool, flat: bool) -> float:
 
 
 def show_back(back: Image.Image, scale: float, object_mask: NDArray[np.bool_]) -> Shown:
-    """Mirror an image from behind and check it against `object_mask`, the front's silhouette [H,W].
+    """Mirror an image from behind, and compare it with the front's silhouette [H,W].
 
     Raises:
         InputError: If the silhouettes differ.
@@ -339,10 +318,7 @@ def _points(
     rng: np.random.Generator,
     alive: Callable[[], None],
 ) -> tuple[Field, Field, Field, list[Cap]]:
-    """Return the points, normals and spacing of the walls, followed by those of the caps.
-
-    The last value is the list of the caps.
-    """
+    """Return points, normals and spacing, first of the walls, then of the caps, and the caps."""
     points, normals, spacing, pitch = spread(surface, work.ends, count, rng, alive)
     caps = [make_cap(surface, view, end, work.object_mask, pitch) for end in work.ends]
     kept = np.ones(len(points), bool)

@@ -1,7 +1,7 @@
 """Defines the closed surface z^2 = w(x, y), and distributes points evenly over it.
 
-Coordinates are pixels: x right, y down, z towards the camera. The surface is defined by an implicit
-function and has no seam, so points at the rim need no special treatment.
+Coordinates are pixels: x right, y down, z towards the camera. The surface has no seam, because it
+is the zero set of a function.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from phy124.kernels import implicit
 from phy124.runtime.cores import cores
 
 VIEW_DISTANCE = 2.0
-"""Distance of the front camera, which sees the image, relative to the object's longest side."""
+"""Distance of the front camera, relative to the object's longest side."""
 
 
 @dataclass(frozen=True)
 class View:
-    """The perspective of the front camera, which maps each surface point to its pixel in the image.
+    """The perspective of the front camera.
 
     Relative to the centre, x' = x k(z) and y' = y k(z), where k = 1 - z / distance.
     """
 
     middle: Field
-    """Pixel at the centre of the camera's view [3], with z = 0."""
+    """Pixel at the centre of the view [3], with z = 0."""
     distance: float
-    """Distance of the camera from the object's centre [pixels]."""
+    """Distance from the object's centre [pixels]."""
 
     @classmethod
     def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:
-        """Return the camera that looks at the centre of the bounding box of a mask [H,W]."""
+        """Return the camera that looks at the centre of a mask's bounding box [H,W]."""
         y, x = np.nonzero(object_mask)
         return cls(np.array([x.min() + x.max(), y.min() + y.max(), 0.0]) / 2, distance)
 
     def k(self, z: Field) -> Field:
-        """Return the scale factor of the perspective at coordinate z."""
+        """Return the scale factor of the perspective at z."""
         return 1 - z / self.distance
 
     def project_points(self, points: Field, normals: Field) -> tuple[Field, Field]:
@@ -63,22 +63,20 @@ class View:
 Field = NDArray[np.float64]
 Neighbours = NDArray[np.int32]
 BACK_PITCH = 1.5
-"""Spacing of points on the back, relative to their spacing on the front; it is larger because the
-colours of the back are smooth."""
+"""Spacing of points on the back, relative to the front; the back's colours are smooth."""
 OVERHANG = 5.0
-"""Points are distributed up to this distance beyond the flat ends [pixels]."""
+"""Distance beyond the flat ends up to which points are distributed [pixels]."""
 TRIAL = 2.0
-"""Spacing of the random points from which the surface's area is measured [pixels]."""
+"""Spacing of the random points that measure the surface's area [pixels]."""
 ROUNDS = 6
 """Number of relaxation rounds; after five rounds, the spacing is even to about 10 %."""
 ALIKE = 3
-"""The slow search for neighbours is repeated only after this number of rounds."""
+"""Number of rounds between two searches for neighbours, which are slow."""
 
 
 def smooth(values: Field, weights: NDArray, width: float) -> Field:
-    """Average values [H,W] with weights [H,W] times a Gaussian kernel.
-
-    The result is 0 where there is no weight.
+    """Average values [H,W] with weights [H,W] times a Gaussian kernel; the result is 0 without
+    weight.
     """
     weights = weights.astype(np.float64)
     total = scipy.ndimage.gaussian_filter(values * weights, width)
@@ -87,10 +85,7 @@ def smooth(values: Field, weights: NDArray, width: float) -> Field:
 
 
 def _slopes(values: Field, inside: NDArray[np.bool_]) -> tuple[Field, Field]:
-    """Return the derivatives downwards and to the right at inside pixels.
-
-    Outside pixels have no effect.
-    """
+    """Return the derivatives downwards and to the right at inside pixels."""
     slopes = []
     for axis in (0, 1):
         step = np.diff(values, axis=axis, append=0)
@@ -109,10 +104,10 @@ class Implicit(ABC):
     @cached_property
     @abstractmethod
     def struct(self) -> Any:
-        """The fields of the surface as a Warp struct for kernels."""
+        """The fields as a Warp struct."""
 
     def gradient(self, points: Field) -> tuple[Field, Field]:
-        """Return F [N] and its gradient [N,3] at points [N,3]."""
+        """Return F [N] and the gradient [N,3] at points [N,3]."""
         values, gradients = np.empty(len(points)), np.empty(points.shape)
         launch(self.kernels.evaluate, [self.struct], [points, values, gradients])
         return values, gradients
@@ -124,7 +119,7 @@ class Implicit(ABC):
         return normals
 
     def inset(self, points: Field, depth: float) -> Field:
-        """Return `depth` [N,1], limited to a third of the local radius of curvature, pixels."""
+        """Return `depth` [N,1], limited to a third of the radius of curvature [pixels]."""
         _, gradient = self.gradient(points)
         # For a ball, F = r^2 - |x|^2, so the norm of the gradient is twice the radius.
         radius = 0.5 * np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -146,13 +141,13 @@ class Surface(Implicit):
     w: Field
     """Squared half thickness [H,W], pixels^2; negative outside."""
     m: Field
-    """Coordinate z of the midsurface between front and back [H,W], pixels."""
+    """Coordinate z of the midsurface [H,W], pixels."""
     slopes: Field
     """Derivatives of w and m along x and y [2,2,H,W]."""
 
     @classmethod
     def of(cls, w: Field, m: Field | None = None) -> Surface:
-        """Return the surface for squared half thicknesses w and a midsurface m (0 by default)."""
+        """Return the surface with squared half thicknesses w and a midsurface m (0 by default)."""
         m = np.zeros_like(w) if m is None else m
         slopes = [np.gradient(scipy.ndimage.gaussian_filter(field, 0.7))[::-1] for field in (w, m)]
         return cls(w, m, np.asarray(slopes))
@@ -184,18 +179,18 @@ class Surface(Implicit):
 
     @cached_property
     def struct(self) -> Any:
-        """The fields w, m and their derivatives as a Warp struct for kernels."""
+        """The fields as a Warp struct."""
         struct, size = implicit.Inflated(), self.w.shape
         fields = np.stack([self.w, self.m, *self.slopes.reshape(4, *size)], axis=2)
         struct.fields = wp.array(fields, dtype=wp.float64, device="cpu")
         return struct
 
     def middle(self, points: Field) -> Field:
-        """Return the coordinate z of the midsurface at points [N,3 or 2]."""
+        """Return z of the midsurface at points [N,3 or 2]."""
         return scipy.ndimage.map_coordinates(self.m, points[:, 1::-1].T, order=1, mode="nearest")
 
     def section(self, y: float) -> float:
-        """Return the area of the object's horizontal cross-section at row y [pixels^2]."""
+        """Return the area of the horizontal cross-section at row y [pixels^2]."""
         row = self.w[min(int(y), len(self.w) - 1)]
         return float(2 * np.sqrt(np.maximum(row, 0)).sum())
 
@@ -212,14 +207,14 @@ def spread(
     rng: np.random.Generator,
     alive: Callable[[], None] = lambda: None,
 ) -> tuple[Field, Field, Field, float]:
-    """Distribute points evenly over the part of the surface between the flat ends.
+    """Distribute points evenly over the surface between the flat ends.
 
     Args:
         surface: The surface.
         ends: The flat ends of the object.
-        count: Approximate number of points on the walls and the flat ends together.
+        count: Approximate number of points, including flat ends.
         rng: Random number generator.
-        alive: Function that is called between rounds; it may raise an exception to cancel.
+        alive: Called between rounds; may raise an exception to cancel.
 
     Returns:
         Positions [N,3], unit normals [N,3], spacing [N], and the spacing on the front, pixels. A
@@ -241,7 +236,7 @@ def spread(
 
 
 def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.bool_]:
-    """Return whether each point lies between the object's ends or at most `by` pixels beyond."""
+    """Return whether each point lies at most `by` pixels beyond the ends."""
     kept = np.ones(len(points), bool)
     for end in ends:
         kept &= ~end.beyond(points[:, 1], by)
@@ -249,11 +244,10 @@ def _between(points: Field, ends: Sequence[End], by: float = 0.0) -> NDArray[np.
 
 
 def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
-    """Return random points near the surface, on average one per area of pitch^2 on the front.
+    """Return random points near the surface, on average one per area pitch^2 on the front.
 
-    Each cube that the surface intersects gets one candidate point. A plane with normal n intersects
-    |nx| + |ny| + |nz| cubes per unit square. Candidates are therefore removed at random, so that
-    their number falls by this factor.
+    A plane with normal n intersects |nx| + |ny| + |nz| cubes per unit square. Candidates, one per
+    cube, are removed at random by this factor.
     """
     halves = []
     for corner, low, high in _columns(surface, pitch):
@@ -274,9 +268,8 @@ def _scatter(surface: Surface, pitch: float, rng: np.random.Generator) -> Field:
 
 
 def _columns(surface: Surface, pitch: float) -> list[tuple[Field, Field, Field]]:
-    """Return the square columns that the front meets, and those that the back meets.
-
-    Each item contains the corners of the columns [M,2], and their lowest and highest z [M].
+    """Return the corners [M,2] and the lowest and highest z [M] of the square columns that meet the
+    surface, for the front and the back.
     """
     height, width = surface.w.shape
     x, y = np.arange(0, width - 1 - pitch, pitch), np.arange(0, height - 1 - pitch, pitch)
@@ -303,14 +296,13 @@ def settle(
     spacing_at: Callable[[Field], Field],
     alive: Callable[[], None] = lambda: None,
 ) -> Field:
-    """Relax points [N,3] in several rounds, and return the relaxed points.
+    """Relax points [N,3] in several rounds.
 
     Args:
         surface: The surface.
         points: The points to relax.
         spacing_at: Function from normals [N,3] to the desired spacing [N].
-        alive: Function that is called before each round and after the last; it may raise an
-            exception to cancel.
+        alive: Called between rounds; may raise an exception to cancel.
     """
     for _ in range(ROUNDS // ALIKE):
         near = neighbours(points)
@@ -327,15 +319,13 @@ def relax(
     spacing_at: Callable[[Field], Field],
     near: Neighbours | None = None,
 ) -> tuple[Field, Field]:
-    """Push points [N,3] apart along a surface.
-
-    Also return each point's mean neighbour distance [N].
+    """Push points [N,3] apart along a surface; also return the mean distances to neighbours [N].
 
     Args:
         surface: The surface.
-        points: The points to push apart.
+        points: The points.
         spacing_at: Function from normals [N,3] to the desired spacing [N].
-        near: Indices of each point's neighbours [N,7]; if None, the neighbours are searched.
+        near: Indices of the neighbours [N,7]; None: the neighbours are searched.
     """
     near = neighbours(points) if near is None else near
     normals = surface.normals(points)
@@ -346,7 +336,7 @@ def relax(
 
 
 def neighbours(points: Field) -> Neighbours:
-    """Return the indices of the seven nearest neighbours of each point [N,7], nearest first."""
+    """Return the indices of the seven nearest neighbours [N,7], nearest first."""
     # these options halve the time to build the tree
     tree = scipy.spatial.KDTree(points, leafsize=16, balanced_tree=False)
     near = tree.query(points, k=min(8, len(points)), workers=-1)[1]
@@ -360,13 +350,7 @@ def share(values: Field) -> wp.array:
 
 
 def launch(kernel: Any, constants: list[Any], values: Sequence[Field]) -> None:
-    """Run a kernel once per point; the points are divided equally among the cores.
-
-    Args:
-        kernel: The kernel; each thread reads and writes one point.
-        constants: The first arguments of the kernel.
-        values: The other arguments of the kernel, one row per point; outputs are contiguous.
-    """
+    """Run a kernel once per point on all cores."""
     # Several threads cannot load a kernel in Warp at the same time.
     wp.load_module(kernel.module, "cpu")
     count = cores()

@@ -1,9 +1,8 @@
-"""Recognises objects with parts that are thinner than they are wide: wings, fish, and wheels.
+"""Recognises objects with parts that are thinner than wide: wings, fish, and wheels.
 
-Wings, pairs of lenses and pairs of hands are sheets. The outline of such sheets is symmetric, and
-has notches in the middle of the upper and of the lower edge. The body of a fish becomes narrower
-towards a tail, whose fin is higher again. Bicycles stand on two discs, at their left and right
-ends.
+Wings, pairs of lenses and pairs of hands are symmetric, with notches in the middle of the upper and
+lower edges. A fish becomes narrower towards a tail, whose fin is higher again. Bicycles stand on a
+disc at each end.
 """
 
 from __future__ import annotations
@@ -21,45 +20,45 @@ from phy124.generators.relief.flat import limit_thickness, stands_on_feet
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FEWEST = 16
-"""Smallest width and height of a silhouette that is examined [pixels]."""
+"""Smallest width and height of an examined silhouette [pixels]."""
 SYMMETRIC = 0.85
 """Smallest overlap (IoU) of wings with their mirror image."""
 LEANING = 15.0
-"""Largest angle between the axis of wings and the vertical [degrees]."""
+"""Largest angle between the wings' axis and the vertical [degrees]."""
 NOTCH = 0.045
-"""Smallest mean depth of a notch, relative to the height of the wings."""
+"""Smallest mean depth of a notch, relative to the wings' height."""
 NOTCHED = 0.4
-"""Width of a notch, relative to that of the wings."""
+"""Width of a notch, relative to the wings' width."""
 OUTER = 0.33
-"""Distance from the axis beyond which a pixel belongs to a wing, relative to the whole width."""
+"""Distance from the axis to the beginning of a wing, relative to the whole width."""
 OUTWARD = 0.5
 """Smallest fraction of the silhouette that belongs to wings."""
 FILLED = 0.55
-"""A silhouette with wings fills at least this fraction of its convex hull."""
+"""Smallest area of a silhouette with wings, relative to the convex hull."""
 LOWEST = 0.8
 """Smallest ratio of width to height of wings."""
 WIDE = 1.5
-"""Wings are wide if the ratio of their width to their height is at least this value."""
+"""Smallest ratio of width to height of wide wings."""
 COMPACT = (0.3, 0.85)
-"""Limits of the mean height at the axis, relative to the height of the wings; wide wings may be
-lower. Faces, buses and other compact objects are higher.
+"""Limits of the mean height at the axis, relative to the wings' height; wide wings may be lower.
+Faces and buses are higher.
 """
 RADIUS = 0.265
-"""Largest radius of a disc inside wings, relative to the size of the object."""
+"""Largest radius of a disc inside wings, relative to the object's size."""
 SHEET = 0.025
-"""Half thickness of wings, relative to the size of the object."""
+"""Half thickness of wings, relative to the object's size."""
 BODY = 0.06
-"""Half thickness of the body between wings, relative to the size of the object."""
+"""Half thickness of the body between wings, relative to the object's size."""
 NARROW = 0.6
-"""Largest height of the narrow part before the tail of a fish, relative to the fish's body."""
+"""Largest height of the narrow part before a fish's tail, relative to the body."""
 FIN = 1.4
 """Smallest height of the tail's fin, relative to the narrow part."""
 FINNED = (0.25, 0.9)
 """Limits of the height of the tail's fin, relative to the body."""
 FORE = 0.53
-"""The highest part of a fish is at most this far from the nose, relative to the fish's length."""
+"""Largest distance of a fish's highest part from the nose, relative to the fish's length."""
 TAIL = (0.6, 0.93)
-"""Limits of the distance of the narrow part from the nose, relative to the fish's length."""
+"""Limits of the narrow part's distance from the nose, relative to the fish's length."""
 NOSE = 0.5
 """Largest height of a fish's nose, relative to the body."""
 KEEL = 0.4
@@ -71,21 +70,15 @@ DEEP = 0.5
 UNEVEN = 0.08
 """Largest increase of the height between body and tail, relative to the body."""
 OBLIQUE = 0.15
-"""Largest vertical distance between the middle of the tail and the middle of the body, relative to
-the fish's height.
-"""
+"""Largest vertical distance between the middles of tail and body, relative to the fish's height."""
 HOLLOW = 0.15
-"""Largest fraction of a column that may be empty in a fish. An object with a handle has columns
-with a larger empty fraction.
-"""
+"""Largest empty fraction of a column in a fish. Handles enclose larger gaps."""
 FLATTENED = 0.6
-"""Thickness of a fish, relative to its height."""
+"""Thickness of a fish, relative to the fish's height."""
 GROUND = 0.08
-"""Largest distance of a wheel from the ground, relative to the height of the object."""
+"""Largest distance of a wheel from the ground, relative to the object's height."""
 ROUND = 0.035
-"""The lower outline of a wheel differs from a circle by at most this root mean square distance,
-relative to the radius.
-"""
+"""Largest root mean square distance of a wheel's outline from a circle, relative to the radius."""
 ARC = 0.75
 """Width of the arc that is compared with a circle, relative to the radius."""
 RADII = (0.08, 0.36)
@@ -93,17 +86,17 @@ RADII = (0.08, 0.36)
 object's size.
 """
 AROUND = 1.12
-"""Radius of the circle around a wheel that is examined, relative to the wheel's radius."""
+"""Radius of the examined circle around a wheel, relative to the wheel's radius."""
 FREE = 0.55
-"""Smallest fraction of this circle that is outside the silhouette."""
+"""Smallest fraction of this circle outside the silhouette."""
 APART = 1.25
-"""Smallest distance between two wheels, relative to the sum of their radii."""
+"""Smallest distance between two wheels, relative to the sum of the radii."""
 LARGE = 0.18
-"""Smallest radius of the larger wheel, relative to the height of the object."""
+"""Smallest radius of the larger wheel, relative to the object's height."""
 AT_ENDS = 0.08
-"""Largest distance of a wheel from the end of the object, relative to the object's width."""
+"""Largest distance of a wheel from the object's end, relative to the object's width."""
 TYRE = 0.2
-"""Half thickness of a wheel, relative to its radius."""
+"""Half thickness of a wheel, relative to the radius."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +122,7 @@ class Wings:
 
 @dataclass(frozen=True)
 class Fish:
-    """A fish that is seen from its side."""
+    """A fish seen from the side."""
 
     alike: ClassVar[bool] = True
 
@@ -165,14 +158,14 @@ class Wheels:
 
 
 def find_thin(object_mask: Mask) -> Wings | Fish | Wheels | None:
-    """Return the thin parts that a silhouette [H,W] shows, or None."""
+    """Return the thin parts of a silhouette [H,W], or None."""
     if min(_crop(object_mask).shape) < FEWEST:
         return None
     return find_wings(object_mask) or find_fish(object_mask) or find_wheels(object_mask)
 
 
 def find_wings(object_mask: Mask) -> Wings | None:
-    """Return the wings that a silhouette [H,W] shows, or None."""
+    """Return the wings in a silhouette [H,W], or None."""
     folded = _fold(object_mask)
     if folded is None:
         return None
@@ -202,10 +195,9 @@ def find_wings(object_mask: Mask) -> Wings | None:
 
 
 def _fold(object_mask: Mask) -> tuple[Wings, Mask] | None:
-    """Turn a symmetric silhouette until its axis is vertical; None if the silhouette is not
-    symmetric.
+    """Turn a symmetric silhouette until the axis is vertical; return None for other silhouettes.
 
-    A symmetric silhouette has its centroid and a principal axis on the axis of symmetry.
+    The centroid and a principal axis of a symmetric silhouette are on the axis of symmetry.
     """
     y, x = np.nonzero(object_mask)
     middle = float(x.mean()), float(y.mean())
@@ -234,7 +226,7 @@ def _fold(object_mask: Mask) -> tuple[Wings, Mask] | None:
 
 
 def find_fish(object_mask: Mask) -> Fish | None:
-    """Return a fish if a silhouette [H,W] shows one, or None."""
+    """Return a fish if a silhouette [H,W] shows one."""
     solid = _crop(object_mask)
     height, width = solid.shape
     keel = np.count_nonzero(solid[-max(2, round(0.03 * height))])
@@ -244,7 +236,7 @@ def find_fish(object_mask: Mask) -> Fish | None:
 
 
 def _swims(solid: Mask) -> bool:
-    """Return whether a silhouette [H,W] without a border is that of a fish that faces left."""
+    """The silhouette [H,W] has no border, and the fish faces left."""
     height, width = solid.shape
     filled = solid.sum(axis=0)
     heights = scipy.ndimage.uniform_filter1d(filled.astype(float), max(3, width // 60))
@@ -270,7 +262,7 @@ def _swims(solid: Mask) -> bool:
 
 
 def find_wheels(object_mask: Mask) -> Wheels | None:
-    """Return the two wheels of a bicycle that a silhouette [H,W] shows, or None."""
+    """Return the wheels of a bicycle in a silhouette [H,W], or None."""
     rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
     height, (start, end) = np.ptp(rows) + 1, columns[[0, -1]]
     wheels = circles_on_ground(object_mask)
@@ -318,10 +310,7 @@ def circles_on_ground(object_mask: Mask, free: float = FREE) -> list[Wheel]:
 
 
 def _radius_below(lowest: Field, x: float, y: float, least: float, most: float) -> float | None:
-    """Return the radius of the largest disc above a lower outline [W]; None if there is no disc.
-
-    The disc's lowest point is at column x and row y.
-    """
+    """Return the radius of the largest disc above a lower outline [W]; None if there is none."""
     largest = None
     for radius in np.arange(least, most):
         columns = np.arange(int(np.ceil(x - ARC * radius)), int(x + ARC * radius) + 1)
@@ -338,6 +327,6 @@ def _radius_below(lowest: Field, x: float, y: float, least: float, most: float) 
 
 
 def _crop(object_mask: Mask) -> Mask:
-    """Return a silhouette [H,W] without its border."""
+    """Return a silhouette [H,W] without border."""
     rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
     return object_mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

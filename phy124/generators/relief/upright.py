@@ -1,9 +1,7 @@
 """Recognises vessels and drums, which stand upright, although they may be wider than high.
 
-Most convex objects that are wider than high lie on their side. Two outlines show a solid of
-revolution that stands upright instead. A drum has straight sides, and its lower edge is half of an
-ellipse, because a circle is seen from above. A vessel is widest at its rim, and becomes narrower
-from there to its foot. Handles are left out of the comparison.
+Most convex objects that are wider than high lie on a side. A drum has straight sides, and the lower
+edge is half of an ellipse. A vessel is widest at the rim, and becomes narrower towards the foot.
 """
 
 from __future__ import annotations
@@ -19,50 +17,45 @@ from numpy.typing import NDArray
 Field = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 CENTRED, EVERY = 0.04, 0.97
-"""The centre of a row is at most this far from the axis, relative to half of the largest width.
-
-`EVERY` is the smallest fraction of the rows that must be centred and without gaps.
+"""Largest distance of a row's centre from the axis, relative to half the largest width, and
+smallest fraction of centred rows without gaps.
 """
 LEAN = 0.04
 """Largest slope of the axis in the image. Perspective lets an object away from the centre lean."""
 ELLIPTIC = 0.03
-"""An arc differs from half of an ellipse by at most this root mean square distance, relative to the
-ellipse's half width.
+"""Largest root mean square distance of an arc from half of an ellipse, relative to half the
+ellipse's width.
 """
 LOWEST_VIEW, HIGHEST_VIEW = 0.08, 0.7
-"""Limits of the ratio of an ellipse's height to its width, for a circle seen from above.
-
-Arcs of a ball have larger ratios than `HIGHEST_VIEW`.
+"""Limits of an ellipse's ratio of height to width, for a circle seen from above. Arcs of a ball
+have larger ratios.
 """
 WALL = 0.3
-"""Smallest height of a drum between its arcs, relative to half the width."""
+"""Smallest height of a drum between the arcs, relative to half the width."""
 MORE = 0.1
-"""The upper arc of a drum is higher than the lower arc by at most this value, relative to half of
-the width. From above, the upper circle appears flatter than the lower.
+"""Largest height by which a drum's upper arc exceeds the lower arc, relative to half the width.
+From above, the upper circle appears flatter.
 """
 FULL = 0.97
-"""The rim of an object is the first row from the top with at least this fraction of the largest
-width.
-"""
+"""Smallest width of the rim, relative to the largest width."""
 FLAT_RIM, LOW_RIM = 0.15, 0.5
-"""Largest height of the part of a vessel above its rim, relative to the whole height, for any
-outline.
+"""Largest height above a vessel's rim, relative to the whole height.
 
-`LOW_RIM` applies if the outline is half of an ellipse above the rim, but not below it. If both
-halves are ellipses, the outline is that of an egg.
+`LOW_RIM` applies if only the part above the rim is half of an ellipse. If both parts are ellipses,
+the outline is that of an egg.
 """
 EGG = 0.9
-"""Smallest height of the two arcs of an egg together, relative to the whole height."""
+"""Smallest height of an egg's two arcs, relative to the whole height."""
 NARROWER = 0.75
-"""Largest width of a vessel near its foot, relative to its largest width; a drum is wider."""
+"""Largest width near a vessel's foot, relative to the largest width; a drum is wider."""
 FOOT = 0.12
 """Height at which this width is measured, relative to the object's height."""
 WIDENING = 0.03
-"""Largest amount by which a vessel may become wider below its rim."""
+"""Largest increase of a vessel's width below the rim."""
 UPPER = 0.22
-"""The rim of an outline with a tip, as of a shield, is in this upper fraction of the height."""
+"""Upper fraction of the height that contains the rim of an outline with a tip, as of a shield."""
 TIP_HEIGHT = 0.1
-"""A height near the tip, relative to the object's height."""
+"""Height near the tip, relative to the object's height."""
 TAPERED = 0.46
 """Largest width at this height, relative to the largest width."""
 HIGHER = 0.6
@@ -70,29 +63,24 @@ HIGHER = 0.6
 STEP = 0.12
 """Largest decrease of a vessel's half width over `SPAN`, relative to the largest half width."""
 SPAN = 0.03
-"""A height, relative to the object's height; sleeves end more abruptly."""
+"""Relative to the object's height; sleeves end more abruptly."""
 THIN = 0.4
-"""Largest thickness of a handle, relative to the thickest part of the object."""
+"""Largest thickness of a handle, relative to the thickest part."""
 REACH = 0.05
-"""Smallest length by which a handle protrudes, relative to the object's size."""
+"""Smallest length of a handle, relative to the object's size."""
 TIP = 0.2
-"""Length of the tip of a protruding part, as a fraction of the part's length."""
+"""Length of a protruding part's tip, relative to the part."""
 POINTED = 0.3
-"""A part is a sharp rim, not a handle, if its tip has at most this fraction of its height."""
+"""Largest height of a part's tip, relative to the part, if the part is a rim, not a handle."""
 FEWEST = 16
-"""Smallest number of rows of a vessel or a drum."""
 BELOW = 0.08
-"""Smallest height of the object below a handle, relative to the object's height.
-
-Brims and feet, which are thin, too, have no part of the object below them.
+"""Smallest height of the object below a handle, relative to the object's height; brims and feet
+have nothing below.
 """
 
 
 def upright_body(object_mask: Mask) -> Mask | None:
-    """Return the part of a silhouette [H,W] that is a vessel or a drum, without its handles.
-
-    Return None if the silhouette shows no such object.
-    """
+    """Return the vessel or drum in a silhouette [H,W], without handles, or None."""
     if not object_mask.any():
         return None
     for body in (_without_handles(object_mask), object_mask):
@@ -109,13 +97,12 @@ class Profile:
     half: Field
     """Half widths [H], pixels."""
     rows: Field
-    """The rows [H], counted from the top of the image."""
+    """Rows [H], counted from the top of the image."""
     axis: float
     """Column of the axis."""
     leaning: Field
     """Column of the axis in each row [H], if the axis may lean."""
     symmetric: bool
-    """Whether the silhouette is symmetric about its axis."""
 
     @classmethod
     def of(cls, solid: Mask) -> Profile:
@@ -149,7 +136,7 @@ class Profile:
 
     @property
     def tapers(self) -> bool:
-        """Whether the outline becomes narrower from its upper part to a tip, as shields do."""
+        """Whether the outline becomes narrower towards a tip, as of a shield."""
         height, widest = len(self.half), self.half.max()
         near_tip = self.half[-max(1, round(TIP_HEIGHT * height))]
         return bool(
@@ -160,7 +147,7 @@ class Profile:
         )
 
     def is_drum(self) -> bool:
-        """Return whether the sides are vertical and the lower edge is half of an ellipse."""
+        """Whether the sides are vertical and the lower edge is half of an ellipse."""
         bottom, top = _arc(self.half[::-1]), max(self.top, self.rim)
         core = self.half[top : len(self.half) - bottom]
         widest = self.half.max()
@@ -172,7 +159,7 @@ class Profile:
         )
 
     def is_vessel(self) -> bool:
-        """Return whether the object is widest at its rim and becomes narrower towards its foot."""
+        """Whether the object is widest at the rim and becomes narrower towards the foot."""
         height, widest = len(self.half), self.half.max()
         top = max(self.top, self.rim)
         if self.tapers or top > (LOW_RIM if self.top else FLAT_RIM) * height:
@@ -188,13 +175,13 @@ class Profile:
         )
 
     def _widening(self, row: int) -> float:
-        """Return the largest amount by which the outline becomes wider below a row [pixels]."""
+        """Return the largest increase of the half width below a row [pixels]."""
         below = self.half[row:]
         return float((np.maximum.accumulate(below[::-1])[::-1] - below).max())
 
 
 def _arc(half: Field) -> int:
-    """Return the number of rows, from the first, that form half of an ellipse; 0 if none do."""
+    """Return the number of rows, from the first, that form half of an ellipse, or 0."""
     best, least = 0, ELLIPTIC
     for rows in range(3, len(half) // 2 + 1):
         if rows > HIGHEST_VIEW * half[rows]:
@@ -208,7 +195,7 @@ def _arc(half: Field) -> int:
 
 
 def _without_handles(solid: Mask) -> Mask | None:
-    """Return a mask [H,W] without thin parts that protrude sideways; None if no part protrudes."""
+    """Return a mask [H,W] without thin parts at the sides; None if there are no such parts."""
     depth = _inner_distance(np.pad(solid, 1))[1:-1, 1:-1]
     radius = THIN * float(depth.max())
     body = _inner_distance(depth < radius) <= radius
@@ -230,7 +217,7 @@ def _without_handles(solid: Mask) -> Mask | None:
 
 
 def _complete(body: Mask, solid: Mask) -> Mask:
-    """Complete a symmetric body [H,W] by its mirror image, as far as `solid` contains the image.
+    """Complete a symmetric body [H,W] by the mirror image, but only inside `solid`.
 
     Where a handle joins the body close to the rim, a corner of the rim looks like the handle.
     """
@@ -244,17 +231,15 @@ def _complete(body: Mask, solid: Mask) -> Mask:
 
 
 def _inner_distance(solid: Mask) -> Field:
-    """Return the distance from each pixel of a mask [H,W] to the nearest pixel outside."""
+    """Return the distance from each pixel to the nearest pixel outside the mask [H,W]."""
     precise = cv2.DIST_MASK_PRECISE
     distance = cv2.distanceTransform(solid.astype(np.uint8), cv2.DIST_L2, precise)
     return np.asarray(distance, np.float64)
 
 
 def _is_pointed(heights: NDArray[np.int_], length: float) -> bool:
-    """Return whether a protruding part ends in a sharp edge, like the rim of a bowl.
-
-    `heights` are the heights of the part's columns, from its tip, and `length` is its length
-    [pixels].
+    """Whether a protruding part ends in a sharp edge, like the rim of a bowl; `heights` start at
+    the tip.
     """
     tip = heights[: max(1, round(TIP * length))]
     return bool(tip.mean() < POINTED * heights.max())

@@ -1,4 +1,4 @@
-"""Builds the shell, including handles, of a vessel or a drum that was photographed from above."""
+"""Builds the shell of a vessel or a drum, with handles, that was photographed from above."""
 
 import cv2
 import numpy as np
@@ -14,7 +14,7 @@ from phy124.generators.relief.upright import Profile, upright_body
 
 Field = NDArray[np.float64]
 JOINT = 4
-"""Length by which handles reach into the body [pixels]."""
+"""Length of handles inside the body [pixels]."""
 
 
 def vessel_shell(
@@ -33,10 +33,10 @@ def vessel_shell(
         view: The camera in front of the object.
         count: Approximate number of points.
         rng: Random number generator.
-        elevation: Angle above the horizontal from which the picture was taken [degrees]; None: the
-            angle is estimated from the outline.
-        always: Whether the object is a solid of revolution in any case, regardless of its outline.
-            If the elevation is unknown, such an object is assumed to be seen from the front.
+        elevation: Angle above the horizontal from which the picture was taken [degrees]; None:
+            estimated from the outline.
+        always: Whether the object is a solid of revolution for any outline. If no elevation is
+            found, such an object is assumed to be seen from the front.
     """
     object_mask = rgba[..., 3] > 0.5
     body = upright_body(object_mask)
@@ -72,7 +72,7 @@ def _handles(
     count: int,
     rng: np.random.Generator,
 ) -> Shell:
-    """Return the shell of handles, which lie in the vertical plane through the vessel's axis."""
+    """Handles lie in the vertical plane through the vessel's axis."""
     near = cv2.dilate(handles.astype(np.uint8), np.ones((2 * JOINT + 1,) * 2)) > 0
     part, _ = inflate_part(np.where(near, rgba[..., 3], 0.0), front, view, count, rng)
     shell = lathe.camera.stand(part)

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 def make_dreamgaussian(*, device: str | None = None, steps: int | None = None) -> DreamGaussian:
     """Return the generator `dreamgaussian`.
 
-    If `device` is None, the generator uses a GPU if there is one. `steps` is the number of
-    optimisation steps.
+    If `device` is None, a GPU is used if there is one. `steps` is the number of optimisation steps.
     """
     from phy124.generators.neural.dreamgaussian.generator import DreamGaussian
 

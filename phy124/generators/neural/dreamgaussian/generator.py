@@ -1,8 +1,7 @@
 """The first stage of DreamGaussian: fits Gaussians to an image, guided by a diffusion model.
 
 Tang et al. 2024, "DreamGaussian: Generative Gaussian Splatting for Efficient 3D Content Creation".
-In practice, this generator needs a GPU. PLY files of the original program can be read as well
-(docs/guide/plugins.md).
+In practice, this generator needs a GPU.
 """
 
 import os
@@ -43,44 +42,39 @@ from phy124.weights.store import require
 class Settings:
     """Settings of the optimisation; the defaults are those of DreamGaussian's image.yaml.
 
-    The known view shows the input image. The guided views are views from other directions, for
-    which the guidance computes a loss.
+    The known view shows the input image. The guided views are other directions, which a diffusion
+    model judges.
     """
 
     steps: int = 500
     points: int = 5000
     ball_radius: float = 0.5
     radius: float = 2.0
-    """Distance of the cameras from the origin. From cameras at the distance 2, Gaussians are
-    visible up to about 0.9 from the origin.
+    """Distance of the cameras from the origin. From the distance 2, Gaussians are visible up to
+    about 0.9 from the origin.
     """
     known_size: int = 256
-    """Side of the rendering that is compared with the input image [pixels].
-
-    If the side is 0, no rendering is compared with the input image.
+    """Side of the rendering that is compared with the input image [pixels]; 0: there is no
+    comparison.
     """
     rgb_weight: float = 10_000.0
     alpha_weight: float = 1_000.0
     guidance_weight: float = 1.0
     elevations: tuple[int, int] = (-30, 30)
-    """Range of elevations of the views that the diffusion model judges [degrees]. A view has a
-    positive elevation if its camera is below the object.
+    """Range of elevations of the guided views [degrees]; positive elevations are below the object.
     """
     sizes: tuple[int, ...] = (128, 256, 512)
-    """Sides of the views that the diffusion model judges [pixels]: in the first 30 % of the steps,
-    in the next 30 %, and in the rest.
+    """Sides of the guided views [pixels]: in the first 30 % of the steps, in the next 30 %, and in
+    the rest.
     """
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
     final_extent: float = 1.0
-    """Size of the scene. Gaussians that are too large for a scene of this size are removed after
-    the last step.
-    """
+    """Size of the scene, for the removal of large Gaussians after the last step."""
 
     def guided_size(self, ratio: float) -> int:
-        """Return the side [pixels] of the views that the diffusion model judges.
-
-        `ratio` is the fraction of the optimisation's steps that are finished.
+        """Return the side of the guided views [pixels]; `ratio` is the finished fraction of the
+        steps.
         """
         return self.sizes[min((ratio >= 0.3) + (ratio >= 0.6), len(self.sizes) - 1)]
 
@@ -94,16 +88,14 @@ WITH_IMAGEDREAM = Settings(
 )
 """The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-phy124 always uses an empty prompt. With an empty prompt, the original program does not use the
-diffusion model; phy124 uses it.
+The prompt is always empty. Unlike the original program, phy124 uses the diffusion model even so.
 """
 
 
 class DreamGaussian:
-    """Turns an image into Gaussians by fitting the Gaussians to the image.
+    """Fits Gaussians to an image.
 
-    `guidance` is a function that creates the guidance for an image [3,S,S] over white. By default,
-    the guidance is Zero123 with the weights of `phy124.weights.store`.
+    `guidance` creates the guidance for an image [3,S,S] over white; the default is Zero123.
     """
 
     def __init__(
@@ -127,9 +119,7 @@ class DreamGaussian:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
-
-        `progress` is called before every step. If it raises Cancelled, the exception is passed on.
+        """Make Gaussians of the segmented image [H,W,4], with a longest side of 1 m.
 
         Raises:
             InputError: If weights are missing, `image_rgba` has no alpha or no opaque pixel, or no
@@ -173,13 +163,13 @@ def fit(
     known: tuple[Tensor, Tensor] | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Optimise the Gaussians `splats` in place, by their renderings and a diffusion model.
+    """Optimise Gaussians in place.
 
     Args:
         splats: The Gaussians.
-        guidance: Function that computes the loss of new views.
+        guidance: Computes the loss of new views.
         settings: Steps, rates and weights.
-        draw: Random number generator for normal samples.
+        draw: Random number generator.
         known: The front view: image over white [3,S,S] and its alpha [S,S].
         progress: Called before every step, as described in `phy124.progress`.
     """
@@ -208,10 +198,7 @@ def fit(
 def _known_loss(
     splats: Splats, settings: Settings, ratio: float, known: tuple[Tensor, Tensor] | None
 ) -> Tensor:
-    """Return the weighted difference between a rendering and the input image.
-
-    The weight grows with each step.
-    """
+    """Return the weighted difference between a rendering and the input image; the weight grows."""
     zero = splats.parameters["xyz"].new_zeros(())
     if known is None or not settings.known_size:
         return zero
@@ -228,7 +215,7 @@ def _known_loss(
 def _guided_loss(
     splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
 ) -> tuple[Tensor, list]:
-    """Render the Gaussians from random directions; return the guidance's loss and renderings."""
+    """Return the guidance's loss of random directions, and the renderings."""
     low, high = settings.elevations
     elevation = int(torch.randint(low, high + 1, (), generator=draw))
     azimuth = int(torch.randint(-180, 180, (), generator=draw))
@@ -249,8 +236,7 @@ def _guided_loss(
 def frame_cutout(image_rgba: NDArray[np.uint8], size: int = 256) -> NDArray[np.uint8]:
     """Centre an image [H,W,4] in a square [size,size,4], as DreamGaussian's process.py does.
 
-    Unlike the function of LGM, this function resamples 8-bit values. Colours are multiplied by
-    alpha, as in the output of rembg.
+    Unlike LGM, this function resamples 8-bit values. Colours are multiplied by alpha, as by rembg.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.

@@ -1,8 +1,7 @@
 """Guidance for DreamGaussian: score distillation, a loss for sides that the image does not show.
 
-Poole et al. 2023, "DreamFusion": noise is added to images, and a diffusion model predicts this
-noise. The gradient is the predicted noise minus the added noise. A guidance is any callable with
-the signature of `Guidance`.
+Poole et al. 2023, "DreamFusion": the gradient is the noise that a diffusion model predicts, minus
+the noise that was added.
 """
 
 from collections.abc import Sequence
@@ -18,17 +17,17 @@ BETAS = (0.00085, 0.012)
 
 
 class Pose(NamedTuple):
-    """Pose of a camera relative to the camera of the input image."""
+    """Pose of a camera relative to the input image's camera."""
 
     elevation: float
-    """Elevation [degrees], which is positive if the camera is below the object."""
+    """Elevation [degrees], positive below the object."""
     azimuth: float
     """Azimuth [degrees]."""
     radius: float
 
 
 class Guidance(Protocol):
-    """Computes a loss for `views` images at a time. If `views` is 4, they are 90 degrees apart."""
+    """Computes a loss for `views` images at a time; four views are 90 degrees apart."""
 
     views: int
 
@@ -40,26 +39,26 @@ class Guidance(Protocol):
         Args:
             images: The images [B,3,S,S], 0..1.
             poses: Camera poses of the images.
-            ratio: Progress of the optimisation, 0..1; the noise level falls as the progress rises.
-            draw: Random number generator for normal samples.
+            ratio: Finished fraction of the optimisation; the noise level falls.
+            draw: Random number generator.
         """
         ...
 
 
 def timestep(ratio: float) -> int:
-    """Return the noise level of the guidance at the progress `ratio` of the optimisation, 0..1."""
+    """Return the noise level at the finished fraction `ratio` of the optimisation."""
     return min(max(round((1 - ratio) * STEPS), T_MIN), T_MAX)
 
 
 def alphas_cumprod() -> Tensor:
-    """Return the fraction [1000] of the signal that remains at each of 1000 noise levels."""
+    """Return the fraction [1000] of the signal that remains at each noise level."""
     first, last = (beta**0.5 for beta in BETAS)
     betas = torch.linspace(first, last, STEPS, dtype=torch.float64) ** 2
     return torch.cumprod(1 - betas, dim=0)
 
 
 def add_noise(latents: Tensor, noise: Tensor, level: int) -> Tensor:
-    """Add noise to latents at one noise level; latents of variance 1 keep this variance."""
+    """Add noise to latents; latents of variance 1 keep this variance."""
     alpha = float(alphas_cumprod()[level])
     return alpha**0.5 * latents + (1 - alpha) ** 0.5 * noise
 

@@ -26,7 +26,7 @@ from phy124.generators.neural.imagedream.pipeline import (
 
 
 class MultiView:
-    """Score distillation with the networks and conditions of the ImageDream generator."""
+    """Score distillation with the networks of the ImageDream generator."""
 
     views = 4
 
@@ -37,7 +37,7 @@ class MultiView:
     @classmethod
     @torch.no_grad()
     def looking_at(cls, image: Tensor, parts: Parts, *, seed: int = 0) -> MultiView:
-        """Create the guidance for an image, with the networks of `imagedream.pipeline.Parts`."""
+        """Create the guidance for an image."""
         condition = look(parts, image, torch.Generator().manual_seed(seed))
         return cls(parts.unet, parts.vae, condition)
 

@@ -1,7 +1,7 @@
-"""The Gaussians that DreamGaussian optimises: parameters and their Adam optimiser.
+"""The Gaussians that DreamGaussian optimises: parameters and an Adam optimiser.
 
 Kerbl et al. 2023, "3D Gaussian Splatting", section 5, with the learning rates of Tang et al. 2024,
-"DreamGaussian". Colours do not depend on the direction (spherical harmonics of degree 0).
+"DreamGaussian". Colours do not depend on the direction.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Parameters = dict[str, Tensor]
 """xyz [N,3]; f_dc [N,1,3] harmonics; opacity [N,1] logits; scaling [N,3] logs; rotation [N,4]."""
 NEIGHBOURS = 3
 SMALLEST = 1e-7
-"""Lower bound of the mean squared distance to neighbours; it keeps the logarithm finite."""
+"""Smallest mean squared distance to neighbours; its logarithm stays finite."""
 START_OPACITY = 0.1
 
 
@@ -37,7 +37,7 @@ class Rates:
     scaling: float = 0.005
     rotation: float = 0.005
     steps: int = 500
-    """Number of steps in which the centres' learning rate decreases from `xyz` to `xyz_last`."""
+    """Number of steps in which the centres' learning rate decreases."""
 
     def position(self, step: int) -> float:
         """Return the learning rate of the centres; its logarithm is linear in the step."""
@@ -46,7 +46,7 @@ class Rates:
 
 
 class Splats:
-    """Gaussians that can be rendered, optimised, added and removed."""
+    """Gaussians that can be rendered and optimised."""
 
     def __init__(self, parameters: Parameters, rates: Rates | None = None) -> None:
         self.rates = rates or Rates()
@@ -89,7 +89,7 @@ class Splats:
         return self.parameters["opacity"][:, 0].sigmoid()
 
     def render(self, view: View, background: Tensor) -> Rendering:
-        """Set the learning rate of the Gaussians' centres for a step of the optimisation."""
+        """Render the Gaussians over a background [3]."""
         p = self.parameters
         colors = (0.5 + SH_C0 * p["f_dc"][:, 0]).clamp(min=0)
         return rasterize(
@@ -97,22 +97,22 @@ class Splats:
         )
 
     def set_step(self, step: int) -> None:
-        """Set the learning rate of the Gaussians' centres for a step of the optimisation."""
+        """Set the learning rate of the Gaussians' centres."""
         for group in self.optimizer.param_groups:
             if group["name"] == "xyz":
                 group["lr"] = self.rates.position(step)
 
     def step(self) -> None:
-        """Take one step of Adam with the current gradients, then clear the gradients."""
+        """Take one step of Adam, then clear the gradients."""
         self.optimizer.step()
         self.optimizer.zero_grad()
 
     def keep(self, mask: Tensor) -> None:
-        """Add Gaussians to the optimisation, with Adam moments of zero."""
+        """Keep only the Gaussians in a mask [N]."""
         self._replace({k: (v[mask], lambda m: m[mask]) for k, v in self.parameters.items()})
 
     def append(self, more: Parameters) -> None:
-        """Replace one parameter of all Gaussians, and set its Adam moments to zero."""
+        """Add Gaussians, with Adam moments of zero."""
         self._replace(
             {
                 name: (
@@ -124,14 +124,11 @@ class Splats:
         )
 
     def overwrite(self, name: str, value: Tensor) -> None:
-        """Replace parameters of all Gaussians, also in the Adam optimiser."""
+        """Replace one parameter of all Gaussians, and set its Adam moments to zero."""
         self._replace({name: (value, torch.zeros_like)})
 
     def _replace(self, changes: dict) -> None:
-        """Replace parameters in Adam.
-
-        `changes[name]` contains the new value, and a function that converts the Adam moments.
-        """
+        """`changes[name]` contains the new value, and a function that converts the Adam moments."""
         for group in self.optimizer.param_groups:
             if group["name"] not in changes:
                 continue
@@ -157,13 +154,13 @@ class Splats:
 
 
 def neighbour_distances(points: Tensor) -> Tensor:
-    """Return the mean squared distance [N] of each point to its three nearest neighbours."""
+    """Return the mean squared distance [N] to the three nearest neighbours."""
     squared = torch.cdist(points, points).square().fill_diagonal_(math.inf)
     return squared.topk(min(NEIGHBOURS, len(points) - 1), largest=False).values.mean(dim=1)
 
 
 def ball(count: int, radius: float, draw: torch.Generator) -> Tensor:
-    """Return points [count,3] distributed evenly in a ball."""
+    """Return points [count,3] in a ball."""
     u, v, w = torch.rand(3, count, generator=draw)
     azimuth, z = 2 * math.pi * u, 2 * v - 1
     ring = torch.sqrt(1 - z * z)
@@ -175,10 +172,10 @@ CHILDREN = 2
 SHRINK = 0.8 * CHILDREN
 """Ratio of a Gaussian's scales to the scales of the two Gaussians that replace it in a split."""
 TOO_LARGE = 0.1
-"""Gaussians with a larger scale are removed; the unit is the scene's size."""
+"""Gaussians with a larger scale are removed, relative to the scene's size."""
 RESET = 0.01
 Draw = Callable[[Tensor], Tensor]
-"""Function that maps standard deviations [M,3] to normal samples [M,3]."""
+"""Maps standard deviations [M,3] to normal samples [M,3]."""
 
 
 @dataclass(frozen=True)
@@ -191,14 +188,11 @@ class Density:
     gradient: float = 0.01
     """Smallest screen gradient at which a Gaussian is cloned or split."""
     extent: float = 4.0
-    """Size of the scene."""
     percent_dense: float = 0.01
-    """Gaussians up to this scale are cloned and larger ones are split; the unit is the scene's
-    size.
-    """
+    """Larger Gaussians are split, smaller ones cloned, relative to the scene's size."""
     opacity_min: float = 0.01
     reset_every: int = 700
-    """Number of steps between resets of the opacity; there is no reset in the default 500 steps."""
+    """Number of steps between resets of the opacity."""
 
 
 class Pull:
@@ -209,26 +203,23 @@ class Pull:
         self.seen = torch.zeros(count, device=device)
 
     def add(self, gradients: Tensor, visible: Tensor) -> None:
-        """Add the lengths of gradients; only the first two components of each gradient count.
-
-        `gradients` is [N,2 or 3]. Gaussians are skipped where `visible [N]` is false.
-        """
+        """Add the lengths of gradients [N,2 or 3] on the screen where `visible [N]` is true."""
         length = gradients[:, :2].norm(dim=1)
         self.total += torch.where(visible, length, torch.zeros_like(length))
         self.seen += visible
 
     def add_rendering(self, rendering: Rendering) -> None:
-        """Add the gradients of a rendering; call this method after the backward pass."""
+        """Add the gradients of a rendering after the backward pass."""
         self.add(rendering.screen_gradients(), rendering.radii > 0)
 
     @property
     def mean(self) -> Tensor:
-        """Mean length [N] of each Gaussian's gradient; 0 if the Gaussian was never visible."""
+        """Mean length [N] of the gradients; 0 if a Gaussian was never visible."""
         return self.total / self.seen.clamp(min=1)
 
 
 def normal_draw(generator: torch.Generator) -> Draw:
-    """Return a function that draws normal samples on the CPU; all devices get the same samples."""
+    """Return a function that draws normal samples on the CPU, so that all devices get the same."""
     return lambda std: std * torch.randn(std.shape, generator=generator).to(std)
 
 
@@ -240,7 +231,7 @@ def densify(splats: Splats, pull: Tensor, density: Density, draw: Draw) -> None:
         splats: The Gaussians; they are changed.
         pull: Mean screen gradients [N].
         density: Thresholds.
-        draw: Function that draws normal samples.
+        draw: Draws normal samples.
     """
     small = density.percent_dense * density.extent
     largest, pulled = splats.scales.amax(dim=1), pull >= density.gradient
@@ -252,7 +243,7 @@ def densify(splats: Splats, pull: Tensor, density: Density, draw: Draw) -> None:
 
 
 def _split(splats: Splats, mask: Tensor, draw: Draw) -> None:
-    """Replace each Gaussian where `mask [N]` is true by two smaller Gaussians."""
+    """Replace each Gaussian in a mask [N] by two smaller ones."""
     parents = {
         k: v[mask].repeat(CHILDREN, *[1] * (v.ndim - 1)) for k, v in splats.parameters.items()
     }
@@ -273,5 +264,5 @@ def prune(splats: Splats, *, opacity_min: float, extent: float) -> None:
 
 @torch.no_grad()
 def reset_opacity(splats: Splats) -> None:
-    """Limit all opacities to `RESET`; the optimisation then raises opacities again where needed."""
+    """Limit all opacities to `RESET`; the optimisation then raises opacities where needed."""
     splats.overwrite("opacity", torch.logit(splats.opacities.clamp(max=RESET))[:, None])

@@ -47,15 +47,15 @@ class CameraProjection(nn.Module):
         self.proj = nn.Linear(width + 4, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map the image embedding and the camera pose to the context with a single linear layer."""
+        """Return the context."""
         return self.proj(x)
 
 
 def pose_embedding(poses: Sequence[Pose], *, stable: bool = False, elevation: float = 0) -> Tensor:
     """Return relative poses [B,1,4]: elevation, sine and cosine of the azimuth, radius.
 
-    For Stable Zero123, the radius is replaced by the polar angle of the known view, which follows
-    from `elevation` [degrees].
+    For Stable Zero123, the radius is replaced by the known view's polar angle, from `elevation`
+    [degrees].
     """
     rows = [
         (
@@ -83,14 +83,14 @@ class Zero123:
         stable: bool = False,
         elevation: float = 0.0,
     ) -> None:
-        """Encode the input image, from which Zero123 predicts other views.
+        """Encode the input image.
 
         Args:
             image: The image [3,H,W] over white, 0..1.
-            networks: Networks by name, as returned by `load_trained`.
+            networks: Networks from `load_trained`.
             guidance: Scale of the classifier-free guidance.
             stable: Whether the networks are Stable Zero123.
-            elevation: Elevation of the known view, degrees.
+            elevation: Elevation of the known view [degrees].
         """
         self.unet, self.vae = networks["unet"], networks["vae"]
         self.projection = networks["projection"]
@@ -106,7 +106,7 @@ class Zero123:
     def __call__(
         self, images: Tensor, poses: Sequence[Pose], ratio: float, draw: torch.Generator
     ) -> Tensor:
-        """Return the SDS loss with weight 1 - alpha_t; see `Guidance`."""
+        """Return the SDS loss with weight 1 - alpha_t."""
         level = timestep(ratio)
         latents = self._latents(images, draw)
         noise = torch.randn(latents.shape, generator=draw).to(latents)
@@ -121,7 +121,6 @@ class Zero123:
         return (posterior.mean + posterior.std * noise) * self.vae.config.scaling_factor
 
     def _noise(self, latents: Tensor, level: int, poses: Sequence[Pose]) -> Tensor:
-        """Return the noise predicted with classifier-free guidance."""
         count = len(latents)
         pose = pose_embedding(poses, stable=self.stable, elevation=self.elevation).to(self.place)
         context = self.projection(torch.cat([self.embedding.expand(count, -1, -1), pose], dim=-1))
@@ -138,7 +137,7 @@ class Zero123:
 
 
 def unet(path: Path | None = None, **changes: Any) -> UNet2DConditionModel:
-    """Build Zero123's U-Net, with the weights of `path` unless it is None."""
+    """Build Zero123's U-Net, with the weights of `path` if there is one."""
     config = {**UNET, **changes}
     return encoders.build_filled(
         lambda: UNet2DConditionModel(**config), path, "", "Zero123's U-Net"
@@ -146,7 +145,7 @@ def unet(path: Path | None = None, **changes: Any) -> UNet2DConditionModel:
 
 
 def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProjection:
-    """Build CLIP ViT-L/14 with its projection, with the weights of `path` unless it is None."""
+    """Build CLIP ViT-L/14 with projection, with the weights of `path` if there is one."""
     config = CLIPVisionConfig(**{**VISION, **changes})
     return encoders.build_filled(
         lambda: CLIPVisionModelWithProjection(config), path, "", "Zero123's picture encoder"
@@ -156,7 +155,7 @@ def vision(path: Path | None = None, **changes: Any) -> CLIPVisionModelWithProje
 def load_trained(
     weights: str | os.PathLike[str] | None, device: str, dtype: torch.dtype
 ) -> dict[str, Any]:
-    """Load the public networks; return them by the names that `Zero123` uses.
+    """Load the public networks for `Zero123`.
 
     Raises:
         InputError: If a file is missing.

@@ -11,11 +11,10 @@ GROUPS = 32
 
 
 class CrossAttention(nn.Module):
-    """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x itself.
+    """Multi-head attention from x [B,L,C] to a context [B,M,D], or to x.
 
-    If `picture_tokens` > 0, the last `picture_tokens` tokens of the context come from the image and
-    have separate keys and values. The attention to the image is multiplied by `picture_weight` and
-    added to the attention to the text.
+    The last `picture_tokens` tokens of the context come from the image and have separate keys and
+    values. The attention to these tokens is multiplied by `picture_weight`.
     """
 
     def __init__(
@@ -39,7 +38,7 @@ class CrossAttention(nn.Module):
         self.to_out = nn.Sequential(nn.Linear(channels, channels), nn.Dropout(0.0))
 
     def forward(self, x: Tensor, context: Tensor | None = None) -> Tensor:
-        """Attend from x [B,L,C] to the context; return [B,L,C]."""
+        """Return [B,L,C]."""
         context = x if context is None else context
         q = self.to_q(x)
         if not self.picture_tokens:
@@ -62,7 +61,7 @@ class Geglu(nn.Module):
         self.proj = nn.Linear(inputs, 2 * outputs)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the layer to features [..., inputs]; return features [..., outputs]."""
+        """Map features [..., inputs] to [..., outputs]."""
         value, gate = self.proj(x).chunk(2, dim=-1)
         return value * F.gelu(gate)
 
@@ -76,7 +75,7 @@ class FeedForward(nn.Module):
         self.net = nn.Sequential(Geglu(channels, wide), nn.Dropout(0.0), nn.Linear(wide, channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the network to features [..., C]; return features of the same shape."""
+        """Map features [..., C] to the same shape."""
         return self.net(x)
 
 
@@ -106,7 +105,7 @@ class TransformerBlock(nn.Module):
 
 
 class SpatialTransformer(nn.Module):
-    """Transformer over the pixels of all frames; maps [B*F,C,H,W] to the same shape."""
+    """Transformer over the pixels of all frames."""
 
     def __init__(
         self,
@@ -154,37 +153,37 @@ class ResBlock(nn.Module):
         self.skip_connection = nn.Identity() if same else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, x: Tensor, embedding: Tensor) -> Tensor:
-        """Apply the block to feature maps [B*F,inputs,H,W]; return maps [B*F,outputs,H,W]."""
+        """Map feature maps [B*F,inputs,H,W] to [B*F,outputs,H,W]."""
         h = self.in_layers(x) + self.emb_layers(embedding)[:, :, None, None]
         return self.out_layers(h) + self.skip_connection(x)
 
 
 class Downsample(nn.Module):
-    """A layer that halves the resolution of feature maps."""
+    """Halves the resolution of feature maps."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.op = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Halve the resolution of feature maps [B*F,C,H,W]; return [B*F,C,H/2,W/2]."""
+        """Map [B*F,C,H,W] to [B*F,C,H/2,W/2]."""
         return self.op(x)
 
 
 class Upsample(nn.Module):
-    """A layer that doubles the resolution of feature maps."""
+    """Doubles the resolution of feature maps."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.conv = nn.Conv2d(channels, channels, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Double the resolution of feature maps [B*F,C,H,W]; return [B*F,C,2H,2W]."""
+        """Map [B*F,C,H,W] to [B*F,C,2H,2W]."""
         return self.conv(F.interpolate(x, scale_factor=2.0, mode="nearest"))
 
 
 class Stage(nn.ModuleList):
-    """A sequence of layers; each layer is called with only the inputs that it needs."""
+    """A sequence of layers."""
 
     def __init__(self, *layers: nn.Module) -> None:
         super().__init__(layers)

@@ -1,8 +1,7 @@
 """The text encoder, the image encoder and the autoencoder of ImageDream.
 
-The architectures of these networks come from transformers (CLIP) and diffusers (VAE). The sizes are
-those of Stable Diffusion 2.1 and CLIP ViT-H/14. The sizes are stated here, so that no configuration
-files are needed.
+The networks come from transformers (CLIP) and diffusers (VAE), with the sizes of Stable Diffusion
+2.1 and CLIP ViT-H/14. No configuration files are needed, because the sizes are stated here.
 """
 
 from collections.abc import Callable
@@ -22,7 +21,7 @@ HEADS, HEAD_WIDTH = 12, 64
 
 
 class PerceiverAttention(nn.Module):
-    """Attention from latents [B,K,C] to the image tokens and to the latents themselves."""
+    """Attention from latents [B,K,C] to the image tokens and to the latents."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -34,7 +33,7 @@ class PerceiverAttention(nn.Module):
         self.to_out = nn.Linear(inner, channels, bias=False)
 
     def forward(self, x: Tensor, latents: Tensor) -> Tensor:
-        """Attend from latents [B,K,C] to x [B,M,C] and the latents; return [B,K,C]."""
+        """Return [B,K,C] for image tokens x [B,M,C]."""
         x, latents = self.norm1(x), self.norm2(latents)
         k, v = self.to_kv(torch.cat([x, latents], dim=1)).chunk(2, dim=-1)
         q, k, v = (t.unflatten(-1, (HEADS, -1)).transpose(1, 2) for t in (self.to_q(latents), k, v))
@@ -55,7 +54,7 @@ def _feed_forward(channels: int) -> nn.Sequential:
 
 
 class Resampler(nn.Module):
-    """Converts tokens of an image [B,M,inputs] to a fixed number of tokens [B,K,C]."""
+    """Converts image tokens [B,M,inputs] to a fixed number of tokens [B,K,C]."""
 
     def __init__(self, inputs: int, channels: int, tokens: int, depth: int = 4) -> None:
         super().__init__()
@@ -69,7 +68,7 @@ class Resampler(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Start from learnt latents, and let them attend to the image tokens `depth` times."""
+        """Let learnt latents attend to the image tokens."""
         latents = self.latents.expand(len(x), -1, -1)
         x = self.proj_in(x)
         for layer in self.layers:
@@ -105,30 +104,29 @@ VISION: dict[str, Any] = {
     "patch_size": 14,
 }
 EMPTY_PROMPT = (49406, 49407, *([0] * 75))
-"""Tokens of the empty prompt: start, end, padding.
-
-ImageDream always uses the empty prompt, so no tokenizer is needed.
+"""Tokens of the empty prompt: start, end, padding. No tokenizer is needed, because the prompt is
+always empty.
 """
 SPARE = ("position_ids", "visual_projection.weight", "text_projection.weight", "logit_scale")
-"""Tensors that some CLIP files contain, but that ImageDream does not need."""
+"""Tensors in some CLIP files that ImageDream does not need."""
 CLIP_SIZE = 224
 CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
 CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 
 def vae(path: Path | None = None, **changes: Any) -> AutoencoderKL:
-    """Build the autoencoder, with the weights of `path` unless it is None."""
+    """Build the autoencoder, with the weights of `path` if there is one."""
     return build_filled(lambda: AutoencoderKL(**{**VAE, **changes}), path, "", "the VAE")
 
 
 def text_encoder(path: Path | None = None, **changes: Any) -> CLIPTextModel:
-    """Build Stable Diffusion 2.1's text encoder, with the weights of `path` unless it is None."""
+    """Build Stable Diffusion 2.1's text encoder, with the weights of `path` if there is one."""
     config = CLIPTextConfig(**{**TEXT, **changes})
     return build_filled(lambda: CLIPTextModel(config), path, "text_model.", "the text encoder")
 
 
 def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
-    """Build CLIP's image encoder, ViT-H/14, with the weights of `path` unless it is None."""
+    """Build CLIP's image encoder, ViT-H/14, with the weights of `path` if there is one."""
     config = CLIPVisionConfig(**{**VISION, **changes})
     return build_filled(
         lambda: CLIPVisionModel(config), path, "vision_model.", "the picture encoder"
@@ -138,12 +136,11 @@ def image_encoder(path: Path | None = None, **changes: Any) -> CLIPVisionModel:
 def build_filled(build: Callable[[], Any], path: Path | None, prefix: str, name: str) -> Any:
     """Build a network and, if `path` is set, load its weights in the file's precision.
 
-    Missing or unknown tensors raise an error. The names in the files begin with `prefix`. In
-    memory, the names have this prefix only with transformers before version 5.
+    In memory, tensor names have the `prefix` only with transformers before version 5.
 
     Args:
-        build: Function that creates the network.
-        path: File of weights, or None.
+        build: Creates the network.
+        path: File of weights.
         prefix: Prefix of the names in the file.
         name: Name of the network in messages.
 
@@ -181,7 +178,7 @@ def picture_tokens(encoder: CLIPVisionModel, image: Tensor) -> Tensor:
 
 
 def clip_pixels(image: Tensor) -> Tensor:
-    """Resize `image [3,H,W]`, crop and normalise it for CLIP; return the result [3,S,S]."""
+    """Resize, crop and normalise an image [3,H,W] for CLIP; return [3,S,S]."""
     pixels = (image.permute(1, 2, 0).cpu().float().numpy() * 255).astype(np.uint8)
     (height, width), size = pixels.shape[:2], CLIP_SIZE
     scale = size / min(height, width)

@@ -1,7 +1,7 @@
 """ImageDream's sampling: makes four views of an object from one image.
 
 Wang & Shi 2023, "ImageDream"; classifier-free guidance (Ho & Salimans 2022). A fifth frame contains
-the image itself. This frame is denoised like the four views, but LGM does not use it.
+the image itself, which LGM does not use.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ NOISE: dict[str, Any] = {
     "timestep_spacing": "leading",
 }
 SCHEDULE = {**NOISE, "clip_sample": False, "set_alpha_to_one": False}
-"""ImageDream's noise schedule for DDIM."""
+"""Noise schedule for DDIM."""
 
 
 def scheduler_of(sampler: Sampler, steps: int) -> Any:
@@ -63,25 +63,24 @@ AZIMUTHS = (0, 90, 180, 270)
 def cameras(elevation: float = 0.0) -> NDArray[np.float32]:
     """Return the camera-to-world transforms of the four views, and zeros for the image [5,16].
 
-    Transforms are flattened row by row. A camera with a positive elevation [degrees] is below the
-    object.
+    Transforms are flattened row by row. A positive elevation [degrees] is below the object.
     """
     rows = [pose_row(elevation, azimuth) for azimuth in AZIMUTHS]
     return np.array([*rows, [0.0] * 16], dtype=np.float32)
 
 
 def pose_row(elevation: float, azimuth: float) -> list[float]:
-    """Return the camera-to-world transform (16 numbers) of a camera at distance 1; z is up."""
+    """Return the camera-to-world transform (16 numbers) at distance 1; z is up."""
     pose = orbit(elevation, azimuth, 1.0)[[0, 2, 1, 3]]
     return (pose * np.array([1.0, -1.0, 1.0, 1.0])[:, None]).reshape(16).tolist()
 
 
 SPARE_UNETS = 2.0
-"""The image encoder stays in memory if free memory exceeds this multiple of the U-Net's size."""
+"""Free memory, relative to the U-Net's size, above which the image encoder stays in memory."""
 FRAMES = 5
 """Number of frames: four views and the image."""
 SIZE = 256
-"""Side of each view [pixels]; the side of the latents is an eighth of this."""
+"""Side of each view [pixels]; the latents have an eighth of this side."""
 
 
 @dataclass(frozen=True)
@@ -91,19 +90,19 @@ class Condition:
     text: Tensor
     """Text tokens [2,77,D] of the negative prompt and of the prompt."""
     tokens: Tensor
-    """Image tokens [1,257,1280]; the prediction without the image uses zeros."""
+    """Image tokens [1,257,1280]; zeros without the image."""
     latents: Tensor
-    """Image latents [1,4,h,w]; the prediction without the image uses zeros."""
+    """Image latents [1,4,h,w]; zeros without the image."""
     cameras: Tensor
     """Camera-to-world transforms [5,16]."""
 
     def to(self, dtype: torch.dtype) -> Condition:
-        """Return the conditions after converting all tensors to a precision."""
+        """Convert all tensors to a precision."""
         return Condition(*(tensor.to(dtype) for tensor in vars(self).values()))
 
 
 class Parts(Protocol):
-    """The networks of ImageDream; `TrainedParts` loads them from weight files."""
+    """The networks of ImageDream."""
 
     unet: Any
     vae: Any
@@ -113,15 +112,14 @@ class Parts(Protocol):
         ...
 
     def picture(self, image: Tensor) -> Tensor:
-        """Return the image tokens [1,257,1280] of `image [3,H,W]` in 0..1."""
+        """Return the image tokens [1,257,1280] of an image [3,H,W] in 0..1."""
         ...
 
 
 class TrainedParts:
-    """Loads the public networks: the encoders first, and the U-Net when it is needed.
+    """Loads the public networks when they are needed.
 
-    If memory suffices, the image encoder is kept for the next image; if not, it is released after
-    use. The prompt is always empty, so it is encoded only once.
+    If memory suffices, the image encoder is kept for the next image.
     """
 
     def __init__(
@@ -155,7 +153,7 @@ class TrainedParts:
         return encoders.empty_prompt(encoder.to(**self._place))
 
     def picture(self, image: Tensor) -> Tensor:
-        """Return the image tokens [1,257,1280] of `image [3,H,W]` in 0..1."""
+        """Return the image tokens [1,257,1280] of an image [3,H,W] in 0..1."""
         encoder = self._vision
         if encoder is None:
             encoder = encoders.image_encoder(self._files["image_encoder/model.safetensors"])
@@ -166,10 +164,10 @@ class TrainedParts:
 
 
 class ImageDream:
-    """Turns an image into four views of its object; `parts` replaces the networks in tests.
+    """Turns an image into four views of the object; `parts` replaces the networks in tests.
 
-    `dtype` is the precision of the networks and of the latents. `unet_dtype` is the precision of
-    the U-Net, if it differs from `dtype`.
+    `dtype` is the precision of the networks and latents. `unet_dtype` is the precision of the
+    U-Net.
     """
 
     def __init__(
@@ -196,9 +194,8 @@ class ImageDream:
     def __call__(self, image: Tensor, *, seed: int = 0, progress: Progress = silent) -> Tensor:
         """Return views [5,3,256,256] in 0..1 of the object in `image [3,H,W]` over white.
 
-        The azimuths of the first four views are 0, 90, 180 and 270 degrees; the fifth view is the
-        image. With equal seeds, the views are equal on every device, up to rounding. `progress` is
-        called before each step; it may raise an exception to cancel the call.
+        The azimuths are 0, 90, 180 and 270 degrees; the fifth view is the image. Equal seeds give
+        equal views on every device, up to rounding.
         """
         progress("imagedream", 0, self.steps)
         if self.parts is None:
@@ -218,13 +215,13 @@ class ImageDream:
 def look(
     parts: Parts, image: Tensor, draw: torch.Generator, *, elevation: float = 0.0
 ) -> Condition:
-    """Encode `image [3,H,W]` in 0..1 for the networks; both prompts are empty.
+    """Encode an image [3,H,W] in 0..1 for the networks.
 
     Args:
         parts: The networks.
         image: The image.
-        draw: Random number generator for normal samples.
-        elevation: Elevation of the image's camera, degrees; positive is below the object.
+        draw: Random number generator.
+        elevation: Elevation of the camera [degrees]; positive is below the object.
     """
     place = next(parts.vae.parameters())
     return Condition(
@@ -236,7 +233,7 @@ def look(
 
 
 def encode(vae: Any, image: Tensor, draw: torch.Generator | None = None) -> Tensor:
-    """Return the latents [1,4,32,32] of `image [3,H,W]`: a scaled sample of the posterior."""
+    """Return the latents [1,4,32,32] of an image [3,H,W]: a scaled sample of the posterior."""
     square = interpolate(image[None], (SIZE, SIZE), mode="bilinear", align_corners=False)
     posterior = vae.encode(2 * square - 1).latent_dist
     noise = torch.randn(posterior.mean.shape, generator=draw).to(posterior.mean)
@@ -263,7 +260,7 @@ def denoise(
     Args:
         unet: Network that predicts the noise.
         latents: Initial noise [5,4,h,w].
-        condition: Conditions of the prediction.
+        condition: Conditions.
         steps: Number of steps.
         guidance: Scale of the classifier-free guidance.
         sampler: Solver of the diffusion.
@@ -280,14 +277,12 @@ def predict_guided(
 ) -> Tensor:
     """Predict the noise [5,4,h,w] by classifier-free guidance.
 
-    The result is extrapolated from two predictions, without and with the image.
-
     Args:
         unet: Network that predicts the noise.
         latents: Latents [5,4,h,w].
         t: Noise level, 0 to 999.
-        condition: Conditions of the prediction.
-        guidance: Scale of the classifier-free guidance.
+        condition: Conditions.
+        guidance: Scale of the guidance.
     """
     without, with_it = predict(unet, latents, t, condition).chunk(2)
     return without + guidance * (with_it - without)

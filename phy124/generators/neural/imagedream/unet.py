@@ -1,8 +1,7 @@
-"""The multi-view U-Net of ImageDream; without an image condition, it equals the U-Net of MVDream.
+"""The multi-view U-Net of ImageDream; without an image condition, it is that of MVDream.
 
-The network is a latent diffusion U-Net (Rombach et al. 2022). The self-attention spans all views of
-an object, and the time embedding includes each view's camera. Wang & Shi 2023, "ImageDream"; Shi et
-al. 2023, "MVDream".
+The network is a latent diffusion U-Net (Rombach et al. 2022) with self-attention over all views.
+Wang & Shi 2023, "ImageDream"; Shi et al. 2023, "MVDream".
 """
 
 import math
@@ -27,14 +26,14 @@ from phy124.generators.neural.imagedream.encoders import Resampler
 from phy124.weights.checkpoints import StateDict, fill, read_tensors, strip_prefix
 
 CLIP_WIDTH = 1280
-"""Width of the image tokens of CLIP ViT-H/14."""
+"""Width of CLIP's image tokens."""
 ORIGINAL_PREFIX = "model.diffusion_model."
-"""Prefix of all names in the checkpoint of ImageDream's authors."""
+"""Prefix in the checkpoint of ImageDream's authors."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Sizes of the network; the names and default values are those of ImageDream's config.json."""
+    """Sizes of the network, with the names and values of ImageDream's config.json."""
 
     in_channels: int = 4
     out_channels: int = 4
@@ -42,7 +41,7 @@ class Config:
     channel_mult: Sequence[int] = (1, 2, 4, 4)
     num_res_blocks: int = 2
     attention_resolutions: Sequence[int] = (4, 2, 1)
-    """Factors of downsampling at which attention is used."""
+    """Factors of downsampling with attention."""
     num_head_channels: int = 64
     transformer_depth: int = 1
     context_dim: int = 1024
@@ -51,9 +50,9 @@ class Config:
     """Number of image tokens; 0 for MVDream."""
     ip_weight: float = 1.0
     image_size: int = 32
-    """Side of the latents during training; this setting has no effect."""
+    """Side of the latents in training; this setting has no effect."""
     use_checkpoint: bool = False
-    """Whether activations are recomputed during training; this setting has no effect."""
+    """This setting has no effect."""
 
 
 class MultiViewUNet(nn.Module):
@@ -99,10 +98,7 @@ class MultiViewUNet(nn.Module):
         return layers
 
     def _build_inputs(self, embedding: int) -> tuple[int, list[int]]:
-        """Build the half of the U-Net that reduces the resolution.
-
-        Return the number of channels of its last layer, and of each skip connection.
-        """
+        """Return the number of channels of the last layer, and of each skip connection."""
         c = self.config
         channels, skips = c.model_channels, [c.model_channels]
         for level, factor in enumerate(c.channel_mult):
@@ -117,10 +113,7 @@ class MultiViewUNet(nn.Module):
         return channels, skips
 
     def _build_outputs(self, channels: int, skips: list[int], embedding: int) -> int:
-        """Build the half of the U-Net that increases the resolution.
-
-        Return the number of channels of its last layer.
-        """
+        """Return the number of channels of the last layer."""
         c = self.config
         for level in reversed(range(len(c.channel_mult))):
             for i in range(c.num_res_blocks + 1):
@@ -148,7 +141,7 @@ class MultiViewUNet(nn.Module):
             x: Latents [B*F,4,h,w]; the views of an object are adjacent.
             timesteps: Noise levels [B*F], 0 to 999.
             context: Text tokens [B*F,77,context_dim].
-            num_frames: Number of frames F, including the frame of the image if `ip` is set.
+            num_frames: Number of frames F, including the image's frame.
             camera: Camera-to-world transforms [B*F,16], row by row; zeros for the image's frame.
             ip: CLIP tokens of the image [B*F,257,1280].
             ip_img: Latents of the image [B,4,h,w], which replace each object's last frame.
@@ -173,10 +166,7 @@ class MultiViewUNet(nn.Module):
 
 
 def with_picture(x: Tensor, ip_img: Tensor, num_frames: int) -> Tensor:
-    """Return a copy of the latents, in which the input image replaces each object's last frame.
-
-    The latents `x` are [B*F,4,h,w]; the input image's latents `ip_img` are [B,4,h,w].
-    """
+    """Return latents [B*F,4,h,w] with the image's latents [B,4,h,w] in each object's last frame."""
     x = x.clone()
     x[num_frames - 1 :: num_frames] = ip_img.to(x.dtype)
     return x
@@ -201,16 +191,16 @@ def load_unet(
     dtype: torch.dtype = torch.float32,
     **config: Any,
 ) -> MultiViewUNet:
-    """Build the network and load its weights; raise an error if tensors are missing or unknown.
+    """Build the network and load the weights.
 
-    The tensors may be named as in the diffusers repository or as in the authors' checkpoint. If the
-    tensors of the image condition are missing, the network is MVDream's.
+    Tensors may be named as in diffusers or as in the authors' checkpoint. Without tensors for an
+    image condition, the network is MVDream's.
 
     Args:
         state_dict_or_path: Tensors by name, or a file of tensors.
         device: Device of the network.
         dtype: Precision of the network.
-        **config: Fields of `Config` that differ from the default values.
+        **config: Fields of `Config` that differ from the defaults.
 
     Raises:
         InputError: If a field is unknown or the tensors do not fit this network.

@@ -22,7 +22,7 @@ def make_lgm(
     """Return the generator `lgm`.
 
     Args:
-        device: Device for the generator; None: a GPU if there is one.
+        device: Device; None: a GPU if there is one.
         steps: Number of steps of ImageDream's diffusion; None: the default.
         sampler: Solver of the diffusion; None: the default.
         precision: Precision of the diffusion's network; None: chosen by the device.

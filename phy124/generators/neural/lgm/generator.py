@@ -1,6 +1,6 @@
 """The generator LGM: makes four views from a segmented image, and Gaussians from the views.
 
-Tang et al. 2024, "LGM". The four views come from ImageDream or from the user.
+Tang et al. 2024, "LGM".
 """
 
 import os
@@ -38,11 +38,9 @@ from phy124.progress import Progress, silent
 from phy124.weights.store import is_complete, require
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of ImageNet's colours; the input is normalised with them."""
+"""Mean and standard deviation of ImageNet's colours."""
 OPACITY_MIN = 0.005
-"""Smallest opacity of Gaussians that are kept; when the original program saves a file, it also
-removes fainter Gaussians.
-"""
+"""Smallest opacity of Gaussians that are kept, as in files of the original program."""
 VIEW_ORDER = (1, 2, 3, 0)
 """Indices of ImageDream's views in LGM's order: LGM's first view is ImageDream's second view."""
 OLD_GENERATION = (
@@ -51,23 +49,20 @@ OLD_GENERATION = (
     "weights."
 )
 WORK = Work(98.8e9, 1486.6e9, 194.9e9)
-"""Floating-point operations of LGM's network with the option `big`, by kind of operation."""
+"""Floating-point operations of LGM's network with the option `big`."""
 MEMORY = 650_000_000
-"""Number of values that the option `big` keeps in memory: weights and activations."""
+"""Number of weights and activations of the option `big`."""
 Views = Callable[..., Tensor]
-"""Function `(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]`; the views are in
-ImageDream's order.
+"""Function `(image [3,H,W] over white, *, seed, progress) -> views [5,3,256,256]`, in ImageDream's
+order.
 """
 
 
 class Lgm:
     """Turns an image into Gaussians; weights are loaded on the first call and stay in memory.
 
-    By default, the weights are those of `phy124.weights.store`; pass `model` and `multiview` to use
-    other networks. With `align`, the result is rotated to match the image (`find_front`). For the
-    alignment, small images are rendered every `align_step` degrees, and LGM runs a second time.
-    `steps`, `sampler` and `precision` are those of ImageDream's diffusion
-    (`phy124.generators.options`).
+    `model` and `multiview` replace the networks. With `align`, the result is rotated to match the
+    image, and LGM runs a second time.
     """
 
     def __init__(
@@ -105,12 +100,10 @@ class Lgm:
         seed: int = 0,
         progress: Progress = silent,
     ) -> Gaussians:
-        """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
-
-        If `progress` raises Cancelled, the exception is passed on.
+        """Make Gaussians of the segmented image [H,W,4], with a longest side of 1 m.
 
         Raises:
-            InputError: If weights are missing, or `image_rgba` has no alpha or no opaque pixel.
+            InputError: If weights are missing, or the image has no alpha or no opaque pixel.
         """
         image = over_white(frame_cutout(np.asarray(image_rgba)))
         self._prepare_multiview()
@@ -124,8 +117,7 @@ class Lgm:
     ) -> Gaussians:
         """Make Gaussians from four views [4,3,H,W] over white: the front, then 90 degrees apart.
 
-        The longest side is 1 m. Colours are in 0..1. The result is rotated to match `image
-        [3,H,W]`, unless `image` is None.
+        The longest side is 1 m. The result is rotated to match `image [3,H,W]`, if there is one.
 
         Raises:
             InputError: If weights are missing.
@@ -157,17 +149,12 @@ class Lgm:
         return (remove_rotations(rows) if model.rotations == "all" else rows), views
 
     def _file(self) -> Path:
-        """Return the file of LGM's weights.
-
-        Raises:
-            InputError: If the file is missing.
-        """
         single = is_complete("lgm-fp32", self.weights) and not is_complete("lgm", self.weights)
         (path,) = require("lgm-fp32" if single else "lgm", self.weights).values()
         return path
 
     def _prepare_multiview(self) -> None:
-        """Check that all weights exist, and create ImageDream; LGM's weights are loaded later."""
+        """The weights of LGM are checked here, but loaded later."""
         if self.multiview is not None:
             return
         require("imagedream", self.weights)
@@ -197,17 +184,16 @@ class Lgm:
         return Effort(seconds, settings, words)
 
     def _make_room(self) -> None:
-        """Release ImageDream's networks if LGM's network would not fit into memory with them."""
+        """Release ImageDream's networks if LGM's network would not fit into memory."""
         room = MEMORY * self.dtype.itemsize
         if self._finds_views and self.model is None and is_short(room, self.device):
             self.multiview = None
 
 
 def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Centre the segmented image [H,W,4] in a square [S,S,4], as LGM's program does.
+    """Centre a segmented image [H,W,4] in a square [S,S,4], as LGM's program does.
 
-    LGM's program multiplies colours by alpha twice, which darkens soft edges. This function also
-    multiplies twice, because the published results of the network were made in this way.
+    Colours are multiplied by alpha twice, which darkens soft edges, because LGM's program does so.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
@@ -221,21 +207,21 @@ def frame_cutout(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def over_white(image_rgba: NDArray[np.uint8]) -> Tensor:
-    """Return the colours [3,H,W] in 0..1 of `image_rgba [H,W,4]` over white."""
+    """Return the colours [3,H,W] in 0..1 of an image [H,W,4] over white."""
     pixels = torch.from_numpy(image_rgba.astype(np.float32) / 255)
     rgb, alpha = pixels[..., :3], pixels[..., 3:]
     return (rgb * alpha + (1 - alpha)).permute(2, 0, 1)
 
 
 def network_input(views: Tensor) -> Tensor:
-    """Return the normalised colours and the rays [4,9,S,S] of `views [4,3,S,S]`."""
+    """Return the normalised colours and the rays [4,9,S,S] of views [4,3,S,S]."""
     mean, std = (views.new_tensor(v)[:, None, None] for v in (MEAN, STD))
     rays = torch.from_numpy(four_rays(views.shape[-1])).to(views)
     return torch.cat([(views - mean) / std, rays], dim=1)
 
 
 def to_gaussians(rows: NDArray) -> Gaussians:
-    """Convert LGM's rows [N,14] to Gaussians; remove Gaussians with low opacity."""
+    """Convert LGM's rows [N,14] to Gaussians, without faint ones."""
     rows = rows[rows[:, 3] >= OPACITY_MIN]
     return to_world(
         Gaussians.from_rgb(rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14])
@@ -243,7 +229,7 @@ def to_gaussians(rows: NDArray) -> Gaussians:
 
 
 COMPARED_SIDE = 128
-"""Side of the images that are compared to find the azimuth [pixels]."""
+"""Side of the compared images [pixels]."""
 
 
 def find_front(
@@ -254,13 +240,13 @@ def find_front(
     side: int = COMPARED_SIDE,
     progress: Progress = silent,
 ) -> int:
-    """Return the azimuth [degrees] from which the rendered Gaussians look most like the image.
+    """Return the azimuth [degrees] from which the Gaussians look most like the image.
 
     Args:
         rows: LGM's Gaussians [N,14].
         image: The image over white [3,H,W].
-        step: Spacing of the azimuths that are tried, degrees.
-        side: Side of the images that are compared, pixels.
+        step: Spacing of the azimuths [degrees].
+        side: Side of the compared images [pixels].
         progress: Callback as described in `phy124.progress`.
     """
     wanted = interpolate(image[None].float(), (side, side), mode="area")[0].to(rows)

@@ -1,4 +1,4 @@
-"""LGM's network with its 14-channel head: turns four views with known cameras into Gaussians.
+"""LGM's network: turns four views with known cameras into Gaussians.
 
 Tang et al. 2024, "LGM: Large Multi-View Gaussian Model", section 3.2 and the released weights.
 """
@@ -21,7 +21,7 @@ from phy124.weights.checkpoints import StateDict, fill, read_tensors
 from phy124.weights.store import compute_sha256
 
 RADIUS = 1.5
-"""Distance of the four cameras from the origin."""
+"""Distance of the cameras from the origin."""
 AZIMUTHS = (0, 90, 180, 270)
 """Azimuths of the views [degrees]: the front, then counter-clockwise as seen from above."""
 
@@ -29,7 +29,7 @@ AZIMUTHS = (0, 90, 180, 270)
 def pluecker(camera_to_world: NDArray, size: int) -> NDArray[np.float32]:
     """Return the Pluecker ray of every pixel [6,S,S]: moment o x d, then unit direction d.
 
-    `camera_to_world` is [4,4] in OpenGL axes; pixel centres lie at half integers.
+    `camera_to_world` [4,4] is in OpenGL axes; pixel centres lie at half integers.
     """
     f = focal(size)
     x = (np.arange(size) - size / 2 + 0.5) / f
@@ -47,39 +47,35 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 
 
 Rotations = Literal["each", "all"]
-"""Whether LGM's quaternions are normalised for each Gaussian or over all Gaussians of an object.
+"""Whether quaternions are normalised for each Gaussian, or over all Gaussians of an object by
+mistake.
 
-LGM's weights from before April 2024 were trained with the normalisation "all" by mistake. These
-weights return quaternions that are so small that they had no effect in the training, because the
-program did not normalise quaternions when it rendered Gaussians.
+Weights from before April 2024 were trained with "all". Their quaternions had no effect in the
+training, because they were small and the renderer did not normalise them.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16
     "744d6324656342c64f871308e73db97f0eb51858d94329b30090e986a6d050ab": "each",  # ..._fixrot
     "186631d0736c4dd933676be5a47d492d4354f796e18526d174535b1ae96f1335": "each",  # model_fixrot
 }
-"""Quaternion normalisation that each public file of LGM's weights needs; the keys are the files'
-sha256.
-
-In LGM's weight files, the names and shapes of the tensors do not depend on the normalisation.
+"""Quaternion normalisation of LGM's public weight files, by sha256. The tensors' names and shapes
+do not show the normalisation.
 """
 CHANNELS = 14
 
 
 @dataclass(frozen=True)
 class Option:
-    """Layer sizes of the network, and image sizes in pixels."""
+    """Layer sizes of the network, and image sizes [pixels]."""
 
     down_channels: tuple[int, ...]
     down_attention: tuple[bool, ...]
     up_channels: tuple[int, ...]
     up_attention: tuple[bool, ...]
     input_size: int = 256
-    """Side of each view that LGM's network gets [pixels]."""
+    """Side of each input view [pixels]."""
     splat_size: int = 64
-    """Side of each map of Gaussians that the network returns [pixels]. The network returns 4 *
-    splat_size^2 Gaussians.
-    """
+    """Side of each map of Gaussians [pixels]; the network returns 4 * splat_size^2 Gaussians."""
 
 
 def _flags(bits: str) -> tuple[bool, ...]:
@@ -96,26 +92,21 @@ OPTIONS = {
     ),
     "tiny": Option((32, 64, 128, 256, 512), _flags("00001"), (512, 256, 128), _flags("100")),
 }
-"""The four configurations of the network in the original program. Weights are public only for the
-configuration `big`.
-"""
+"""The four configurations of the original program; weights are public only for `big`."""
 
 
 class LgmModel(nn.Module):
     """U-Net and head: map input [B,4,9,H,W] to Gaussians [B,N,14], where N = 4 * splat_size^2.
 
-    The 14 numbers of a Gaussian are position (3 numbers in -1..1, y up, front +z), opacity, scale
-    (3), quaternion wxyz (4) and colour (3). Activation functions have been applied.
+    The 14 numbers are position (3 numbers in -1..1, y up, front +z), opacity, scale (3), quaternion
+    wxyz (4) and colour (3).
     """
 
     def __init__(self, option: Option, *, rotations: Rotations | None = None) -> None:
         super().__init__()
         self.option = option
         self.rotations: Rotations | None = rotations
-        """Normalisation of quaternions.
-
-        If this attribute is None, the normalisation is unknown, and `forward` normalises each
-        quaternion separately (see `judge`).
+        """If the normalisation is unknown (None), `forward` normalises each quaternion separately.
         """
         self.unet = UNet(
             option.down_channels, option.down_attention, option.up_channels, option.up_attention
@@ -150,9 +141,7 @@ def load(
     device: str | torch.device = "cpu",
     dtype: torch.dtype = torch.float32,
 ) -> LgmModel:
-    """Build the network and load its weights; missing or extra tensors are an error.
-
-    The normalisation of the public files is looked up by sha256 in `GENERATIONS`.
+    """Build the network and load the weights.
 
     Args:
         path_or_state_dict: A file, or tensors by name.
@@ -191,43 +180,34 @@ def _option(option: str | Option) -> Option:
 
 NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
-"""Side of the images that are compared to find the quaternion normalisation [pixels]."""
+"""Side of the compared images [pixels]."""
 MARGIN = 0.98
-"""Normalisation "all" is chosen only if its error is below this fraction of the error of "each".
-
-Hardly any of LGM's weights need the normalisation "all".
-"""
+"""Largest error of the normalisation "all", relative to "each"; "all" is rarely right."""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:
-    """Return a copy of Gaussians [N,14] with identity quaternions.
-
-    Gaussians of LGM's first weights were rendered without rotations (see `Rotations`).
-    """
+    """Return a copy of Gaussians [N,14] with identity quaternions."""
     rows = rows.clone()
     rows[:, 7:11] = rows.new_tensor(NOT_ROTATED)
     return rows
 
 
 def judge(rows: Tensor, images: Tensor) -> Rotations:
-    """Return the quaternion normalisation with which `rows [N,14]` look more like `images`."""
+    """Return the quaternion normalisation with which Gaussians [N,14] look more like `images`."""
     pictures = torch.nn.functional.interpolate(images, (SIDE, SIDE), mode="area")
     each, none = error(rows, pictures), error(remove_rotations(rows), pictures)
     return "all" if none < MARGIN * each else "each"
 
 
 def error(rows: Tensor, pictures: Tensor) -> float:
-    """Return the mean squared error of four rendered views against `pictures [4,3,S,S]`."""
+    """Return the mean squared error of four rendered views [4,3,S,S]."""
     drawn = [draw_rows(rows, azimuth, pictures.shape[-1]) for azimuth in AZIMUTHS]
     return float(((torch.stack(drawn) - pictures) ** 2).mean())
 
 
 @torch.no_grad()
 def draw_rows(rows: Tensor, azimuth: float, size: int) -> Tensor:
-    """Render Gaussians [N,14] from LGM's orbit: an image [3,S,S] over white.
-
-    The azimuth is in degrees.
-    """
+    """Render Gaussians [N,14] from an azimuth [degrees]: an image [3,S,S] over white."""
     rows = rows.float()
     view = orbit_view(0.0, azimuth, RADIUS, size)
     parts = rows[:, 0:3], rows[:, 7:11], rows[:, 4:7], rows[:, 3], rows[:, 11:14]

@@ -15,7 +15,7 @@ VIEWS = 4
 HEADS = 16
 GROUPS = 32
 HALF_POWER = math.sqrt(0.5)
-"""Factor on the sum of a branch and its shortcut; it preserves the variance."""
+"""Factor that preserves the variance of the sum of a branch and its shortcut."""
 
 
 class ResnetBlock(nn.Module):
@@ -45,7 +45,7 @@ class Attention(nn.Module):
         self.proj = nn.Linear(channels, channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply attention from every token to every token of [B,L,C]; return the same shape."""
+        """Map [B,L,C] to the same shape."""
         b, length, channels = x.shape
         qkv = self.qkv(x).reshape(b, length, 3, HEADS, channels // HEADS)
         q, k, v = qkv.permute(2, 0, 3, 1, 4)
@@ -54,7 +54,7 @@ class Attention(nn.Module):
 
 
 class CrossViewAttention(nn.Module):
-    """Attention over all pixels of an object's four views; maps [B*4,C,H,W] to the same shape."""
+    """Attention over all pixels of an object's four views."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -62,7 +62,7 @@ class CrossViewAttention(nn.Module):
         self.attn = Attention(channels)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Attend over the tokens of an object, which are sorted by view, row and column."""
+        """Map [B*4,C,H,W] to the same shape."""
         bv, c, h, w = x.shape
         tokens = self.norm(x).reshape(bv // VIEWS, VIEWS, c, h * w)
         tokens = self.attn(tokens.transpose(2, 3).reshape(bv // VIEWS, VIEWS * h * w, c))
@@ -84,7 +84,7 @@ class DownBlock(nn.Module):
         self.downsample = nn.Conv2d(outputs, outputs, 3, 2, 1) if downsample else None
 
     def forward(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Return the output, and all intermediate maps for the skip connections."""
+        """Return the output, and all maps for the skip connections."""
         skips = []
         for i, net in enumerate(self.nets):
             x = net(x)
@@ -98,7 +98,7 @@ class DownBlock(nn.Module):
 
 
 class MidBlock(nn.Module):
-    """A residual block, attention, and a residual block at the lowest resolution."""
+    """A residual block, attention, and a residual block."""
 
     def __init__(self, channels: int, *, attention: bool) -> None:
         super().__init__()
@@ -106,7 +106,7 @@ class MidBlock(nn.Module):
         self.attns = _attentions(channels, 1, attention)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the blocks to feature maps [B*4,C,h,w]; return feature maps of the same shape."""
+        """Map [B*4,C,h,w] to the same shape."""
         x = self.nets[0](x)
         for attention in self.attns:
             x = attention(x)
@@ -125,7 +125,7 @@ class UpBlock(nn.Module):
         self.upsample = nn.Conv2d(outputs, outputs, 3, padding=1) if upsample else None
 
     def forward(self, x: Tensor, skips: list[Tensor]) -> Tensor:
-        """Apply the block to x; remove the skip tensors that it uses from the end of `skips`."""
+        """Remove the used skip tensors from the end of `skips`."""
         for i, net in enumerate(self.nets):
             x = net(torch.cat([x, skips.pop()], dim=1))
             if self.attns:
@@ -136,11 +136,7 @@ class UpBlock(nn.Module):
 
 
 class UNet(nn.Module):
-    """Maps [B*4,9,H,W] (colour, Pluecker ray) to [B*4,14,h,w], with h = H * 2^(ups - downs).
-
-    If there are fewer up blocks than down blocks, the output is smaller than the input, and the
-    first skip connections are not used.
-    """
+    """Maps [B*4,9,H,W] (colour, Pluecker ray) to [B*4,14,h,w], with h = H * 2^(ups - downs)."""
 
     def __init__(
         self,
@@ -173,7 +169,7 @@ class UNet(nn.Module):
         self.conv_out = nn.Conv2d(channels, outputs, 3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map views to output maps; the views of an object must be adjacent in the batch."""
+        """Map views to output maps; the views of an object are adjacent in the batch."""
         x = self.conv_in(x)
         skips = [x]
         for block in self.down_blocks:

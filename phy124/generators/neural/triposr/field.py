@@ -1,8 +1,7 @@
 """Computes TripoSR's density and colour at points in space from the network's triplane.
 
-Each of the three planes (xy, xz and yz) contains features on a square grid. A point is projected
-onto each plane, where the features are interpolated bilinearly. A small network maps the features
-to density and colour.
+The three planes (xy, xz and yz) contain features on square grids, which are interpolated
+bilinearly. A small network maps the features to density and colour.
 """
 
 from collections.abc import Callable
@@ -12,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 RADIUS = 0.87
-"""Half the side of the cube that the triplane describes."""
+"""Half the side of the triplane's cube."""
 AXES = ((0, 1), (0, 2), (1, 2))
-"""The two coordinate axes that span each plane of the triplane."""
+"""The two axes that span each plane."""
 CHUNK = 1 << 16
-"""Number of points for which density and colour are decoded at a time."""
+"""Number of points that are decoded at a time."""
 Array = NDArray[np.float32]
 Decode = Callable[[Array, Array], tuple[Array, Array]]
-"""Type of a decoder: `(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`.
+"""A decoder: `(points [N,3], features [N,C]) -> density [N,1], colour [N,3] in 0..1`.
 
-Some decoders sample the triplane themselves and ignore the features that they get.
+Some decoders ignore the features, because they sample the triplane themselves.
 """
 
 
@@ -30,13 +29,13 @@ class Field:
     """Density and colour in the cube of half side `RADIUS`."""
 
     triplane: Array
-    """Features of the triplane [3,C,S,S]: planes, channels, vertical and horizontal axis."""
+    """Features [3,C,S,S]: planes, channels, vertical and horizontal axis."""
     decode: Decode
     samples: bool = True
-    """Whether `decode` uses the features of the triplane."""
+    """Whether `decode` uses the features."""
 
     def __call__(self, points: NDArray) -> tuple[Array, Array]:
-        """Return the field's density [N] and colour [N,3] at points [N,3]."""
+        """Return density [N] and colour [N,3] at points [N,3]."""
         points = np.ascontiguousarray(points, np.float32)
         density, colour = np.empty(len(points), np.float32), np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), CHUNK):
@@ -47,10 +46,7 @@ class Field:
         return density, colour
 
     def on_grid(self, axis: Array) -> Callable[[NDArray[np.int64]], Array]:
-        """Return a function that maps indices [N,3] of a cubic grid to densities [N].
-
-        The features of a plane are interpolated once for all points on a line through the grid.
-        """
+        """Return a function that maps indices [N,3] of a cubic grid to densities [N]."""
         if not self.samples:
             return lambda places: self(axis[places])[0]
         first, second = (v.ravel() for v in np.meshgrid(axis, axis, indexing="ij"))
@@ -81,8 +77,8 @@ def sample_planes(triplane: Array, points: Array) -> Array:
 def sample_plane(plane: Array, horizontal: Array, vertical: Array) -> Array:
     """Interpolate features [C,S,S] at coordinates [N] along the two axes; return [N,C].
 
-    The outermost pixel centres lie half a pixel inside the cube. Features fade to zero outside
-    these pixel centres.
+    The outermost pixel centres lie half a pixel inside the cube; farther out, features fade to
+    zero.
     """
     size = plane.shape[-1]
     padded = np.pad(plane, ((0, 0), (1, 1), (1, 1))).reshape(len(plane), -1).T

@@ -24,16 +24,16 @@ from phy124.weights.onnx import OnnxNetwork, predict_seconds
 from phy124.weights.store import is_complete, require
 
 SIZE = 512
-"""Side of the image that TripoSR's network gets [pixels]."""
+"""Side of the network's input [pixels]."""
 RATIO = 0.85
-"""Longest side of the object, relative to the side of the image that TripoSR's network gets."""
+"""Longest side of the object, relative to the input."""
 GREY = 0.5
 """Colour behind the object."""
 SETS = ("triposr", "triposr-int8", "triposr-torch")
-"""Names of the sets of TripoSR's weights; the preferred set is the first.
+"""Sets of weights in order of preference.
 
-In the first set of weights, only the weights are int8; in the second set, weights and activations
-are int8. The third set of weights is float32 and runs in torch.
+In the first set, the weights are int8. In the second set, weights and activations are int8. The
+third set is float32 and runs in torch.
 """
 Image_ = Image.Image | NDArray[np.uint8]
 
@@ -43,8 +43,7 @@ class TripoSrGenerator:
 
     Args:
         weights: Folder of the weights; None: the default folder of `phy124.weights.store`.
-        field: Function that maps an image [1,3,512,512] to a field; it replaces the network in
-            tests.
+        field: Maps an image [1,3,512,512] to a field, instead of the network.
     """
 
     def __init__(
@@ -55,9 +54,9 @@ class TripoSrGenerator:
     def __call__(
         self, image_rgba: Image_, *, seed: int = 0, progress: Progress = silent, count: int = COUNT
     ) -> Gaussians:
-        """Make Gaussians of the segmented `image_rgba [H,W,4]`, with a longest side of 1 m.
+        """Make Gaussians of the segmented image [H,W,4], with a longest side of 1 m.
 
-        The object faces +x: the network's world has z up, and its first camera stands on +x.
+        The object faces +x, because the network's first camera stands on +x, and z is up.
 
         Raises:
             InputError: If weights are missing, nothing is opaque, or the network finds no object.
@@ -89,16 +88,15 @@ PRECISIONS = {
     "triposr-int8": "8-bit weights and activations in onnxruntime",
     "triposr-torch": "float32 in torch",
 }
-"""Description of the precision of each set of TripoSR's weights."""
 
 
 def choose_set(folder: str | os.PathLike[str] | None = None) -> str:
-    """Return the first complete set of weights, or the first set if all sets are incomplete."""
+    """Return the first complete set of weights, or the first set if all are incomplete."""
     return next((name for name in SETS if is_complete(name, folder)), SETS[0])
 
 
 def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
-    """Load TripoSR's network; return a function that maps an image [1,3,512,512] to a `Field`.
+    """Return a function that maps an image [1,3,512,512] to a `Field`.
 
     Raises:
         InputError: If weights are missing or are not TripoSR's.
@@ -115,9 +113,7 @@ def load_field(folder: str | os.PathLike[str] | None = None) -> Any:
 def load_onnx(encoder: Path, decoder: Path) -> Any:
     """Load the ONNX files of the encoder and of the decoder.
 
-    There are two public decoders: one maps features to density and colour, and one maps the
-    triplane and points to density and colour. The encoder takes most of the memory, so it is loaded
-    for each image and then released.
+    The encoder is loaded for each image and then released, because it takes most of the memory.
 
     Raises:
         InputError: If onnxruntime is not installed, or a file is unreadable or has another network.
@@ -127,7 +123,7 @@ def load_onnx(encoder: Path, decoder: Path) -> Any:
 
 
 RESULTS = ("density", "color")
-"""Names of the decoders' outputs: density (after the exponential), and colour in 0..1."""
+"""Outputs of the decoders: density (after the exponential), and colour in 0..1."""
 
 
 def _onnx_field(triplane: NDArray[np.float32], decode: OnnxNetwork) -> Field:
@@ -175,9 +171,9 @@ def load_torch(path: Path) -> Any:
 
 
 def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Centre a segmented image [H,W,4] in a grey square [S,S,3], as the original program does.
+    """Centre a segmented image [H,W,4] in a grey square [S,S,3].
 
-    As in the original program, the last row and column of the object's bounding box are omitted.
+    As in the original program, the bounding box lacks the object's last row and column.
 
     Raises:
         InputError: If there is no alpha channel or nothing is opaque.
@@ -202,9 +198,9 @@ def frame(image_rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def prepare(rgb: NDArray[np.uint8], size: int = SIZE) -> NDArray[np.float32]:
-    """Resize an image [S,S,3] for the network; return colours [1,3,size,size] in 0..1.
+    """Resize an image [S,S,3]; return colours [1,3,size,size] in 0..1.
 
-    The filter is bilinear; it is wider if the image shrinks, as in the original program.
+    The bilinear filter is wider if the image shrinks, as in the original program.
     """
     channels = [
         Image.fromarray(rgb[..., i].astype(np.float32) / 255).resize(

@@ -1,8 +1,8 @@
 """TripoSR's network: maps an image to a triplane, and triplane features to density and colour.
 
-Tochilkin et al. 2024, "TripoSR: Fast 3D Object Reconstruction from a Single Image", after the large
-reconstruction model (Hong et al. 2024, "LRM"). Submodules have the same names as in the public
-checkpoint `model.ckpt` of stabilityai/TripoSR.
+Tochilkin et al. 2024, "TripoSR: Fast 3D Object Reconstruction from a Single Image", after Hong et
+al. 2024, "LRM". Submodules have the same names as in the public checkpoint `model.ckpt` of
+stabilityai/TripoSR.
 """
 
 import math
@@ -16,40 +16,36 @@ from phy124.generators.neural.imagedream.attention import SpatialTransformer
 from phy124.weights.checkpoints import StateDict, fill
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and standard deviation of ImageNet's colours; the input is normalised with them."""
+"""Mean and standard deviation of ImageNet's colours."""
 DENSITY_BIAS = -1.0
-"""Constant that is added to the decoder's first output; the density is the exponential of the sum.
-
-The density is the exponential of the sum.
-"""
+"""Added to the decoder's first output; the density is the exponential of the sum."""
 UNUSED = "image_tokenizer.model.pooler."
-"""Prefix of the checkpoint's tensors that TripoSR never uses."""
+"""Prefix of tensors that TripoSR never uses."""
 OFFSET = 0.1
 """Number that is added to the number of patches per side when position embeddings are resized.
 
-The network was trained with version 4.35 of the package transformers, which adds this number too.
-Without this number, the positions of the image patches would be shifted slightly.
+The network was trained with version 4.35 of transformers, which adds this number too.
 """
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of TripoSR's network; the defaults are those of the public checkpoint."""
+    """Sizes of the network; the defaults are those of the public checkpoint."""
 
     patch: int = 16
-    """Side of the patches into which the network divides an image [pixels]."""
+    """Side of the image patches [pixels]."""
     positions: int = 14
-    """Number of patches per side for which the checkpoint has position embeddings."""
+    """Number of patches per side with position embeddings."""
     vision_width: int = 768
     vision_layers: int = 12
     vision_heads: int = 12
     plane: int = 32
-    """Side of each plane of the triplane, in tokens."""
+    """Side of each plane [tokens]."""
     width: int = 1024
     layers: int = 16
     heads: int = 16
     channels: int = 40
-    """Channels of each plane of the triplane."""
+    """Channels of each plane."""
     decoder_width: int = 64
     decoder_layers: int = 9
 
@@ -66,7 +62,7 @@ class VisionAttention(nn.Module):
         self.output = nn.ModuleDict({"dense": nn.Linear(width, width)})
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the layer to tokens [B,L,C]; return tokens of the same shape."""
+        """Map tokens [B,L,C] to the same shape."""
         q, k, v = (
             self.attention[name](x).unflatten(-1, (self.heads, -1)).transpose(1, 2)
             for name in ("query", "key", "value")
@@ -77,7 +73,7 @@ class VisionAttention(nn.Module):
 
 
 class VisionLayer(nn.Module):
-    """One layer of the vision transformer, with normalisation before attention and feed-forward."""
+    """One layer of the vision transformer."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -88,14 +84,14 @@ class VisionLayer(nn.Module):
         self.layernorm_after = nn.LayerNorm(width, eps=1e-12)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Apply the layer to tokens [B,L,C]; return tokens of the same shape."""
+        """Map tokens [B,L,C] to the same shape."""
         x = self.attention(self.layernorm_before(x)) + x
         hidden = F.gelu(self.intermediate["dense"](self.layernorm_after(x)))
         return self.output["dense"](hidden) + x
 
 
 class Embeddings(nn.Module):
-    """Turns an image into a class token and patch tokens, and adds position embeddings."""
+    """Turns an image into a class token and patch tokens with positions."""
 
     def __init__(self, sizes: Sizes) -> None:
         super().__init__()
@@ -107,10 +103,7 @@ class Embeddings(nn.Module):
         self.patch_embeddings = nn.ModuleDict({"projection": conv})
 
     def forward(self, image: Tensor) -> Tensor:
-        """Divide an image [B,3,H,W] into patches; return one token per patch and the class token.
-
-        The result is [B,1+L,C].
-        """
+        """Return the class token and one token per patch [B,1+L,C] of an image [B,3,H,W]."""
         patches = self.patch_embeddings["projection"](image)
         rows, columns = patches.shape[2:]
         tokens = patches.flatten(2).transpose(1, 2)
@@ -118,7 +111,7 @@ class Embeddings(nn.Module):
         return tokens + self._positions(rows, columns)
 
     def _positions(self, rows: int, columns: int) -> Tensor:
-        """Return the position embeddings [1,1+L,C], resized as transformers 4.35 does."""
+        """Position embeddings [1,1+L,C] are resized as by transformers 4.35."""
         known = self.positions
         if (rows, columns) == (known, known):
             return self.position_embeddings
@@ -141,7 +134,7 @@ class VisionTransformer(nn.Module):
         self.layernorm = nn.LayerNorm(width, eps=1e-12)
 
     def forward(self, image: Tensor) -> Tensor:
-        """Apply the vision transformer to colours [B,3,H,W] in 0..1; return tokens [B,1+L,C]."""
+        """Return tokens [B,1+L,C] of colours [B,3,H,W] in 0..1."""
         mean, std = (image.new_tensor(v)[:, None, None] for v in (MEAN, STD))
         tokens = self.embeddings((image - mean) / std)
         return self.layernorm(self.encoder["layer"](tokens))
@@ -196,7 +189,7 @@ class TripoSr(nn.Module):
 
 
 def load(tensors: StateDict, sizes: Sizes | None = None) -> TripoSr:
-    """Build the network and load its tensors; raise an error if tensors are missing or unknown.
+    """Build the network and load the tensors.
 
     Raises:
         InputError: If the tensors are not those of TripoSR.

@@ -18,33 +18,31 @@ from phy124.generators.shapes import choose_triangles, cover_surface
 THRESHOLD = 25.0
 """Density at the surface, as in the original program."""
 COARSE = 64
-"""Intervals per axis of the coarse grid, on which the surface is located."""
+"""Intervals per axis of the coarse grid."""
 REFINE = 3
-"""Number of intervals of the fine grid in each interval of the coarse grid."""
+"""Number of fine intervals in each coarse interval."""
 NEAR = 3.0
-"""The fine grid is evaluated around coarse vertices with |log(density / threshold)| up to this."""
+"""Largest |log(density / threshold)| around which the fine grid is evaluated."""
 FRAGMENT = 0.01
-"""Separate pieces of the surface are removed if their volume is below this fraction of the largest
-piece's volume.
-"""
+"""Smaller pieces are removed; the volume is relative to the largest piece."""
 BATCH = 1 << 18
-"""Number of points that are evaluated between two reports of progress."""
+"""Number of points between two reports of progress."""
 COUNT = 40_000
 """Approximate number of Gaussians."""
 Step = Callable[[int, int], None]
-"""Function that is called with the number of finished steps and the total number of steps."""
+"""Called with the number of finished steps and the total number of steps."""
 
 
 def cover_field(
     field: Field, *, seed: int = 0, count: int = COUNT, step: Step = lambda done, total: None
 ) -> Gaussians:
-    """Cover the surface of a density field with flat Gaussians; the colours are those of the field.
+    """Cover the surface of a density field with flat Gaussians in the field's colours.
 
     Args:
         field: Density and colour.
         seed: Seed of the Gaussians' positions.
         count: Approximate number of Gaussians.
-        step: Function that is called with the number of finished steps and the total number.
+        step: Called with the number of finished steps and the total number.
 
     Raises:
         InputError: If the field has no surface.
@@ -58,9 +56,9 @@ def cover_field(
 
 
 def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[np.float32]:
-    """Return log(density / threshold) on the fine grid [N,N,N], which is positive inside.
+    """Return log(density / threshold) [N,N,N], positive inside.
 
-    Away from the surface, the values are interpolated from the coarse grid.
+    Away from the surface, the values are interpolated from a coarse grid.
     """
     everywhere = np.argwhere(np.ones((COARSE + 1,) * 3, bool))
     coarse = _evaluate(field, _axis(COARSE + 1), everywhere, step).reshape((COARSE + 1,) * 3)
@@ -84,7 +82,7 @@ def sample_grid(field: Field, step: Step = lambda done, total: None) -> NDArray[
 
 
 def extract_triangles(values: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the triangles [T,3,3] (three corners each) of the surface where `values` is 0.
+    """Return the triangles [T,3,3] of the surface where `values` is 0.
 
     Raises:
         InputError: If there is no surface.
@@ -105,7 +103,7 @@ def extract_triangles(values: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def drop_fragments(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Remove separate pieces that are smaller than `FRAGMENT` times the largest piece's volume."""
+    """Remove separate pieces below the fraction `FRAGMENT` of the largest volume."""
     labels, count = scipy.ndimage.label(values > 0)  # pyright: ignore
     if count > 1:
         sizes = np.bincount(labels.ravel())[1:]
@@ -121,7 +119,7 @@ def _axis(size: int) -> NDArray[np.float32]:
 def _evaluate(
     field: Field, axis: NDArray, places: NDArray[np.int64], step: Step
 ) -> NDArray[np.float32]:
-    """Return log(density / threshold) [N] at nodes of a cubic grid with the indices [N,3]."""
+    """Return log(density / threshold) [N] at indices [N,3] of a cubic grid."""
     decode, total = field.on_grid(axis), len(places)
     parts = []
     for start in range(0, total, BATCH):
@@ -132,7 +130,7 @@ def _evaluate(
 
 
 def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:
-    """Interpolate an array linearly; `index` are the sample positions along each of its axes."""
+    """Interpolate an array linearly; `index` are the positions along each axis."""
     for axis in range(3):
         low = np.minimum(index.astype(np.int64), values.shape[axis] - 2)
         part = (index - low).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
@@ -142,7 +140,7 @@ def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:
 
 
 def _normals(values: NDArray[np.float32], points: NDArray) -> NDArray[np.float64]:
-    """Return outward unit normals [N,3] at points [N,3]: the negative direction of the gradient."""
+    """Return outward unit normals [N,3] at points [N,3]."""
     step = 2 * RADIUS / (len(values) - 1)
     place = (points + RADIUS) / step
     low = np.clip(place.astype(np.int64), 0, len(values) - 2)
