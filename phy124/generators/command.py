@@ -3,9 +3,8 @@
     phy124 generate cat.jpg --generator "cmd: triposplat {image} {out}" --dialect triposplat
 
 The command gets a PNG file with transparency, and writes Gaussians or a mesh. To write a mesh, add
-its extension to the output name (for example {out}.glb). The command may use a Python environment
-of its own. The command is run without a shell, and its time limit is half an hour. The prefix `cmd
-120: ...` sets a limit of 120 seconds. If the time limit is exceeded or the run is cancelled, the
+its extension to the output name (for example {out}.glb). The command is run without a shell. The
+time limit is half an hour, or 120 seconds with the prefix `cmd 120: ...`. After the time limit, the
 command and all processes that it started are killed.
 """
 

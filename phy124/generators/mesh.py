@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 UPRIGHT = {"glb": Y_UP, "gltf": Y_UP, "obj": Y_UP, "stl": ("z", None), "ply": ("z", None)}
 """Up and front directions, by file format."""
 STL_HEAD = 84
-"""Header of a binary STL file [bytes]; the last four bytes are the number of triangles."""
+"""Size of a binary STL file's header [bytes]; the last four bytes are the number of triangles."""
 STL_ROW = 50
-"""Triangle in a binary STL file [bytes]."""
+"""Size of a triangle in a binary STL file [bytes]."""
 LARGEST = 200_000_000
-"""Larger files are refused [bytes]."""
+"""Largest file size [bytes]."""
 MOST_TRIANGLES = 2_000_000
 TIME = isolated.Deadline(seconds=60.0)
 COUNT = 24_000

@@ -83,7 +83,7 @@ class Opened(NamedTuple):
     """The visible Gaussians of a file, and notes for the user."""
 
     gaussians: Gaussians
-    """In the axes of phy124 and in the file's unit of length."""
+    """The visible Gaussians in the axes of phy124 and in the file's unit of length."""
     rotation: NDArray[np.float64]
     """Rotation [3,3] from the file's axes to those of phy124."""
     cleaning: list[str]
@@ -102,8 +102,8 @@ class Opened(NamedTuple):
 class PlyFile:
     """A generator that reads Gaussians from a file and ignores the image.
 
-    `phy124.pipeline.capture` separates an object from the floor instead, because it needs the
-    scene.
+    The generator does not separate an object from the floor, because the scene would be needed;
+    `phy124.pipeline.capture` does so.
     """
 
     path: str

@@ -19,8 +19,8 @@ MOST = 0.8
 object.
 """
 SMALL = 0.3
-"""A background is reported if the object's longest side is below this fraction of the whole longest
-side.
+"""A background is reported if the object's longest side is below this fraction of the box around
+all Gaussians.
 """
 AROUND = 1.25
 """Size of the recommended crop box, relative to the object."""
@@ -67,7 +67,7 @@ class _Around(NamedTuple):
 
 
 def _sky(means: NDArray[np.float64]) -> _Around | None:
-    """A sky is a shell of centres [N,3] far around the other Gaussians."""
+    """Find a sky: a shell of centres [N,3] far around the other Gaussians."""
     places = means - np.median(means, axis=0)
     distances = np.linalg.norm(places, axis=1)
     far = distances > np.quantile(distances, 1 - MANY / 2) / 2

@@ -302,7 +302,6 @@ def _search(image: Image.Image, method: str, deadline: isolated.Deadline) -> Alp
 def _pick_object(
     image: Image.Image, alpha: Alpha, method: str, pick: Point, deadline: isolated.Deadline
 ) -> Alpha:
-    """Select the object at a point; if there is no object, segment a region around the point."""
     picked = select_object(alpha, pick)
     if picked is None and method not in TAKEN_WHOLE:
         picked = search_around(image, pick, lambda part: _search(part, method, deadline))

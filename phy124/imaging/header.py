@@ -16,7 +16,7 @@ MOST_BRANDS = 64
 HEAD = 16 + 4 * MOST_BRANDS
 """Number of bytes at the start of a file that identify its format."""
 MOST_SEGMENTS = 100_000
-"""Photographs have up to a few hundred segments."""
+"""Largest number of searched segments; photographs have up to a few hundred."""
 SEGMENT = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
 """The bytes 00 and D0 to D7 belong to the image data.
 

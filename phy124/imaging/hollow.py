@@ -28,7 +28,7 @@ WIDE = 0.2
 ASPECTS = (0.08, 0.6)
 """Allowed ratios of a rim's height to its width."""
 FIT = 0.025
-"""Largest mean distance of the outline from the rim, relative to half the rim's width."""
+"""Largest mean distance of the outline from the rim's back half, relative to half the width."""
 FRONT = 0.95
 """Smallest fraction of the rim's front half at which the image has an edge."""
 EDGE = 2.0

@@ -228,7 +228,6 @@ def _check_bytes(size: int) -> None:
 
 
 def _read_stated_size(data: bytes, formats: tuple[str, ...]) -> Size:
-    """Return the width and height from the header of an image file."""
     kind = read_kind(data)
     if kind is None:
         raise explain_unidentified(data, formats)

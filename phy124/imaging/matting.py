@@ -17,7 +17,8 @@ DECIDED, SHARP = 2.0, 1.5
 OPAQUE = 243
 """Pixels with at least this alpha, 0..255, are assumed to contain no background colour."""
 INSET = 1.0
-"""Pixels at least this far inside the object have reliable colours [pixels at `SIDE`]."""
+"""Pixels at least this far inside the object have reliable colours [pixels of the reduced image].
+"""
 
 
 def fit_edge(rgb: NDArray[np.uint8], coarse: Field) -> NDArray[np.uint8]:
@@ -91,7 +92,6 @@ def _find_trusted(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def _depth(inside: NDArray[np.bool_]) -> Field:
-    """Distance from each pixel to the nearest pixel outside the object [H,W]."""
     return np.asarray(cv2.distanceTransform(_mask(inside), cv2.DIST_L2, 5), np.float32)
 
 

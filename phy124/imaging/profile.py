@@ -9,9 +9,9 @@ from typing import Any
 from PIL import Image
 
 DESCRIBED = {"RGB ": ("RGBA", "L", "LA"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Image modes by the colour space of the profile."""
+"""Modes of the images to which a profile may apply, by the profile's colour space."""
 READ = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
-"""Image mode before the conversion, without alpha, by the colour space of the profile."""
+"""Mode to which an image without alpha is converted first, by the profile's colour space."""
 
 
 def convert_to_srgb(picture: Image.Image, profile: bytes) -> Image.Image:

@@ -38,7 +38,7 @@ class Salient:
     resize: Callable[[Pixels, int], Pixels]
     mean: tuple[float, float, float]
     std: tuple[float, float, float]
-    """For colours in 0..1."""
+    """Mean and standard deviation for colours in 0..1."""
     finish: Callable[[Mask, tuple[int, int]], Mask]
     """Maps the network's output and the size (W, H) to a mask [H,W], 0..1."""
     title: str

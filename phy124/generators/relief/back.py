@@ -105,12 +105,10 @@ def _fold(solid: NDArray[np.bool_]) -> tuple[float, int]:
 
 
 def _about(values: NDArray, axis: int) -> NDArray:
-    """Pad an array [H,W] so that the axis of symmetry is in the middle column."""
     return np.pad(values, ((0, 0), (max(axis, 0), max(-axis, 0))))
 
 
 def _alike(rgba: Field, axis: int) -> float:
-    """Return the correlation between the brightness of an image [H,W,4] and of the mirror image."""
     solid = _about(rgba[..., 3] > 0.5, axis).astype(np.float64)
     bright = _about(rgba[..., :3].mean(axis=2), axis) * solid
     weight = cv2.GaussianBlur(solid, (0, 0), LARGE)

@@ -36,7 +36,9 @@ KNOWN = 0.6
 LEAST = 0.012
 """Smallest change of a colour across the edge [1 / pixel]."""
 CLEAR = 3.0
-"""Smallest ratio of this change to the changes along the outline, which patterns cause."""
+"""Smallest ratio of the change across the edge to the changes along the outline, which patterns
+cause.
+"""
 NOISE = 0.004
 """Noise of the changes along the outline [1 / pixel]."""
 SHARP = 0.5

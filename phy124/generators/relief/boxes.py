@@ -210,7 +210,6 @@ def rounded_polygon(object_mask: NDArray[np.bool_], count: int) -> Field | None:
 
 
 def _cross(first: Field, second: Field) -> Field:
-    """Return the cross products [N] of vectors in the plane [N,2]."""
     return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
 
 

@@ -19,7 +19,7 @@ The end's corners have the remaining weight. Separate feet have the weight 1.
 STRIP = 8
 """Height of the strip that colours an end [pixels]."""
 BLUR = 12.0
-"""Blur of these colours, as a standard deviation [pixels]."""
+"""Blur of the end's colours, as a standard deviation [pixels]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,6 @@ def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
 
 
 def _thick(surface: Surface, row: float) -> float:
-    """Return the largest half thickness in a row [pixels]."""
     return float(np.sqrt(max(surface.w[int(row)].max(), 0.0)))
 
 

@@ -78,7 +78,6 @@ def colour_points(
 
 
 def _fade(points: Field, normals: Field, surface: Surface, reach: float) -> Field:
-    """Return the weight of the back's colours behind the rim [N]."""
     if reach == 0:
         return np.clip(-normals[:, 2], 0, 1) ** 2
     part = np.clip((surface.middle(points) - points[:, 2]) / reach, 0, 1)

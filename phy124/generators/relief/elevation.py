@@ -20,9 +20,9 @@ class Raised:
     """A camera that looks down on the object's centre."""
 
     elevation: float
-    """Angle above the horizontal [radians]."""
+    """Angle of the camera above the horizontal [radians]."""
     distance: float
-    """Distance from the object's centre [pixels]."""
+    """Distance of the camera from the object's centre [pixels]."""
 
     @cached_property
     def turn(self) -> Field:

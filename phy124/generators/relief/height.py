@@ -39,7 +39,6 @@ class Factors:
 
 
 def _free(pool: ThreadPoolExecutor, made: list[Any]) -> None:
-    """Release the factors in the thread that created them."""
     pool.submit(made.clear)
     pool.shutdown(wait=False)
 

@@ -21,7 +21,9 @@ from phy124.generators.relief.upright import Profile
 
 Field = NDArray[np.float64]
 ELEVATIONS = np.radians([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
-"""Elevations that are tried first [radians]. A ball is filled at all elevations, and shows none."""
+"""Elevations that are tried first [radians]. If the circles fill the outline even at the last
+elevation, as for a ball, the outline shows no elevation.
+"""
 HALVINGS = 3
 """Number of times the step between elevations is halved."""
 LEFT = 0.015
@@ -79,8 +81,8 @@ class Lathe:
     def between(self, first: float, last: float) -> Lathe | None:
         """Cut off the circles below the base and above the lid; return None if nothing is left.
 
-        The camera does not see the cones beyond base and lid, except a part of the lower cone in a
-        bowl.
+        The circles beyond base and lid form cones that the camera does not see. A bowl contains a
+        part of the lower cone.
         """
         row = _images(self.heights, self.radii, self.camera)[1]
         top = np.flatnonzero(row.min(axis=1) <= first + EDGE)

@@ -1,8 +1,8 @@
 """Finds the legs and wheels of objects seen from the side, and puts them on both sides.
 
-Legs and wheels are in pairs on both sides of the image plane, in which the object is symmetric. The
-arch is the largest gap between the parts on the ground. Under a wide arch, there are forelegs on
-one side and hind legs on the other. A pointed arch has only two legs, as of a bird.
+The object is symmetric about the image plane, so legs and wheels are in pairs on both sides of the
+plane. The arch is the largest gap between the parts on the ground. Under a wide arch, there are
+forelegs on one side and hind legs on the other. A pointed arch has only two legs, as of a bird.
 """
 
 from __future__ import annotations
@@ -163,7 +163,6 @@ class Legs:
 
 
 def _flatten(shell: Shell, factor: float) -> Shell:
-    """Scale a shell towards the camera."""
     normals = shell.normals / [1.0, 1.0, factor]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return replace(shell, points=shell.points * [1.0, 1.0, factor], normals=normals)
@@ -299,7 +298,6 @@ def _are_long(pieces: list[Mask]) -> bool:
 
 
 def _root(solid: Mask, piece: Mask) -> Mask:
-    """Return the continuation of a leg [H,W] inside the body."""
     rows = np.flatnonzero(piece.any(axis=1))
     top, columns = rows[0], np.flatnonzero(piece[rows[0]])
     middle, mean = columns.mean(), np.count_nonzero(piece) / len(rows)

@@ -37,7 +37,7 @@ class View:
     middle: Field
     """Pixel at the centre of the view [3], with z = 0."""
     distance: float
-    """Distance from the object's centre [pixels]."""
+    """Distance of the camera from the object's centre [pixels]."""
 
     @classmethod
     def of(cls, object_mask: NDArray[np.bool_], distance: float) -> View:

@@ -88,7 +88,7 @@ object's size.
 AROUND = 1.12
 """Radius of the examined circle around a wheel, relative to the wheel's radius."""
 FREE = 0.55
-"""Smallest fraction of this circle outside the silhouette."""
+"""Smallest fraction of the circle around a wheel that is outside the silhouette."""
 APART = 1.25
 """Smallest distance between two wheels, relative to the sum of the radii."""
 LARGE = 0.18
@@ -327,6 +327,5 @@ def _radius_below(lowest: Field, x: float, y: float, least: float, most: float) 
 
 
 def _crop(object_mask: Mask) -> Mask:
-    """Return a silhouette [H,W] without border."""
     rows, columns = (np.flatnonzero(object_mask.any(axis=axis)) for axis in (1, 0))
     return object_mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

@@ -49,7 +49,7 @@ EGG = 0.9
 NARROWER = 0.75
 """Largest width near a vessel's foot, relative to the largest width; a drum is wider."""
 FOOT = 0.12
-"""Height at which this width is measured, relative to the object's height."""
+"""Height at which the width near the foot is measured, relative to the object's height."""
 WIDENING = 0.03
 """Largest increase of a vessel's width below the rim."""
 UPPER = 0.22
@@ -57,13 +57,13 @@ UPPER = 0.22
 TIP_HEIGHT = 0.1
 """Height near the tip, relative to the object's height."""
 TAPERED = 0.46
-"""Largest width at this height, relative to the largest width."""
+"""Largest width at the height `TIP_HEIGHT`, relative to the largest width."""
 HIGHER = 0.6
 """Smallest ratio of height to width of an outline with a tip; bowls without a foot are lower."""
 STEP = 0.12
 """Largest decrease of a vessel's half width over `SPAN`, relative to the largest half width."""
 SPAN = 0.03
-"""Relative to the object's height; sleeves end more abruptly."""
+"""Height of the compared step, relative to the object's height; sleeves end more abruptly."""
 THIN = 0.4
 """Largest thickness of a handle, relative to the thickest part."""
 REACH = 0.05
@@ -231,7 +231,6 @@ def _complete(body: Mask, solid: Mask) -> Mask:
 
 
 def _inner_distance(solid: Mask) -> Field:
-    """Return the distance from each pixel to the nearest pixel outside the mask [H,W]."""
     precise = cv2.DIST_MASK_PRECISE
     distance = cv2.distanceTransform(solid.astype(np.uint8), cv2.DIST_L2, precise)
     return np.asarray(distance, np.float64)

@@ -24,7 +24,7 @@ from phy124.weights.store import KNOWN, WeightFile, find, require
 SIZE = 320
 """Side of the network's input [pixels]."""
 CLOSER = 1.4
-"""A small object is segmented again if this enlarges the object at least by this factor."""
+"""Smallest magnification at which a small object is segmented again."""
 AROUND = 0.15
 """Width of the margin around a small object, relative to the object's longest side."""
 AGREED = 0.85

@@ -88,7 +88,8 @@ WITH_IMAGEDREAM = Settings(
 )
 """The settings of DreamGaussian's imagedream.yaml, for the guidance `MultiView`.
 
-The prompt is always empty. Unlike the original program, phy124 uses the diffusion model even so.
+The prompt is always empty. In this case, the original program does not use the diffusion model, but
+phy124 does.
 """
 
 
@@ -215,7 +216,6 @@ def _known_loss(
 def _guided_loss(
     splats: Splats, guidance: Guidance, settings: Settings, ratio: float, draw: torch.Generator
 ) -> tuple[Tensor, list]:
-    """Return the guidance's loss of random directions, and the renderings."""
     low, high = settings.elevations
     elevation = int(torch.randint(low, high + 1, (), generator=draw))
     azimuth = int(torch.randint(-180, 180, (), generator=draw))

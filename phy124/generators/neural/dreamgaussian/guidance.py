@@ -39,7 +39,7 @@ class Guidance(Protocol):
         Args:
             images: The images [B,3,S,S], 0..1.
             poses: Camera poses of the images.
-            ratio: Finished fraction of the optimisation; the noise level falls.
+            ratio: Finished fraction of the optimisation, which determines the noise level.
             draw: Random number generator.
         """
         ...

@@ -22,7 +22,7 @@ Parameters = dict[str, Tensor]
 """xyz [N,3]; f_dc [N,1,3] harmonics; opacity [N,1] logits; scaling [N,3] logs; rotation [N,4]."""
 NEIGHBOURS = 3
 SMALLEST = 1e-7
-"""Smallest mean squared distance to neighbours; its logarithm stays finite."""
+"""Smallest mean squared distance to neighbours, which keeps the logarithm finite."""
 START_OPACITY = 0.1
 
 
@@ -172,7 +172,7 @@ CHILDREN = 2
 SHRINK = 0.8 * CHILDREN
 """Ratio of a Gaussian's scales to the scales of the two Gaussians that replace it in a split."""
 TOO_LARGE = 0.1
-"""Gaussians with a larger scale are removed, relative to the scene's size."""
+"""Largest scale of a Gaussian that is kept, relative to the scene's size."""
 RESET = 0.01
 Draw = Callable[[Tensor], Tensor]
 """Maps standard deviations [M,3] to normal samples [M,3]."""
@@ -189,7 +189,7 @@ class Density:
     """Smallest screen gradient at which a Gaussian is cloned or split."""
     extent: float = 4.0
     percent_dense: float = 0.01
-    """Larger Gaussians are split, smaller ones cloned, relative to the scene's size."""
+    """Largest scale of a cloned Gaussian, relative to the scene's size; larger ones are split."""
     opacity_min: float = 0.01
     reset_every: int = 700
     """Number of steps between resets of the opacity."""
@@ -243,7 +243,6 @@ def densify(splats: Splats, pull: Tensor, density: Density, draw: Draw) -> None:
 
 
 def _split(splats: Splats, mask: Tensor, draw: Draw) -> None:
-    """Replace each Gaussian in a mask [N] by two smaller ones."""
     parents = {
         k: v[mask].repeat(CHILDREN, *[1] * (v.ndim - 1)) for k, v in splats.parameters.items()
     }

@@ -113,7 +113,6 @@ class MultiViewUNet(nn.Module):
         return channels, skips
 
     def _build_outputs(self, channels: int, skips: list[int], embedding: int) -> int:
-        """Return the number of channels of the last layer."""
         c = self.config
         for level in reversed(range(len(c.channel_mult))):
             for i in range(c.num_res_blocks + 1):

@@ -184,7 +184,6 @@ class Lgm:
         return Effort(seconds, settings, words)
 
     def _make_room(self) -> None:
-        """Release ImageDream's networks if LGM's network would not fit into memory."""
         room = MEMORY * self.dtype.itemsize
         if self._finds_views and self.model is None and is_short(room, self.device):
             self.multiview = None

@@ -47,11 +47,11 @@ def four_rays(size: int, *, elevation: float = 0.0) -> NDArray[np.float32]:
 
 
 Rotations = Literal["each", "all"]
-"""Whether quaternions are normalised for each Gaussian, or over all Gaussians of an object by
-mistake.
+"""Whether quaternions are normalised for each Gaussian, or over all Gaussians of an object.
 
-Weights from before April 2024 were trained with "all". Their quaternions had no effect in the
-training, because they were small and the renderer did not normalise them.
+LGM's weights from before April 2024 were trained with "all" by mistake. The quaternions of these
+weights are so small that they had no effect in the training, because the renderer did not normalise
+quaternions.
 """
 GENERATIONS: dict[str, Rotations] = {
     "5a7ab3128a73dce6d2927d5c7c7ec79a7f7ca885fec960db86d991f272fe2e9d": "all",  # model_fp16
@@ -182,7 +182,8 @@ NOT_ROTATED = (1.0, 0.0, 0.0, 0.0)
 SIDE = 128
 """Side of the compared images [pixels]."""
 MARGIN = 0.98
-"""Largest error of the normalisation "all", relative to "each"; "all" is rarely right."""
+"""Largest error at which "all" is chosen, relative to the error of "each"; "all" is rarely right.
+"""
 
 
 def remove_rotations(rows: Tensor) -> Tensor:

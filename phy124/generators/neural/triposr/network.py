@@ -18,7 +18,8 @@ from phy124.weights.checkpoints import StateDict, fill
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Mean and standard deviation of ImageNet's colours."""
 DENSITY_BIAS = -1.0
-"""Added to the decoder's first output; the density is the exponential of the sum."""
+"""Constant that is added to the decoder's first output; the density is the exponential of the sum.
+"""
 UNUSED = "image_tokenizer.model.pooler."
 """Prefix of tensors that TripoSR never uses."""
 OFFSET = 0.1

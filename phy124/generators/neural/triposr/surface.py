@@ -24,7 +24,7 @@ REFINE = 3
 NEAR = 3.0
 """Largest |log(density / threshold)| around which the fine grid is evaluated."""
 FRAGMENT = 0.01
-"""Smaller pieces are removed; the volume is relative to the largest piece."""
+"""Pieces below this fraction of the largest piece's volume are removed."""
 BATCH = 1 << 18
 """Number of points between two reports of progress."""
 COUNT = 40_000
@@ -130,7 +130,6 @@ def _evaluate(
 
 
 def _zoom(values: NDArray[np.float32], index: NDArray) -> NDArray[np.float32]:
-    """Interpolate an array linearly; `index` are the positions along each axis."""
     for axis in range(3):
         low = np.minimum(index.astype(np.int64), values.shape[axis] - 2)
         part = (index - low).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
