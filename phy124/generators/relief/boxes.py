@@ -116,7 +116,6 @@ class Cuboid:
         return upright and bool(self.half.max() <= ELONGATED * self.half.min())
 
     def _tilt(self) -> tuple[float, float]:
-        """Return the angle of the most vertical axis in the image, and the camera's elevation."""
         axes = self.turn.T * np.where(self.turn[1] > 0, -1, 1)[:, None]
         up = axes[axes[:, 1].argmin()]  # rows point downwards
         return float(np.arctan2(up[0], -up[1])), float(np.arcsin(up[2]))

@@ -108,7 +108,6 @@ def make_cap(
 
 
 def _outline(end: End, object_mask: NDArray[np.bool_]) -> Field:
-    """Return the last row of the object in each column [W]."""
     if end.divided:
         return np.full(object_mask.shape[1], end.outermost)
     at_corner = object_mask[int(end.corner - 0.5 * end.sign)]

@@ -103,7 +103,6 @@ def _sample_blurred(picture: Field, place: Field, blur: Field) -> Field:
 
 
 def _sample(picture: Field, place: Field) -> Field:
-    """Return colours [3,N] at positions (y, x)."""
     channels = [
         scipy.ndimage.map_coordinates(picture[..., c], place, order=1, mode="nearest")
         for c in range(3)

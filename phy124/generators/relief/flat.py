@@ -81,7 +81,6 @@ def limit_thickness(half: Field, limit: Field | float) -> Field:
 
 
 def _is_thick(picture: Continued, radius: float) -> bool:
-    """Whether the outline shows a solid of revolution, or an object on feet."""
     if radius < DISC and is_turned(body_without_handles(picture.object_mask)):
         return True
     return picture.body is not None or stands_on_feet(picture.object_mask)

@@ -102,7 +102,6 @@ class Hull(Implicit):
         return np.array(sizes, dtype=np.float64)
 
     def _cells(self, size: float) -> Field:
-        """Return the lower corners [M,3] of the cubes that the surface may intersect."""
         axes = [np.arange(-half, half, size) for half in self._reach()]
         corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         return corners[self._near(corners + size / 2, 1.3 * size)]

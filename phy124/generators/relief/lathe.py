@@ -94,7 +94,6 @@ class Lathe:
         return Lathe(self.heights[kept], smooth, self.camera)
 
     def _foot(self, base: int, lid: int) -> int:
-        """Return the lowest circle of an object with this base and lid."""
         rim, middle = float(self.radii[base:lid].max()), (base + lid) // 2
         height = self.heights[lid] - self.heights[base]
         slope = np.diff(self.radii[[base, middle]]) / np.diff(self.heights[[base, middle]])
@@ -232,7 +231,6 @@ def revolve(rings: Field, angles: Field) -> Field:
 
 
 def _empty(lathe: Lathe, profile: Profile, middle: float) -> float:
-    """Return the fraction of an outline's area without circles."""
     wide = int(profile.half.max()) + 2
     drawn = np.zeros((len(profile.half), wide), np.uint8)
     column, row = _images(lathe.heights, lathe.radii, lathe.camera)

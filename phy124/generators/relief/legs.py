@@ -280,7 +280,6 @@ def _separate(part: Mask, gaps: list[Mask], tall: int) -> list[Mask]:
 
 
 def _slender(piece: Mask) -> Mask:
-    """Return a leg [H,W] without a wide upper part, such as a head."""
     widths = np.count_nonzero(piece, axis=1)
     first, last = np.flatnonzero(widths)[[0, -1]]
     middle = (first + last + 1) // 2

@@ -52,6 +52,5 @@ def keep(shell: Shell, kept: Mask) -> Shell:
 
 
 def _bounds(inside: Mask) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Return the first row and column, and the row and column after the last."""
     places = np.argwhere(inside)
     return places.min(axis=0), places.max(axis=0) + 1

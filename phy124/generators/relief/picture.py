@@ -70,6 +70,5 @@ def work_picture(
 
 
 def _box(picture: Image.Image) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom of the opaque part [pixels]."""
     rows, columns = np.nonzero(np.asarray(picture.getchannel("A")) > 127)
     return int(columns.min()), int(rows.min()), int(columns.max()), int(rows.max())

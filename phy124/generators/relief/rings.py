@@ -193,13 +193,8 @@ def _edges(object_mask: Mask, middle: Field) -> Field | None:
 
 
 def _lines(across: Field, column: Field, row: Field, beyond: float) -> Field:
-    """Return the row [S,C] at which each line crosses each column.
-
-    Args:
-        across: Columns.
-        column: Columns of the lines' points [A,S], from the middle outwards.
-        row: Rows of these points [A,S].
-        beyond: Row of a line beyond the end.
+    """Return the row [S,C] at which each line [A,S] crosses each column; `beyond` is the row beyond
+    a line's end.
     """
     lines = zip(np.maximum.accumulate(column, axis=0).T, row.T, strict=True)
     return np.stack([np.interp(across, *line, right=beyond) for line in lines])

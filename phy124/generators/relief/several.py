@@ -111,7 +111,6 @@ def _profile(picture: Continued) -> Profile:
 
 
 def _shrinking(points: Field, box: Box, distance: float) -> float:
-    """Return the factor by which points [N,3] appear as large as in the image."""
     axis = int(np.argmax(box.size))
     factor = 1.0
     for _ in range(4):

@@ -217,7 +217,6 @@ def _sheet(half: Field | None, work: Continued) -> tuple[Field | None, float]:
 
 
 def _parts_thickness(work: Continued, shoulder: Shoulder | None, legs: Legs | None) -> Field | None:
-    """Return None except for a vehicle with flat sides and a body with a shoulder."""
     if legs is not None and legs.wheeled:
         return flat_topped(work.alpha > 0.5)
     return shoulder and shoulder.round_thickness(work.alpha)
@@ -274,7 +273,6 @@ def _table_shell(
 
 
 def _box_shell(box: Cuboid, front: Field, count: int, elevation: float | None) -> Shell:
-    """Return the upright shell of a box with the colours `front` [H,W,3]."""
     points, normals, pitch = box.spread(count)
     middle = float(box.view.middle[0]), float(box.view.middle[1])
     seen = Shown(front, middle, FRONT, ACROSS).colours(points, box.view.distance)

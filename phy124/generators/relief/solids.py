@@ -93,7 +93,6 @@ def _straighten(surface: Surface, ends: tuple[End, ...]) -> Field:
 
 
 def _with_feet(w: Field, picture: Continued) -> Field:
-    """Make round feet as deep as the object above them."""
     distance = np.where(
         picture.object_mask,
         nearest_of(~picture.object_mask)[0] - 0.5,

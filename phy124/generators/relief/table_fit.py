@@ -207,7 +207,6 @@ class Goal:
 
 
 def _without_lip(table: Table) -> Table:
-    """Replace a chair with the lowest possible backrest by a table."""
     lip = table.kind.backed and table.sizes.back <= LEAST.back
     return replace(table, kind=SQUARE_TABLE) if lip else table
 
@@ -243,7 +242,6 @@ def _unusual(table: Table) -> Field:
 def _tables(
     kind: Kind, yaws: Field, goal: Goal, distance: float, elevation: float | None
 ) -> list[Table]:
-    """Return tables of many proportions with the width and height of the silhouette."""
     depths = (0.6, 1.0, 1.6) if kind is SQUARE_TABLE else (1.0,)
     backs = (0.6, 1.1) if kind.backed else (0.0,)
     raised = ELEVATIONS.tolist() if elevation is None else [elevation]

@@ -175,7 +175,6 @@ class Profile:
         )
 
     def _widening(self, row: int) -> float:
-        """Return the largest increase of the half width below a row [pixels]."""
         below = self.half[row:]
         return float((np.maximum.accumulate(below[::-1])[::-1] - below).max())
 
