@@ -24,9 +24,8 @@ from phy124.mpm.model import Model
 from phy124.mpm.tracks import STILL, Tracks
 
 HELD = 0.5
-"""A clamped node within this distance of the clamp's surface [cells] moves opposite to its free
-neighbour, so that the motion vanishes at the surface. Clamped nodes farther inside the clamp do not
-move.
+"""Distance from the clamp's surface [cells] up to which a clamped node moves opposite to its free
+neighbour. Nodes farther inside the clamp do not move.
 """
 INSET = 0.2
 """Depth inside a clamp at which the motion of the material is set to zero [cells]. A B-spline that
@@ -51,16 +50,6 @@ class Clamp:
     ) -> None:
         """Find the nodes in a clamp.
 
-        Args:
-            part: The clamp.
-            model: The constants of the run.
-            lattice: The lattice at rest.
-            nodes: Arrays of the nodes.
-            tracks: The tracks of the run, to which the clamp's displacement is added.
-            sums: Sums of the clamp's impulse and work.
-            row: Index of these sums.
-            holder: Row in `sums` of each node's clamp [N]; the launches write it.
-
         Raises:
             InputError: The clamp fixes only some directions.
         """
@@ -81,9 +70,7 @@ class Clamp:
         )
         """Indices of the nodes that lie inside the clamp."""
         self.pairs, ratios = pins(lattice, far, acts_on(part, model, lattice.body))
-        """Indices of pairs of neighbouring nodes at the clamp's surface: inside and outside
-        [K,2].
-        """
+        """Pairs of neighbouring nodes at the clamp's surface: inside and outside [K,2]."""
         self._ratios = model.array(ratios, model.real)
         self.nodes = np.concatenate([self.held, self.pairs.ravel()])
         """Indices of the nodes whose velocities the clamp changes."""
@@ -91,10 +78,9 @@ class Clamp:
     def record(self, earlier: Sequence[Clamp], later: Sequence[Clamp]) -> list[wp.Launch | None]:
         """Record the kernel launches of one substep.
 
-        `earlier` and `later` are the clamps before and after this clamp in the scene.
-
-        If a node is inside several active clamps, it belongs to the last of them. A node inside a
-        clamp belongs to this clamp even if the node is also at the surface of another clamp.
+        The clamps `earlier` and `later` come before and after this clamp in the scene. If a node is
+        inside several active clamps, it belongs to the last of them. A clamp that contains a node
+        has precedence over a clamp whose surface is at the node.
         """
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._row, self.slot, nodes.inverse, nodes.rest, nodes.u, tracks.values]
@@ -126,16 +112,6 @@ class PassedOn:
         sums: wp.array,
         impulses: Impulses | None,
     ) -> None:
-        """Store the arrays of a run from which contact impulses are passed on to clamps.
-
-        Args:
-            model: The constants of the run.
-            nodes: Arrays of the nodes.
-            clock: The clock of the substeps.
-            holder: Row in `sums` of each node's clamp [N].
-            sums: Sums of all simple walls [W,16].
-            impulses: Sums per surface point and node; None if impulses are not summed.
-        """
         self._model, self._nodes, self._clock, self._sums = model, nodes, clock, sums
         self._holder = holder
         self._none = wp.zeros(0, dtype=wp.float64, device=model.device)
@@ -151,14 +127,12 @@ class PassedOn:
     ) -> wp.Launch:
         """Record the kernel launch that passes contact impulses on to clamps.
 
-        The kernel has one thread for each listed point.
-
         Args:
             near: Indices of the points.
             points: Nodes and weights of each point.
             force: Mean force on each point in a substep [S,3], N.
-            sums: Sums, including work, of the wall or body that exerts the force; None if it has no
-                sums.
+            sums: Sums, including work, of the wall or body that exerts the force; None if there are
+                none.
         """
         nodes, kernel = self._nodes, make_pass_on(self._model.real)
         inputs = [near, *points, nodes.movable, nodes.inverse, self._holder, nodes.rest, nodes.u]
@@ -170,10 +144,8 @@ class PassedOn:
 def pins(
     lattice: RestLattice, far: NDArray[np.float64], affected: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """For each column of nodes that enters a clamp, return its nodes on both sides of the clamp's
-    surface.
-
-    The results are the last clamped node, the first free node, and the ratio of their motions.
+    """Return the last clamped node and the first free node of each column of nodes that enters a
+    clamp [K,2], and the ratios of the motions of the two nodes [K].
 
     Args:
         lattice: The lattice at rest.
@@ -199,12 +171,10 @@ def pins(
 def slots_at(
     nodes: NDArray[np.int64], clamps: Sequence[tuple[int, NDArray[np.int64]]], device: str
 ) -> wp.array:
-    """Return, for each node, the tracks of the clamps that contain it [K,L]; -1 means no clamp.
+    """Return, for each node, the tracks of the clamps that contain the node [K,L]; -1 means no
+    clamp.
 
-    Args:
-        nodes: Indices of nodes [K].
-        clamps: Track and nodes of each clamp; clamps that contain none of the nodes are ignored.
-        device: Warp device.
+    `clamps` are the track and the nodes of each clamp.
     """
     among = [(slot, np.isin(nodes, theirs)) for slot, theirs in clamps]
     slots = [np.where(inside, slot, -1) for slot, inside in among if inside.any()]
@@ -222,7 +192,7 @@ def acts_on(part: Any, model: Model, body: NDArray[np.int64]) -> NDArray[np.bool
 
 
 def distances(part: Any, model: Model, x: NDArray) -> NDArray[np.float64]:
-    """Return the normal of a simple wall and the signed distance [m] at points, as rows [N,4]."""
+    """Return a simple wall's normal and signed distance [m] at points, as rows [N,4]."""
     t = types(model.real)
     shape, points = t.mat33(*np.ravel(part.geometry(model))), model.array(x, t.vec3)
     out = wp.zeros(len(x), dtype=t.vec4, device=model.device)

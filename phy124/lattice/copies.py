@@ -1,10 +1,8 @@
 """Arranges copies of nodes in memory so that each cell still uses rows of three nodes along z.
 
 A node has copies if separate pieces of a body lie in the support of the node
-(phy124/particles/pieces.py). A node may belong to several rows of three nodes. The next node in
-each row may be a different copy. Each of these rows is stored separately and repeats the common
-node. A repeated node is tied, with weight 1, to the node that it repeats, so it is treated like
-other tied nodes.
+(phy124/particles/pieces.py). A node that belongs to several rows is stored in each of them. A
+repeated node is tied, with weight 1, to the node that it repeats.
 """
 
 from typing import NamedTuple
@@ -20,17 +18,13 @@ class Layout(NamedTuple):
     node: NDArray[np.int64]
     """Index of the distinct node that is stored at each position in memory [N]."""
     home: NDArray[np.int64]
-    """Main position in memory of each distinct node [D]; at other positions, the node is
-    repeated.
-    """
+    """Main position in memory of each distinct node [D]."""
     rows: NDArray[np.int64]
     """For each cell, positions in memory of its nine rows of three nodes along z [C,9]."""
 
     @property
     def repeats(self) -> NDArray[np.bool_]:
-        """For each position in memory, whether it repeats a node whose main position is elsewhere
-        [N].
-        """
+        """Whether each position in memory repeats a node [N]."""
         mask: NDArray[np.bool_] = self.home[self.node] != np.arange(len(self.node))
         return mask
 
@@ -115,5 +109,4 @@ def _chain(rows: NDArray[np.int64]) -> list[list[int]]:
 
 
 def _ones(rows: NDArray, columns: NDArray, shape: tuple[int, int]) -> scipy.sparse.csr_matrix:
-    """Return a matrix with ones at the given rows and columns, and zeros elsewhere."""
     return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=shape)

@@ -1,9 +1,4 @@
-"""CoupledSolver: advances bodies on lattices together with bodies of particles.
-
-Lattices and particles take the same substeps. In a substep, the particles' grids are updated and
-forces change the velocities of the lattices' nodes. Then all contact impulses act, and walls act on
-the grids. Finally, particles and lattices move.
-"""
+"""CoupledSolver: advances bodies on lattices and bodies of particles in the same substeps."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -29,7 +24,6 @@ class CoupledClock(Clock):
     """The clock of the particles, with substeps that are also short enough for the lattices."""
 
     lattice: Clock | None = None
-    """The clock of the lattices."""
 
     def stable(self) -> Substep:
         """Return the longest substep that is stable for all bodies."""
@@ -90,9 +84,7 @@ class CoupledSolver(Solver):
             ceiling=ceiling,
             threads=1,
         )
-        """The solver of the bodies on lattices."""
         self.materials: list[Material] = []
-        """Contact of each body on a lattice with each body of particles."""
         self.lattice.guests = self.materials
         self.guest = self._part = _Lattices(self.lattice, self.materials)
         super().__init__(model, state, pairs=pairs, ceiling=ceiling, graph=False, **options)
@@ -122,8 +114,7 @@ class CoupledSolver(Solver):
     def bind(
         self, *, uniform: Sequence[Attachable] = (), walls: Sequence[Any] = (), **acting: Any
     ) -> None:
-        """Replace the forces, the boundaries and the sums, from the next substep on, as
-        `Solver.bind` does.
+        """Replace forces, boundaries and sums as `Solver.bind` does.
 
         The `uniform` forces and the boundaries `walls` act on the lattices.
         """
@@ -134,9 +125,7 @@ class CoupledSolver(Solver):
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take substeps of stable length, as `Solver.advance` does; `after` is called after each of
-        them.
-        """
+        """Take substeps of stable length, as `Solver.advance` does."""
         lattice = self.lattice
         lattice.rejection.begin(self.clock.time, until)
         lattice.limits.measure_if_due()
@@ -152,7 +141,6 @@ class CoupledSolver(Solver):
             self.pairs.add(other, soft, impulse, moment)
 
     def _stable_step(self, until: float) -> None:
-        """Take one substep, of a length that is stable for all bodies."""
         if self.lattice.limits.measure_if_due():
             for material in self.materials:
                 material.due = True
@@ -173,7 +161,6 @@ class CoupledSolver(Solver):
         super()._scatter(kick, drift)
 
     def _record(self) -> None:
-        """Record the kernel launches of one substep, in order."""
         for material in self.materials:
             pair = material.pair
             (other,) = {pair.first, pair.second} - self._numbers.keys()
@@ -195,22 +182,17 @@ class CoupledSolver(Solver):
 
 
 class _Lattices(Kept):
-    """The lattices during a substep of the particles. If the substep is rejected, the state of the
-    lattices is restored.
-    """
+    """Takes the lattices' part of a substep; a rejected substep restores the lattices."""
 
     kept = ("_lattice", "_materials")
 
     def __init__(self, lattice: LatticeSolver, materials: list[Material]) -> None:
         self._lattice, self._materials = lattice, materials
         self.times = (0.0, 0.0)
-        """Times for which the substep changes velocities (kick) and positions (drift) [s]."""
+        """Kick and drift of the substep [s]."""
 
     def launch(self) -> None:
-        """Apply forces and then all contact impulses to the nodes of the lattices.
-
-        The launches come after the particles' grids are updated and before walls act on the grids.
-        """
+        """Apply forces and contact impulses, before walls act on the particles' grids."""
         self._lattice.start_step(*self.times)
 
 
@@ -228,13 +210,9 @@ def copy_points(points: State, state: State, index: NDArray[np.int64]) -> None:
 def part_of_bodies(
     model: Model, bodies: Sequence[int], still: Sequence[int]
 ) -> tuple[Model, NDArray[np.int64]]:
-    """Return a model of some bodies, numbered in the order of `bodies`, and their particles'
-    indices.
+    """Return a model of `bodies`, in this order, and the indices of their particles.
 
-    Args:
-        model: The model.
-        bodies: Indices of the bodies.
-        still: Indices of bodies that never move.
+    The bodies `still` never move.
     """
     groups, runs, start = [], [], 0
     for place, body in enumerate(bodies):

@@ -34,7 +34,7 @@ LINE = 16
 
 
 class Crew:
-    """All workers of a run, and the kernel launches on their points and nodes."""
+    """All workers of a run."""
 
     def __init__(
         self,
@@ -46,19 +46,12 @@ class Crew:
         *,
         vectors: bool = True,
     ) -> None:
-        """Divide cells and nodes evenly among the workers.
+        """Divide cells and nodes evenly among `count` workers.
 
-        Args:
-            model: The integration points.
-            state: State of the points, which is computed from the nodes.
-            lattice: The lattice at rest.
-            nodes: Arrays of the nodes.
-            count: Number of workers.
-            vectors: Whether to use vectorised CPU kernels if they exist.
+        If `vectors` is True, vectorised CPU kernels are used where they exist.
         """
         self._model, self._state, self._lattice = model, state, lattice
         self.nodes = nodes
-        """Arrays of the nodes of all lattices."""
         self._vectors = vectors and simd.usable(model.real, model.device)
         self._blocks: dict[tuple[int, int], tuple[int, wp.array, wp.array]] = {}
         t, device = types(model.real), model.device
@@ -72,16 +65,14 @@ class Crew:
         room = [-(-(span.stop - span.start) // LINE) * LINE for span in spans]
         begin = np.cumsum([0, *room])
         self._parts = [slice(int(b), int(b) + r) for b, r in zip(begin[:-1], room, strict=True)]
-        """The slice of each worker in an array that contains the forces of all workers (a pool)."""
+        """Each worker's slice of a pool, which is an array with the forces of all workers."""
         self._pool, self._pushes = (
             wp.zeros(int(begin[-1]), dtype=t.vec3, device=device) for _ in range(2)
         )
         numbers = [(span.start, span.stop, at) for span, at in zip(spans, begin, strict=False)]
         self._spans = wp.array(np.array(numbers, np.int32), dtype=wp.vec3i, device=device)
         self.lasting: wp.array | None = None
-        """For each worker, forces on nodes [N] that act until they are replaced; None if there are
-        none.
-        """
+        """A pool of forces [N] that act until they are replaced; None if no such forces act."""
         self._maxima = wp.zeros((count, LINE), dtype=model.real, device=device)
         self._read_maxima = reader(self._maxima)
         self.workers = [
@@ -106,9 +97,7 @@ class Crew:
         self.no_pull = wp.zeros(1, dtype=t.vec4, device=device)
         """A uniform acceleration of zero, for launches without gravity."""
         self._middle = wp.zeros_like(nodes.u)
-        """Output of a kernel that nothing reads [N,3]: velocities after pushes and before all other
-        forces.
-        """
+        """Velocities that a kernel writes and nothing reads [N,3]."""
         self._unread = wp.zeros(MAXIMA, dtype=model.real, device=device)
         self.measuring = all(self.vectors(g) and is_viscous(g, model) for g in model.groups)
         """Whether the stress kernels measure the largest speed and strain rate in every substep."""
@@ -116,11 +105,7 @@ class Crew:
             worker.tasks = {MEASURE: self._measure(worker), PLACE: self._follow(worker)}
 
     def _sparse(self, lattice: RestLattice, ties: Any) -> Any:
-        """Return a sparse matrix on the device that relates tied nodes and their donors.
-
-        Each node is a row. The motion of a tied node is extrapolated from heavier nodes, its
-        donors.
-        """
+        """Return a sparse matrix on the device, with one row per node."""
         model, count = self._model, len(lattice)
         starts, columns = ties.indptr, ties.indices
         if ties.shape[0] != count:  # The rows of nodes that are not tied are empty.
@@ -162,12 +147,10 @@ class Crew:
         return [("clear", clear), *launches([self._push(worker, pushes)]), *stress]
 
     def press(self, pushes: wp.array, turns: wp.array) -> None:
-        """Replace the lasting forces on nodes, which act until the next call.
+        """Replace the lasting forces on nodes.
 
-        The new forces accelerate the points.
-
-        `pushes` [P,3], m/s^2, are the accelerations, and `turns` [P,3,3] are their moments (see
-        `make_press`).
+        The forces give the points the accelerations `pushes` [P,3], m/s^2, with the moments `turns`
+        [P,3,3] (see `make_press`).
         """
         assert self.lasting is not None
         self.lasting.zero_()
@@ -180,19 +163,13 @@ class Crew:
             wp.launch(kernel, count, inputs=inputs, outputs=[part], device=model.device)
 
     def lasting_forces(self) -> list[Any]:
-        """Return the arguments with which `force_on` (kernels/lattice/nodes.py) adds the lasting
-        forces.
-        """
+        """Return the arguments of `force_on` (kernels/lattice/nodes.py) for the lasting forces."""
         return [self.lasting, self._spans, self._push_donors]
 
     def trial(self, worker: Worker, u: wp.array, out: wp.array) -> list[Named]:
-        """Return a worker's kernel launches that sum the forces due to trial displacements of the
-        nodes.
+        """Return the launches that sum a worker's forces due to trial displacements `u` [N,3], m.
 
-        Args:
-            worker: The worker.
-            u: Displacements of the nodes [N,3], m.
-            out: The worker's part of a pool.
+        `out` is the worker's part of a pool.
         """
         return self._stress(worker, u, [out, self._unread, self.stray])
 
@@ -221,14 +198,11 @@ class Crew:
 
     @property
     def viscous(self) -> list[Group]:
-        """The groups of points with viscous materials, whose stress depends on the rate of
-        strain.
-        """
+        """The groups of points whose stress depends on the rate of strain."""
         return [group for group in self._model.groups if is_viscous(group, self._model)]
 
     def viscosity(self, worker: Worker, out: wp.array) -> list[Named]:
-        """Return a worker's kernel launches that sum viscous forces after the velocities have
-        changed.
+        """Return the launches that sum a worker's viscous forces after the velocities have changed.
 
         The viscous forces are computed as the forces of a material without stiffness.
         """
@@ -242,26 +216,25 @@ class Crew:
         return launches(records)
 
     def new_pool(self) -> wp.array:
-        """Return an array for the forces of all workers, filled with zeros."""
+        """Return a pool: an array of zeros for the forces of all workers."""
         return wp.zeros_like(self._pool)
 
     def part_of(self, pool: wp.array, index: int) -> wp.array:
-        """Return the part of an array of forces that belongs to a worker (see `new_pool`)."""
+        """Return a worker's part of a pool."""
         return cast("wp.array", pool[self._parts[index]])
 
     def work(
         self, worker: Worker, at: int, tracks: Tracks, out: wp.array, pool: wp.array | None = None
     ) -> list[Named]:
-        """Return the kernel launch, after all contact, that sums the work of forces on a worker's
-        nodes.
+        """Return the launch that sums the work of forces on a worker's nodes, after all contact.
 
         Args:
             worker: The worker.
             at: Index of the sum (phy124/kernels/lattice/work.py).
             tracks: The tracks of the run, with the clock and the uniform acceleration.
             out: The sums.
-            pool: The forces. None: the forces of pushes if `at` is `PUSHED`, and of the stress if
-                not.
+            pool: The forces. None: the forces of pushes if `at` is `PUSHED`, otherwise of the
+                stress.
         """
         pushed = at == PUSHED
         if pool is None:
@@ -275,12 +248,9 @@ class Crew:
         return launches([("work", model.launch(kernel, span.stop - span.start, inputs, [out]))])
 
     def push_work(self, worker: Worker, tracks: Tracks, out: wp.array) -> list[Named]:
-        """Return a worker's kernel launch that sums the impulse and the work of forces on points.
+        """Return the launch that sums impulse and work of a worker's forces on points.
 
-        Args:
-            worker: The worker.
-            tracks: The tracks of the run, with the clock.
-            out: Sums in the order of phy124/kernels/work.py.
+        The sums `out` are in the order of phy124/kernels/work.py.
         """
         nodes, span, model = self.nodes, worker.nodes, self._model
         count = span.stop - span.start
@@ -302,7 +272,6 @@ class Crew:
     def _over_blocks(
         self, kernel: Any, span: slice, constants: list[Any], motion: Sequence[Any], outputs: list
     ) -> wp.Launch | None:
-        """Record the kernel launch over the blocks of cells that a span of points fills."""
         if (span.start, span.stop) not in self._blocks:
             device = self._model.device
             volume = np.asarray(self._model.volume.numpy(), np.float64)[span]
@@ -315,24 +284,16 @@ class Crew:
         return self._model.launch(kernel, len(order) // simd.CELLS, inputs, outputs)
 
     def _stress(self, worker: Worker, u: wp.array, outputs: list[wp.array]) -> list[Named]:
-        """Return a worker's kernel launches that sum the forces of the stress of all groups of
-        points.
-        """
         records = [self._stress_of(worker, group, u, outputs) for group in self._model.groups]
         return [("clear", outputs[0].zero_), *launches(records)]
 
     def _stress_of(
         self, worker: Worker, group: Group, u: wp.array, outputs: list[wp.array]
     ) -> Recorded:
-        """Record the kernel launch that adds the forces of the stress in a group's points to the
-        nodes.
+        """Record the launch that adds the stress forces of a group to the nodes.
 
-        Args:
-            worker: The worker.
-            group: The group; some of its points belong to other workers.
-            u: Displacements of the nodes [N,3], m.
-            outputs: Forces on nodes, and, for vectorised kernels, maxima of the motion and number
-                of non-finite points.
+        The `outputs` are the forces and, for vectorised kernels, the maxima of the motion and the
+        number of non-finite points.
         """
         model, span = self._model, _common(worker.points, group.particles)
         name, motion = f"stress {group.law.name}", (u, self.nodes.lagging)
@@ -350,9 +311,7 @@ class Crew:
         return self._vectors and simd.has_stress(group.law)
 
     def totals(self, group: Group, outputs: list[wp.array]) -> list[wp.Launch | None]:
-        """Record the vectorised kernel launches that sum energy and power over the points of a
-        group.
-        """
+        """Record the vectorised launches that sum a group's energy and power."""
         constants = [group.start, self._model.dx, group.theta]
         motion, kernel = [self.nodes.u, self.nodes.v], simd.make_totals_simd(group.law)
         spans = [_common(worker.points, group.particles) for worker in self.workers]
@@ -363,12 +322,9 @@ class Crew:
         ]
 
     def kick(self, worker: Worker, tracks: Tracks, *, pushed: bool) -> list[Named]:
-        """Return the kernel launches that change the velocities of a worker's nodes by the forces.
+        """Return the launches that apply the forces to a worker's nodes.
 
-        Args:
-            worker: The worker.
-            tracks: The tracks of the run, with the clock and the uniform acceleration.
-            pushed: Whether forces act on points.
+        `pushed` states whether forces act on points.
         """
         span, v, before, clock = worker.nodes, self.nodes.v, self.nodes.before, tracks.clock
         stress = [span, self._pool, self._donors, clock, tracks.values, v]
@@ -380,9 +336,6 @@ class Crew:
         return kicks + self._kick(*stress, self._middle if kicks else before)
 
     def _kick(self, span: slice, pool: wp.array, donors: Any, *rest: Any) -> list[Named]:
-        """Return the launch of the kernel `make_kick`, which changes the velocities of a span of
-        nodes.
-        """
         inputs = [self.nodes.inverse, pool, self._spans, donors, *rest]
         plain = node_kernels.make_kick(self._model.real)
         return self._over_nodes(span, plain, simd.make_kick_simd, inputs)
@@ -398,7 +351,6 @@ class Crew:
     def _over_nodes(
         self, span: slice, plain: Any, make_simd: Callable[[], Any], inputs: list[Any]
     ) -> list[Named]:
-        """Return the launch of a scalar or vectorised kernel over a span of nodes."""
         count, kernel = span.stop - span.start, plain
         if self._vectors:
             count, kernel = -(-count // simd.NODES), make_simd()
@@ -406,7 +358,6 @@ class Crew:
         return launches([("nodes", launch)])
 
     def _follow(self, worker: Worker) -> list[Named]:
-        """Return the kernel launch that computes x, v, C and F of a worker's points."""
         span, state, nodes, model = worker.points, self._state, self.nodes, self._model
         outputs = [state.x, state.v, state.C, state.F]
         if self._vectors and span.stop > span.start:
@@ -433,13 +384,10 @@ class Crew:
         return largest
 
     def accelerate(self, worker: Worker, pool: wp.array | None, out: wp.array) -> list[Named]:
-        """Return the kernel launches that compute the accelerations of a worker's nodes without
-        gravity.
+        """Return the launches that compute accelerations `out` [N,3], m/s^2, of a worker's nodes
+        without gravity.
 
-        Args:
-            worker: The worker.
-            pool: The forces of all workers; None: the forces of the stress in the last substep.
-            out: The accelerations [N,3], m/s^2.
+        `pool` contains the forces; None: the forces of the stress in the last substep.
         """
         span, pool = worker.nodes, self._pool if pool is None else pool
         clock = self._model.array([1.0, 1.0, 0.0], self._model.real)  # kick of 1 s from rest
@@ -447,7 +395,6 @@ class Crew:
         return [("clear", cast("wp.array", out[span]).zero_), *kick]
 
     def _measure(self, worker: Worker) -> list[Named]:
-        """Return the kernel launches that follow a worker's points and measure their motion."""
         model, state, nodes, records = self._model, self._state, self.nodes, []
         outputs = [worker.maxima, self.stray]
         for group in model.groups:
@@ -474,17 +421,14 @@ def is_viscous(group: Group, model: Model) -> bool:
 
 
 def _sections(group: Group, model: Model) -> list[Any]:
-    """Return the materials with the constitutive law of a group of points."""
     return [section for section in model.materials if section.device_law.name == group.law.name]
 
 
 def _span_of_cells(lattice: RestLattice, first: int, last: int) -> slice:
-    """Return the range of nodes used by the cells c with first <= c < last."""
     rows = lattice.rows[first:last]
     return slice(int(rows.min()), int(rows.max()) + 3) if len(rows) else slice(0, 0)
 
 
 def _common(a: slice, b: slice) -> slice:
-    """Return the intersection of two spans."""
     start = max(a.start, b.start)
     return slice(start, max(start, min(a.stop, b.stop)))

@@ -1,9 +1,4 @@
-"""Energies: sums the work on bodies in every substep, for each cause separately.
-
-The sums need two additional phases before the nodes move. The first phase sums only the viscous
-forces, and the second phase multiplies all forces by the mean velocities of the substep. The
-kernels for contact and clamps sum the work of contact and clamps.
-"""
+"""Energies: sums the work on bodies in every substep, for each cause separately."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
@@ -27,11 +22,9 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 STAGE = "dissipation"
-"""Name under which reports list the time to sum the work; it is the same for all materials."""
+"""Name under which reports list the time to sum the work."""
 EXTERNAL = "external work"
-"""Name under which reports list the time to sum the impulse and work of forces on points, which are
-needed for balances.
-"""
+"""Name under which reports list the time to sum impulse and work of forces on points."""
 ROOM = 24
 """Length of each worker's array of sums, chosen so that no two workers write to one cache line."""
 
@@ -69,14 +62,6 @@ class Energies(Kept):
     kept = ("_sums", "_clamps")
 
     def __init__(self, model: Model, nodes: Nodes, crew: Crew, clock: LatticeClock) -> None:
-        """Store the parts of a lattice solver that stay the same during a run.
-
-        Args:
-            model: The constants of the run.
-            nodes: Arrays of the nodes.
-            crew: The workers.
-            clock: The clock of the substeps.
-        """
         self._model, self._nodes, self._crew, self._clock = model, nodes, crew, clock
         self._walls: Walls | None = None
         shape = len(crew.workers), ROOM
@@ -85,22 +70,17 @@ class Energies(Kept):
         self.pushes: wp.array | None = None
         """Sums of impulse and work of forces on points, per worker [W,16]; None if not summed."""
         self._clamps = np.zeros(2)
-        """Work [J] of clamps that have been replaced during the run, and the part of this work that
-        is due to the clamps' motion.
-        """
+        """Work of replaced clamps, and the part due to the clamps' motion [J]."""
 
     def start(self) -> None:
-        """Start to sum the work of all causes, from the next time that the kernel launches are
-        recorded.
-        """
+        """Sum the work of all causes from the next recording of the kernel launches on."""
         crew = self._crew
         self._on, self._pools = True, {at.SHOCK: crew.new_pool()}
         if crew.viscous:
             self._pools[at.VISCOUS] = crew.new_pool()
 
     def attach(self, tracks: Tracks, walls: Walls, meetings: Meetings, free: Solids) -> None:
-        """Let contact sum its work; call this before the kernel launches of contact are recorded
-        again.
+        """Let contact sum its work; call this before the launches of contact are recorded again.
 
         Args:
             tracks: The tracks of the run, with the clock.
@@ -116,7 +96,7 @@ class Energies(Kept):
             walls.work = meetings.work = free.work = work
 
     def extend(self, *, pushed: bool) -> None:
-        """Insert the phases of a substep that sum the work of forces before the nodes move.
+        """Insert the phases of a substep that sum work before the nodes move.
 
         `pushed` states whether forces act on points.
         """
@@ -130,7 +110,6 @@ class Energies(Kept):
             worker.phases[-1:-1] = works
 
     def _fill(self, index: int) -> list[Named]:
-        """Return a worker's kernel launches that sum only the viscous forces."""
         crew, worker = self._crew, self._crew.workers[index]
         pools = {key: crew.part_of(pool, index) for key, pool in self._pools.items()}
         clock = self._clock.values
@@ -142,7 +121,6 @@ class Energies(Kept):
         return _rename(filled)
 
     def _multiply(self, index: int, forces: Sequence[int]) -> list[Named]:
-        """Return the kernel launches that sum the work done by forces on a worker's nodes."""
         crew, works = self._crew, []
         worker, known = crew.workers[index], (self._tracks, cast("wp.array", self._sums[index]))
         for key in forces:
@@ -153,7 +131,6 @@ class Energies(Kept):
         return _rename(works)
 
     def _exchange(self, index: int, sums: wp.array) -> list[Named]:
-        """Return a worker's kernel launch that sums impulse and work of forces on points."""
         crew, row = self._crew, cast("wp.array", sums[index])
         work = crew.push_work(crew.workers[index], self._tracks, row)
         return [(EXTERNAL, launch) for _, launch in work]
@@ -185,7 +162,7 @@ class Energies(Kept):
         self._clamps = -self._of_clamps()
 
     def _of_clamps(self) -> NDArray[np.float64]:
-        """Return the work of clamps, and the part of it that is due to the motion of clamps."""
+        """Return the work of clamps, and the part due to the clamps' motion [2], J."""
         if self._walls is None:
             return np.zeros(2)
         rows = np.asarray(self._walls.sums.numpy(), np.float64)[self._walls.holding]

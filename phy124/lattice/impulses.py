@@ -1,4 +1,4 @@
-"""Sums the impulses and the work of contact on surface points, and the impulses of clamps on nodes.
+"""Sums impulses and work of contact on surface points, and impulses of clamps on nodes.
 
 Impulses are summed only if the forces on Gaussians are stored (phy124/monitor/lattice.py).
 """
@@ -21,14 +21,6 @@ class Impulses:
     """The sums of contact impulses on surface points and nodes since they were last cleared."""
 
     def __init__(self, model: Model, points: int, nodes: Any, tracks: Tracks) -> None:
-        """Set all sums of impulses to zero.
-
-        Args:
-            model: The constants of the run.
-            points: Number of surface points.
-            nodes: Arrays of the nodes.
-            tracks: The tracks of the run, with the clock.
-        """
         self._model, self._nodes, self._clock = model, nodes, tracks.clock
         count = points + len(nodes.rest)
         self.sums = wp.zeros(count, dtype=wp.vec3d, device=model.device)
@@ -37,7 +29,7 @@ class Impulses:
         """Impulse on each node [N,3], N s."""
 
     def press(self, near: wp.array, force: wp.array) -> wp.Launch:
-        """Record the kernel launch that adds a wall's impulses on nearby points to the sums.
+        """Record the launch that adds a wall's impulses to the sums.
 
         `near` contains the indices of the points, one per thread. `force` [S,3], N, contains the
         mean forces in a substep.
@@ -47,7 +39,7 @@ class Impulses:
         return cast("wp.Launch", launch)
 
     def hold(self, clamps: list[Named], held: NDArray[np.int64]) -> list[Named]:
-        """Return the kernel launches of clamps, and launches that sum the clamps' impulses.
+        """Return the clamps' launches, and launches that sum the clamps' impulses.
 
         An impulse is the change of the momenta of the nodes `held`.
         """
@@ -68,19 +60,9 @@ def kernels(real: Any) -> Iterator[Any]:
 
 
 class ContactWork:
-    """The sums of the work of contact in a run, and the arrays that all their kernel
-    launches read.
-    """
+    """The sums of the work of contact in a run."""
 
     def __init__(self, model: Model, nodes: Any, tracks: Tracks, sums: wp.array) -> None:
-        """Store the arrays of a run from which the work of contact is summed.
-
-        Args:
-            model: The constants of the run.
-            nodes: Arrays of the nodes.
-            tracks: The tracks of the run, with the clock and the velocities of walls.
-            sums: The sums to which work is added (phy124/kernels/lattice/work.py).
-        """
         self._model, self._nodes, self._tracks, self._sums = model, nodes, tracks, sums
 
     def of(

@@ -1,14 +1,8 @@
 """Contact between the surface points of two bodies, or of two parts of a body.
 
-Every point is paired with an opposite position on the other surface. Initially, the opposite
-position is the nearest point of the other surface; later, it follows the paired point along the
-other surface. The weights of the pair are the weights of the point minus the weights of the
-opposite position. An impulse along the surface's normal therefore acts on both parts along one
-line, with opposite signs. Impulses are computed in the same way as the impulses of walls.
-
-The pairs are determined again when a part has moved relative to the mean motion of both parts. A
-sample of the surface points shows whether two parts are near each other; if they are not, nothing
-else is computed.
+Every point is paired with an opposite position on the other surface. The weights of the pair are
+the weights of the point minus the weights of the opposite position. An impulse along the surface's
+normal therefore acts on both parts along one line, with opposite signs.
 """
 
 from collections.abc import Callable
@@ -35,17 +29,11 @@ from phy124.mpm.stage import Named
 from phy124.mpm.tracks import Tracks
 
 MOVED = 0.6
-"""The surfaces of two parts of a body are compared again after a relative displacement of twice
-this value [cells].
-"""
+"""Half the relative displacement [cells] after which two parts of a body are compared again."""
 BETWEEN = 0.15
-"""The surfaces of two bodies are compared again after a relative displacement of twice this value
-[cells].
-"""
+"""Half the relative displacement [cells] after which two bodies are compared again."""
 SLID = 0.4
-"""The pairs of touching points are determined again after a point has moved this far along the
-other surface [cells].
-"""
+"""Displacement along the other surface [cells] after which the pairs are determined again."""
 FRICTION = 0.5
 """Friction coefficient for contact of a body with itself, and default for pairs of objects."""
 
@@ -68,21 +56,11 @@ class Meeting:
         sticky: bool = False,
         sums: wp.array | None = None,
     ) -> None:
-        """Prepare the contact of surfaces; the list of pairs of touching points is initially empty.
+        """Prepare the contact; initially, no points touch.
 
-        Args:
-            surface: Points that may touch.
-            model: The constants of the run.
-            nodes: Arrays of the nodes.
-            tracks: The tracks of the run, with the clock.
-            partners: Object that searches for points that may touch.
-            restore: Gain of the speed at which points that penetrate each other separate [1/s].
-            sample: Indices of the sampled points of the two bodies [K].
-            bodies: Indices of the two bodies; they are equal for contact of a body with itself.
-            friction: Coefficient of Coulomb friction.
-            sticky: Whether points that have touched stick together.
-            sums: Sums of impulse and moment of the first body on the second; None if there is only
-                one body.
+        `restore` [1/s] is the gain of the speed at which penetrating points separate. `sample` [K]
+        contains the indices of the sampled points. `sums` are impulse and moment of the first body
+        on the second.
         """
         self.bodies, self._sums = bodies, sums
         self._restore, self._friction = restore, friction
@@ -109,18 +87,13 @@ class Meeting:
         self._reserve(0)
         self._seen: NDArray[np.float64] = surface.x[sample]
         self._flagged: NDArray[np.bool_] = np.zeros(len(sample), bool)
-        """For each sampled point, whether pairs of touching points near it were determined."""
+        """Whether pairs near each sampled point were determined."""
         self.slack = 0.0
-        """Relative displacement [m] that is left before the distances between the surfaces are
-        compared again.
-        """
+        """Relative displacement left before the surfaces are compared again [m]."""
         self._away = self._between or bool(surface.side[sample].any())
-        """Whether the pairs must be determined in the next call, because bodies were far apart or
-        separate pieces may be near each other at rest.
-        """
+        """Whether the next call must determine the pairs."""
 
     def _reserve(self, count: int) -> None:
-        """Allocate arrays for pairs of touching points, and record the kernel launches on them."""
         model, nodes, clock = self._model, self._nodes, self._tracks.clock
         real, device, t = model.real, model.device, types(model.real)
 
@@ -177,14 +150,7 @@ class Meeting:
             self._pass = self._passed.of(every, points, pairs["force"])
 
     def record(self, work: ContactWork | None, passed: PassedOn | None) -> list[Named]:
-        """Return the stages of a substep that apply, correct and sum the contact impulses.
-
-        Args:
-            work: Object that records the launch that sums the work of the impulses; None if the
-                work is not summed.
-            passed: Object that records launches that transfer impulses on clamped nodes to clamps;
-                None if there are no clamps.
-        """
+        """Return the stages of a substep that apply, correct and sum the contact impulses."""
         # Pairs of a body with itself never use nodes in clamps.
         passed = passed if self._between else None
         if work is not self._work or passed is not self._passed:
@@ -213,10 +179,7 @@ class Meeting:
                 launch.set_param_at_index(2, reach)
 
     def follow(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs of touching points again if the sampled points have moved enough.
-
-        The sampled points have the positions x [K,3], m.
-        """
+        """Determine the pairs again if the sampled points, now at x [K,3], m, have moved enough."""
         moved = x - self._seen
         most = 2 * (BETWEEN if self._between else MOVED) * self._model.dx
         self.slack = most - (np.ptp(moved, axis=0).max() if len(x) else 0.0)
@@ -229,9 +192,6 @@ class Meeting:
         self._points, self._away = self._points[:0], True
 
     def _look(self, x: NDArray[np.float64]) -> None:
-        """Determine the pairs of touching points near the sampled points with positions x
-        [K,3], m.
-        """
         self._seen, self._away = x, False
         flagged = self._flag(x)
         if not flagged.any():
@@ -245,13 +205,11 @@ class Meeting:
 
     @cached_property
     def _flag(self) -> Callable[[NDArray], NDArray[np.bool_]]:
-        """Function that returns the sampled points near which contact is possible."""
         return self._partners.flagger(self._sample, between=self._between)
 
     def _list(self, points: NDArray[np.int64]) -> None:
-        """Determine the pairs of touching points for some surface points.
-
-        Points that already had a partner keep their contact force.
+        """Determine the pairs of some surface points; points that already had a partner keep their
+        force.
         """
         surface = self._surface
         partners = self._partners.find(points, between=self._between)
@@ -270,8 +228,8 @@ class Meeting:
         self._fill(a, {**pairs, **partners})
 
     def _overlap(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how deep surfaces of separate pieces of a body overlap at rest, for each pair of
-        points [K], m.
+        """Return how deep separate pieces of a body overlap at rest, for each pair of points [K],
+        m.
 
         Surfaces are only as exact as voxels, so they may overlap at rest. Contact does not push
         such surfaces apart.
@@ -284,7 +242,6 @@ class Meeting:
         return np.where(apart, overlap, 0)
 
     def _fill(self, points: NDArray[np.int64], pairs: dict[str, NDArray]) -> None:
-        """Copy the pairs of touching points to the device."""
         self._points, self.most = points, max(self.most, len(points))
         if len(points) > len(self._pairs["sign"]):
             self._reserve(min(len(self._mine), 2 * len(points)))

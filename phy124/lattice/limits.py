@@ -1,9 +1,4 @@
-"""Limits: measures the limits of a lattice's substep, and decides when to measure them again.
-
-The largest speed and strain rate, the largest frequency, and the distances of points from walls are
-measured only every few substeps. The next measurement is due when the strain or the displacements
-since the last measurement may have become too large.
-"""
+"""Limits: measures the limits of a lattice's substep, and decides when to measure them again."""
 
 import math
 
@@ -25,21 +20,15 @@ from phy124.mpm.workers import run_timed
 SLOWEST = 16
 """Largest number of substeps between two measurements of the limits."""
 STRAIN = 0.25
-"""The largest frequency of the bodies is measured again after this strain. If the largest frequency
-is steady, it is measured again only after twice this strain.
+"""Strain after which the bodies' largest frequency is measured again. If the frequency is steady,
+twice this strain is allowed.
 """
 WAY = 0.25
-"""Largest distance that a point may move between two measurements of its distance from walls
-[cells].
-"""
+"""Largest motion of a point between two measurements of its distance from walls [cells]."""
 TRAVEL = 3.0
-"""The distances of points from walls are measured again after points may have approached walls by
-this distance [cells].
-"""
+"""Approach of points to walls after which the distances from walls are measured again [cells]."""
 VIOLENT = 0.35
-"""If the strain rate times the substep's length exceeds this value, limits are measured in every
-substep.
-"""
+"""Strain per substep above which limits are measured in every substep."""
 
 
 class Limits(Kept):
@@ -56,17 +45,6 @@ class Limits(Kept):
         spectrum: Spectrum,
         free: Solids,
     ) -> None:
-        """Store the parts of a lattice solver that stay the same during a run; nothing is measured
-        yet.
-
-        Args:
-            model: The constants of the run.
-            clock: The clock, whose substeps are limited.
-            crew: The workers, which measure the motion of the points.
-            runner: Object that runs the workers.
-            spectrum: Object that measures the largest frequency.
-            free: Freely moving rigid solids.
-        """
         self._dx, self._clock, self._crew, self._runner = model.dx, clock, crew, runner
         self._spectrum, self._free = spectrum, free
         self._timings = crew.workers[0].timings
@@ -77,20 +55,16 @@ class Limits(Kept):
         self.probing = False
         """Whether the next substep measures the largest frequency of the bodies."""
         self._strain, self._probed = math.inf, 0
-        """Upper bound of the strain since the last measurement of the largest frequency, and the
-        number of substeps before this measurement.
+        """Bound of the strain since the largest frequency was measured, and the number of substeps
+        before this measurement.
         """
         self._travel = 0.0
-        """Bound of the motion of points and walls [m] since the last listing of the points near
-        walls.
-        """
+        """Bound of the motion since the distances from walls were measured [m]."""
         self.measured = 0.0
         """Time of the last measurement of the limits [s]."""
 
     def bind(self, walls: Walls, meetings: Meetings, rejection: StepRejection) -> None:
-        """Bind the measured limits to the walls, the contacts between bodies, and bounds of
-        forces.
-        """
+        """Set the walls, the contacts between bodies, and the bounds of forces."""
         self._walls, self._meetings, self._rejection = walls, meetings, rejection
 
     def measure_if_due(self) -> bool:
@@ -121,7 +95,6 @@ class Limits(Kept):
         return max(self._clock.extremes.speed, self._rejection.wall, self._free.fastest())
 
     def _measure(self) -> None:
-        """Measure the limits of the substep; raise Unstable if the body collapsed."""
         clock = self._clock
         if not self._crew.measuring or not clock.substeps:
             run_timed(self._timings, "measure", lambda: self._runner.complete(MEASURE))
@@ -162,7 +135,7 @@ class Limits(Kept):
             clock.expire()
 
     def _refuse_collapse(self) -> None:
-        """Raise Unstable if a value is not finite, or if substeps have become too short.
+        """Raise Unstable if a body collapsed.
 
         The next attempt then takes substeps of half the length at rest, because a run with the
         current short substeps would never end.
@@ -180,9 +153,7 @@ class Limits(Kept):
         raise Unstable(f"the body was squeezed so fast that {what}")
 
     def measure_frequency(self) -> None:
-        """Measure the largest frequency of the bodies, after forces are summed and before
-        they act.
-        """
+        """Measure the bodies' largest frequency when forces are summed and have not yet acted."""
         clock = self._clock
         self.probing, self._strain, self._probed = False, 0.0, clock.substeps
         self._runner.join()
@@ -198,7 +169,6 @@ class Limits(Kept):
         self._list_near()
 
     def _list_near(self) -> None:
-        """List the surface points that walls may touch before the next measurement."""
         step = self._step()
         # The walls are still at their positions of the previous substep.
         ahead = (self._clock.interval + 1) * step if math.isfinite(step) else 0.0

@@ -41,16 +41,9 @@ class Material(Kept):
         body: int,
         moves: bool,
     ) -> None:
-        """Prepare the contact with particles; the list of surface points is initially empty.
+        """Prepare the contact with particles; initially, no surface points are listed.
 
-        Args:
-            surface: Surface points of all bodies on lattices.
-            nodes: The nodes of the lattices.
-            model: The constants of the bodies on lattices.
-            pair: The contact of the two bodies.
-            fill: Volume fraction around a node per unit mass of particles at the node [1/kg].
-            body: Index of the body among the bodies on lattices.
-            moves: Whether the particles may move.
+        `fill` [1/kg] is the volume fraction around a node per unit mass of particles at the node.
         """
         self.pair, self._model, self._nodes = pair, model, nodes
         self._fill, self._moves = fill, int(moves)
@@ -65,12 +58,10 @@ class Material(Kept):
         self._gap, self._on, self._place = zeros(t.vec4), zeros(t.vec4), zeros(t.vec3)
         self._yields, self.force = zeros(model.real), zeros(t.vec3)
         self.sums = wp.zeros(SUMS, dtype=wp.float64, device=device)
-        """Impulse of the particles on the body on a lattice, and the moment of this impulse about
-        the origin.
-        """
+        """Impulse of the particles on the body, and the impulse's moment about the origin."""
         self._points = nodes.points
         self.due = True
-        """Whether the surface points near the particles must be listed in the next substep."""
+        """Whether the next substep must list the surface points near the particles."""
         self._passed: wp.Launch | None = None
         self.most = 0
         """Largest number of surface points near the particles so far."""
@@ -78,11 +69,8 @@ class Material(Kept):
     def record(self, grid: Grid, clock: wp.array, recovery: float) -> None:
         """Record the kernel launches for the current window of the particles' grid.
 
-        Args:
-            grid: The grid of the particles.
-            clock: The clock of the substeps.
-            recovery: Speed at which points inside the material are moved out, divided by their
-                depth [1/s].
+        `recovery` [1/s] is the speed at which points inside the material are moved out, divided by
+        depth.
         """
         model, nodes, rows = self._model, self._nodes, self._nodes.rows
         on_grid = [grid.lattice, grid.window, grid.nodes]
@@ -103,12 +91,7 @@ class Material(Kept):
         self._launches = [cast("wp.Launch", launch) for launch in (touch, resist, total)]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum the impulses of
-        contact.
-
-        `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
-        any.
-        """
+        """Return the launches of a substep that apply, correct and sum contact impulses."""
         near = self._list, self._points[:2], self.force
         self._passed = None if passed is None else passed.of(*near)
         return [[("pairs", self._stage(number))] for number in range(3)]
@@ -129,7 +112,6 @@ class Material(Kept):
         return act
 
     def _list_near(self) -> None:
-        """List the surface points of the body that have particle material around them."""
         self.due = False
         if self._look is None:
             return

@@ -1,8 +1,4 @@
-"""Meetings: computes all contact between bodies, and of each body with itself.
-
-A sample of the surface points shows whether two bodies, or two parts of a body, are near each
-other. If no parts are near each other, nothing else is computed.
-"""
+"""Meetings: computes all contact between bodies, and of each body with itself."""
 
 import math
 from typing import Any
@@ -31,7 +27,7 @@ SAMPLED = 1.5
 
 
 class Meetings(Kept):
-    """Contact between different bodies, and contact between parts of the same body."""
+    """Contact between bodies, and between parts of a body."""
 
     kept = ("of_bodies", "of_pairs")
 
@@ -45,34 +41,19 @@ class Meetings(Kept):
         restore: float,
         division: Division,
     ) -> None:
-        """Prepare the contact of bodies; there are initially no pairs of touching points.
+        """Prepare the contact; initially, no points touch.
 
-        Args:
-            surface: Points that may touch.
-            model: The constants of the run.
-            nodes: Arrays of the nodes.
-            tracks: The tracks of the run, with the clock.
-            pairs: Friction of pairs of bodies, and the sums of their impulses.
-            restore: Gain of the speed at which penetration is reduced [1/s].
-            division: Object that divides kernels among all workers.
+        `restore` [1/s] is the gain of the speed at which penetration is reduced.
         """
         self.work: ContactWork | None = None
-        """Object that records kernel launches that sum the work of contact; None if the work is not
-        summed.
-        """
         self.way = math.inf
-        """Upper bound of the displacements of all points since the surfaces were last
-        compared [m].
-        """
+        """Upper bound of all displacements since the surfaces were last compared [m]."""
         self._slack = 0.0
-        """Relative displacement [m] after which the surfaces of bodies and parts are compared
-        again.
-        """
+        """Relative displacement after which the surfaces are compared again [m]."""
         self._dx = model.dx
         cube = np.floor(surface.x / (SAMPLED * model.dx)).astype(np.int64)
         _, sample = np.unique(np.column_stack([surface.body, cube]), axis=0, return_index=True)
         self._bodies = [np.flatnonzero(surface.body[sample] == b) for b in range(model.bodies)]
-        """Indices of the sampled points of each body."""
         self._x = wp.zeros(len(sample), dtype=types(model.real).vec3, device=model.device)
         self._place = model.launch(
             make_place(model.real, nodes.rows),
@@ -111,12 +92,7 @@ class Meetings(Kept):
         return [*self.of_bodies, *self.of_pairs]
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum the impulses of
-        contact.
-
-        `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
-        any.
-        """
+        """Return the launches of a substep that apply, correct and sum contact impulses."""
         stages = [meeting.record(self.work, passed) for meeting in self.every]
         return [[each[k] for each in stages if len(each) > k] for k in range(3)]
 

@@ -21,46 +21,33 @@ from phy124.mpm.model import Model
 FAR = 3.0
 """If two sampled points are closer than this [cells], the surfaces around the points may touch."""
 REACH, NEAR = 1.4, 1.0
-"""Largest distance at which two surface points may touch [cells]: for two points of the same body,
-and for points of two bodies.
+"""Largest distance at which two surface points may touch [cells]: on one body, and on two bodies.
 """
 LEAST = 0.05
-"""Smallest volume ratio J that is used as a divisor when positions are mapped from the surface to
-the body at rest.
-"""
+"""Smallest volume ratio J that is used as a divisor."""
 AT_ONCE = 16
 """Number of points that are compared at a time (phy124/kernels/native/partners.h)."""
 BUCKETS = 32
 """Number of buckets along each axis of the search grid."""
 EXPOSED = "nodes", "weights", "slopes", "rest", "normal"
 SEARCHED = "flat", "body", "side", "rest", "normal"
-"""Names of the arrays of surface points that the kernels `make_expose` and `make_partner` read, in
-the kernels' order.
-"""
+"""Names of the arrays that `make_expose` and `make_partner` read, in the kernels' order."""
 
 
 class Partners:
-    """Searches for points that may touch among the surface points of all bodies."""
+    """Searches for surface points that may touch."""
 
     def __init__(self, surface: Surface, model: Model, nodes: Nodes, division: Division) -> None:
-        """Prepare the search for partners.
-
-        Args:
-            surface: Points that may touch.
-            model: The constants of the run.
-            nodes: Arrays of the nodes.
-            division: Object that divides kernels among all workers.
-        """
         self._surface, self._model, self._nodes = surface, model, nodes
         self._division = division
         self._known = np.zeros(surface.count, bool)
-        """For each surface point, whether its slopes and its flatness are already on the device."""
+        """Whether each surface point's slopes and flatness are already on the device."""
 
     def flagger(
         self, sample: NDArray[np.int64], *, between: bool
     ) -> Callable[[NDArray], NDArray[np.bool_]]:
-        """Return a function that maps positions of samples [K,3], m, to flags [K]: whether contact
-        is possible.
+        """Return a function from positions of samples [K,3], m, to flags [K]: whether contact is
+        possible.
 
         `sample` [K] contains indices of surface points. `between` is true if the other part belongs
         to another body.
@@ -91,13 +78,10 @@ class Partners:
     def find(self, points: NDArray[np.int64], *, between: bool) -> dict[str, NDArray[Any]]:
         """Return the surface points that touch a partner, and their partners.
 
-        Args:
-            points: Indices of the points among which to search [K].
-            between: Whether the points belong to two bodies.
-
-        Returns: `a` and `b`, the indices of the points and of their partners [M]; `normal`, the
-            direction from the partner to the point [M,3]; and `back`, which converts displacements
-            of the partner along the surface to the body at rest [M,3,3].
+        The result contains the indices `a` of the points and `b` of the partners [M], the direction
+        `normal` from partner to point [M,3], and `back` [M,3,3]. The matrices `back` convert
+        displacements of the partner along the surface to the body at rest. If `between` is true,
+        the points belong to two bodies.
         """
         results, count = self._results, len(points)
         self._learn(points)
@@ -114,9 +98,6 @@ class Partners:
         return {"a": points[a], "b": points[b], "normal": normals[a], "back": back}
 
     def _learn(self, points: NDArray[np.int64]) -> None:
-        """Copy the slopes and the flatness of surface points to the device, unless they are already
-        there.
-        """
         new = points[~self._known[points]]
         if len(new):
             put(self._arrays["slopes"], self._surface.slopes[new], new)
@@ -125,10 +106,7 @@ class Partners:
 
     @cached_property
     def _results(self) -> dict[str, wp.array]:
-        """Results of the search for partners of the surface points listed in the array `chosen`.
-
-        Each array has space for all surface points.
-        """
+        """Results of the search; each array has space for all surface points."""
         vec3, mat33 = types(self._model.real).vec3, types(self._model.real).mat33
         kinds = {"chosen": int, "x": vec3, "normal": vec3, "turned": mat33}
         kinds |= {"J": self._model.real, "partner": int, "direction": vec3}
@@ -136,7 +114,6 @@ class Partners:
 
     @cached_property
     def _expose(self) -> Callable[[int], None]:
-        """Function that computes the positions and normals of the first chosen surface points."""
         results, arrays = self._results, self._arrays
         inputs = [results["chosen"], *(arrays[name] for name in EXPOSED), self._nodes.u]
         outputs = [results[name] for name in ("x", "normal", "turned", "J")]
@@ -145,12 +122,10 @@ class Partners:
 
     @cached_property
     def _match_parts(self) -> Callable[[int], None]:
-        """Function that finds the partners of the first chosen points on the same body."""
         return self._match(REACH, between=False)
 
     @cached_property
     def _match_bodies(self) -> Callable[[int], None]:
-        """Function that finds the partners of the first chosen points on other bodies."""
         return self._match(NEAR, between=True)
 
     def _match(self, reach: float, *, between: bool) -> Callable[[int], None]:
@@ -163,7 +138,6 @@ class Partners:
 
     @cached_property
     def _arrays(self) -> dict[str, wp.array]:
-        """Arrays of the surface points on the device."""
         surface, model = self._surface, self._model
         t = types(model.real)
         return {

@@ -1,6 +1,6 @@
 """Checks whether the lattice solver supports a scene; errors name the unsupported field.
 
-An argument `scene` is a `phy124.scene.Scene`. This module cannot import that class, because
+Arguments `scene` are of the class `phy124.scene.Scene`, which cannot be imported here, because
 phy124.scene imports this module.
 """
 
@@ -56,10 +56,6 @@ def reason_for_particles(scene: Any) -> str:
 def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
     """Check that the lattice solver supports a scene.
 
-    Args:
-        scene: The scene.
-        materials: Materials of the scene's particles.
-
     Raises:
         InputError: The scene has a feature that the lattice solver does not support.
     """
@@ -69,7 +65,6 @@ def refuse_for_lattice(scene: Any, materials: Sequence[Material]) -> None:
 
 
 def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield the scene's unsupported features, in the order of the scene's fields."""
     if scene.couples:
         yield from (_refusals_of_immersed if scene.projects else _refusals_of_couples)(scene)
     yield from _refusals_of_materials(scene, materials)
@@ -88,7 +83,6 @@ def _refusals(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
 
 
 def _refusals_of_materials(scene: Any, materials: Sequence[Material]) -> Iterator[Refusal]:
-    """Yield an error for each plastic or fluid law in an object that is declared as elastic."""
     remedy = 'Use accuracy.solver = "mpm", or an elastic law.'
     for section in materials:
         if not is_elastic(section) and not scene.couples:
@@ -135,9 +129,7 @@ def _refusals_of_immersed(scene: Any) -> Iterator[Refusal]:
 
 
 def not_immersed(scene: Any) -> bool:
-    """Return whether a scene's projected liquid prevents elastic objects from being simulated on
-    lattices.
-    """
+    """Return whether a scene's projected liquid prevents the use of lattices."""
     return next(_refusals_of_immersed(scene), None) is not None
 
 

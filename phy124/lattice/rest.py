@@ -1,12 +1,8 @@
 """Builds the lattices of bodies at rest: nodes, cells, weights of points, masses and tied nodes.
 
 Node i is at (i + 1/2) dx, in the middle of cell i, and its quadratic B-spline covers the cells i -
-1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore use the same 27 nodes, and
-each weight is a single polynomial within the cell. If the points were between nodes instead, some
-motions of partly filled cells would have no stiffness.
-
-If a body only partly fills its cells, some nodes have almost no mass and stiffness. Such nodes are
-tied to heavier nodes (phy124/lattice/ties.py).
+1 to i + 1. A cell's eight points (phy124/particles/lattice.py) therefore use the same 27 nodes. If
+the points were between nodes instead, some motions of partly filled cells would have no stiffness.
 """
 
 from __future__ import annotations
@@ -41,7 +37,7 @@ STEPS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).r
 
 @dataclass(frozen=True, eq=False)
 class RestLattice:
-    """Nodes of bodies at rest, sorted by body, then x, y, z; and their weights at points."""
+    """Nodes of bodies at rest, sorted by body, x, y and z, and weights of the nodes at points."""
 
     dx: float
     """Side of a cell [m]."""
@@ -56,18 +52,15 @@ class RestLattice:
     tied: NDArray[np.int64]
     """Indices of the tied nodes [T]."""
     ties: scipy.sparse.csr_matrix
-    """Weights with which the motions of all nodes determine the motion of each tied node [T,N]."""
+    """Weights with which the motions of all nodes determine each tied node's motion [T,N]."""
     pushes: scipy.sparse.csr_matrix
-    """Weights with which pushes on other nodes are added to the push on a node, for each node
-    [N,N]. A push on a tied node, or on mass that has been moved from a light node to a heavier
-    node, then acts on the heavier node. With these weights, a uniform push accelerates all nodes
-    equally.
+    """Weights with which pushes on other nodes are added to the push on each node [N,N]. With these
+    weights, a uniform push accelerates all nodes equally.
     """
     body: NDArray[np.int64]
     """Body index of each node [N]."""
     source: NDArray[np.int64]
-    """For each node, the index of the node of which it is a copy [N]; the index of the node itself
-    if it is not a copy.
+    """Index of the node that each node copies [N]; a node that is no copy has its own index here.
     """
 
     @classmethod
@@ -131,7 +124,6 @@ class RestLattice:
     def _of_body(
         cls, x: NDArray, mass: NDArray, volume: NDArray, dx: float, copies: NDArray | None
     ) -> RestLattice:
-        """Return the lattice of one body; raise ValueError if points do not form cells of eight."""
         if len(x) % PER_CELL:
             raise ValueError("the number of points is not a multiple of eight; use lattice_of")
         x = np.asarray(x, np.float64) / dx
@@ -173,7 +165,6 @@ class RestLattice:
         return cls(float(dx), index, rows, offset, of_nodes, tied, ties, pushes, body, source)
 
     def __len__(self) -> int:
-        """Return the number of nodes."""
         return len(self.index)
 
     @property
@@ -183,7 +174,7 @@ class RestLattice:
 
     @cached_property
     def copied(self) -> NDArray[np.bool_]:
-        """For each node, whether separate pieces of the body use separate copies of it [N]."""
+        """Whether separate pieces of the body use separate copies of each node [N]."""
         mask = np.zeros(len(self), bool)
         if (self.source == np.arange(len(self))).all():
             return mask
@@ -196,11 +187,9 @@ class RestLattice:
 
     @property
     def sides(self) -> NDArray[np.int64]:
-        """For each cell, the number of the separate piece of the body that it contains [C].
+        """The number of the separate piece that each cell belongs to [C].
 
         The number is 0 if the nodes of the cell have no copies.
-
-        Cells that use the same copy of a node belong to the same piece.
         """
         nodes = self.source[self.nodes_of()]
         cell, place = np.nonzero(self.copied[nodes])
@@ -220,7 +209,6 @@ class RestLattice:
         """Return the neighbours of `nodes` [K] in the directions `step` [K,3]; -1: none.
 
         If the neighbour has copies, the result is the copy in the same piece as the first node.
-        A cell then contains both nodes.
         """
         target = self.find(self.index[nodes] + step, self.body[nodes])
         doubtful = np.flatnonzero((target >= 0) & (self.copied[nodes] | self.copied[target]))
@@ -245,8 +233,8 @@ class RestLattice:
         return points
 
     def motion_of(self, points: NDArray[np.int64]) -> scipy.sparse.csr_matrix:
-        """Return the weights with which the motion of nodes with mass moves the integration points
-        `points` [K,N].
+        """Return the weights [K,N] with which the nodes with mass move the integration points
+        `points`.
         """
         weights, shape = _weights(self.offset[points]), (len(points), len(self))
         nodes, starts = self.nodes_of(points // PER_CELL), np.arange(len(points) + 1) * 27
@@ -266,9 +254,8 @@ class RestLattice:
         return sum(int(np.ptp(index, axis=0).max()) - 1 for index in bodies)
 
     def respond(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the accelerations of integration points [P], m/s^2, due to forces [P], N.
-
-        Forces and accelerations have the same direction.
+        """Return accelerations of integration points [P], m/s^2, due to forces in one direction
+        [P], N.
 
         Accelerations are computed only in cells on which forces act, and are 0 elsewhere.
         """
@@ -307,9 +294,6 @@ class RestLattice:
 
 
 def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
-    """Return the numbers of copies [C,27] of the nodes in a body's cells; None if no node has
-    copies.
-    """
     if copies is None:
         return None
     start, stop = (end // PER_CELL if end is not None else None for end in (span.start, span.stop))
@@ -318,7 +302,10 @@ def _copies_in(copies: NDArray | None, span: slice) -> NDArray[np.int64] | None:
 
 
 def splines(offset: NDArray) -> NDArray[np.float64]:
-    """Return quadratic B-spline weights of three nodes [...,3] from offsets to the first node."""
+    """Return quadratic B-spline weights of three nodes [...,3].
+
+    `offset` is the position relative to the first node [cells].
+    """
     parts = [0.5 * (1.5 - offset) ** 2, 0.75 - (offset - 1) ** 2, 0.5 * (offset - 0.5) ** 2]
     return np.stack(parts, axis=-1)
 

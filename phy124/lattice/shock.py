@@ -1,10 +1,9 @@
 """Handles fast compression by an artificial viscosity, which needs shorter substeps.
 
-An impact near the speed of sound would squeeze the first layer of points flat before the stress of
-the next layer stops it. The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads such
-a shock over a few cells. The viscosity acts while opposite sides of a cell approach each other fast
-(`largest_calm_rate`). The rate of compression alone does not indicate a shock: if a crease squeezes
-a few points flat, even slow motions have a high rate of compression.
+The viscosity (phy124/kernels/lattice/stress.py, `make_shock`) spreads a shock over a few cells. The
+viscosity acts while opposite sides of a cell approach each other fast (`largest_calm_rate`). The
+rate of compression alone does not indicate a shock: if a crease squeezes a few points flat, even
+slow motions have a high rate of compression.
 """
 
 import math
@@ -27,17 +26,14 @@ viscosity grows with the rate of compression, so it is stable up to a fixed comp
 With a largest compression of 0.2, cells would invert in impacts at ten times the speed of sound.
 """
 IMPACT = 0.3
-"""If a point moves farther than this in a substep [cells], a wall may squeeze the point too
-much.
-"""
+"""Distance per substep [cells] above which a wall may squeeze a point too much."""
 UNSEEN = 0.6
 """Longest distance that a point may move before its velocity is measured again [cells]. At a wall,
 several short substeps without a measurement squeeze a point as much as one long substep.
 """
 FORGET = 4
-"""Factor by which the measured frequency and closing rate decay faster than measured values in the
-particle solver. The largest frequency and closing rate depend on a few points that are squeezed
-only for a short time. The measured frequency and closing rate should therefore decay fast.
+"""Factor by which the measured frequency and closing rate decay faster than in the particle solver.
+They depend on a few points that are squeezed only for a short time.
 """
 COLLAPSED = 1e-6
 """Smallest valid length of a substep, relative to the substep of the undeformed body."""
@@ -55,15 +51,13 @@ class LatticeClock(Clock):
     shocked = 0
     """Number of substeps in which the artificial viscosity acted."""
     closing = lasting = 0.0
-    """Largest closing rates of cells [1/s]: the rate in the last measurement, and the recent
-    maximum, which decays slowly.
+    """Largest closing rates of cells [1/s]: the last measured rate, and the recent maximum, which
+    decays slowly.
     """
     seen = 0.0
     """Time of the last measurement of velocities [s]."""
     _marked = (0, 0.0)
-    """Number of substeps and time [s] when the clock last examined whether the run makes
-    progress.
-    """
+    """Number of substeps and time [s] at the last check of the run's progress."""
 
     @property
     def _rate(self) -> float:

@@ -1,7 +1,7 @@
 """Solids: freely moving rigid solids, which exchange impulses with the surface points of bodies.
 
-The contact of each solid with each body is computed. Each impulse acts on the solid and, with the
-opposite sign, on the body, so that momentum is conserved.
+Each impulse acts on the solid and, with the opposite sign, on the body, so that momentum is
+conserved.
 """
 
 import itertools
@@ -32,7 +32,7 @@ from phy124.mpm.tracks import Tracks
 
 DEEPEST = 0.5
 """If a point on a flat part of a body's surface is at most this deep inside a box [cells], the
-contact force may have the direction of the normal of the body's surface.
+contact force may be normal to the body's surface.
 """
 LISTED = 1.0
 """Margin added to the contact distance when points near a solid are listed [cells]."""
@@ -48,31 +48,18 @@ class Solids(FreeBodies):
     ) -> None:
         """Place the solids in their initial states.
 
-        Args:
-            model: The constants of the run.
-            solids: The solids.
-            surface: Surface points of the bodies.
-            nodes: Arrays of the nodes.
-
         Raises:
             InputError: A solid is thinner than two cells.
         """
         self._nodes, self._surface = nodes, surface
         self.work: ContactWork | None = None
-        """Object that records kernel launches that sum the work of contact; None if the work is not
-        summed.
-        """
         shape = len(solids), model.bodies, SUMS
         self._sums = wp.zeros(shape, dtype=wp.float64, device=model.device)
-        """Sums of the impulses of each solid on each body [F,bodies,16], in the same layout as for
-        walls.
-        """
+        """Sums of the impulses of each solid on each body [F,bodies,16], laid out as for walls."""
         self._impulses: list[wp.array] = []
         super().__init__(model, solids)
         self.recovery = 0.0
-        """Speed at which surface points inside a solid are moved out, divided by their
-        depth [1/s].
-        """
+        """Speed at which points inside a solid are moved out, divided by their depth [1/s]."""
         self._touches: list[_Touch] = []
         self._reach_points = 0.0
         """Surface points at most this far from a solid may touch the solid before the next
@@ -103,10 +90,8 @@ class Solids(FreeBodies):
     def prepare(self, tracks: Tracks, recovery: float) -> None:
         """Prepare the contact with bodies; call after `bind` and after the upload of the tracks.
 
-        Args:
-            tracks: The tracks of the run, with the clock.
-            recovery: Speed at which points inside a solid are moved out, divided by their depth
-                [1/s].
+        `recovery` [1/s] is the speed at which points inside a solid are moved out, divided by
+        depth.
         """
         self.recovery, earlier = recovery, [touch.snapshot() for touch in self._touches]
         self._touches = [
@@ -118,12 +103,7 @@ class Solids(FreeBodies):
         self._list(turn=not earlier)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum the impulses of
-        solids.
-
-        `passed` records launches that transfer impulses on clamped nodes to clamps, if there are
-        any.
-        """
+        """Return the launches of a substep that apply, correct and sum the impulses of solids."""
         model, tracks = self._model, getattr(self, "_tracks", None)
         if tracks is None:
             return [[], [], []]
@@ -154,10 +134,9 @@ class Solids(FreeBodies):
         self._list(turn=True)
 
     def _list(self, *, turn: bool) -> None:
-        """List the surface points near each solid; if `turn` is set, also update the normals near
-        boxes.
+        """List the surface points near each solid; `turn` also updates the normals near boxes.
 
-        The normals are updated only when a run measures its limits, and not when a run is restored.
+        A restored run does not update the normals.
         """
         for touch in self._touches:
             touch.list_near(self._reach_points, LISTED * self._model.dx, turn=turn)
@@ -201,9 +180,7 @@ class _Touch(Kept):
             [self._gaps],
         )
         self.side = wp.zeros_like(self.force)
-        """Normals of the surface points that are near a box and on flat parts of the
-        surface [S,3].
-        """
+        """Normals of the surface points near a box and on flat parts of the surface [S,3]."""
         deepest = DEEPEST * model.dx
         inputs = [self._list, 0, 0.0, deepest, shape, solid.mass, moments, *points, self.side]
         inputs += [nodes.movable, nodes.u, tracks.clock, state]
@@ -235,19 +212,14 @@ class _Touch(Kept):
         return act
 
     def add_sums(self, work: ContactWork | None, passed: PassedOn | None) -> None:
-        """Append to the last stage kernel launches that sum the work or pass impulses on to clamps.
-
-        If an argument is None, the stage has no such launches.
-        """
+        """Let the last stage also sum work and pass impulses on to clamps; None: it does not."""
         near = self._list, self._points, self.force
         self._passed = None if passed is None else passed.of(*near, self._sums)
         known = self._list, self._points, self._gap, self.force
         self._work = None if work is None else work.of(SOLIDS, *known)
 
     def list_near(self, reach: float, more: float, *, turn: bool) -> None:
-        """List the surface points within `reach` + `more` [m] of the solid; `turn` as in
-        `Solids`.
-        """
+        """List the surface points within `reach` + `more` [m] of the solid."""
         if self._look is None:
             return
         self._look.launch()
@@ -269,7 +241,6 @@ class _Touch(Kept):
         account.set_dim(max(1, len(near)))
 
     def _turn(self, points: NDArray[np.int64]) -> None:
-        """Update the normals of the surface points on flat parts of the surface."""
         surface = self._surface
         points = points[surface.flat[points]]
         side = np.zeros((surface.count, 3))

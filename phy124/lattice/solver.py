@@ -1,9 +1,7 @@
 """LatticeSolver: explicit substeps of elastic bodies on lattices of their shapes at rest.
 
-A substep sums the forces of the stress on the nodes, changes the velocities of the nodes by forces,
-clamps and walls, and moves the nodes. Points serve only for integration. The points' x, v, C and F
-are computed from the nodes before forces on particles act, when limits are measured, and at the end
-of `advance`.
+Points serve only for integration. The points' x, v, C and F are computed from the nodes before
+forces on particles act, when limits are measured, and at the end of `advance`.
 """
 
 import math
@@ -51,7 +49,6 @@ class LatticeSolver(Kept):
 
     projects: ClassVar[bool] = False
     clock_type: ClassVar[type[LatticeClock]] = LatticeClock
-    """Class of the solver's clock."""
 
     def __init__(
         self,
@@ -115,16 +112,12 @@ class LatticeSolver(Kept):
         self.outliers = Outliers(model, self.state)
         self.boundaries: Sequence[Stage] = ()
         self.guests: list[Any] = []
-        """Objects that compute further kinds of contact; their kernels are launched together with
-        those of walls.
-        """
+        """Objects that compute further kinds of contact."""
         nodes, lattice = self.nodes_state, self.lattice
         with self.runner.on_threads():
             self.spectrum = Spectrum(model, self.crew, nodes, lattice, self.runner.complete)
-        """The largest angular frequency of the bodies, which limits the length of a substep."""
         parts = self.crew, self.runner, self.spectrum, self.free
         self.limits = Limits(model, self.clock, *parts)
-        """Measured values that limit the length of a substep."""
         self.bind(**acting)
 
     def bind(
@@ -207,10 +200,10 @@ class LatticeSolver(Kept):
         self.workers[0].phases[-1] += launches(last)
         self.energies.extend(pushed=pushed)
         self._summed = 2 if pushed else 0
-        """Index of the phase of a substep that completes the forces on all nodes."""
+        """The phase of a substep that completes the forces on all nodes."""
 
     def _contact(self) -> list[Named]:
-        """Return the kernel launches of all kinds of contact.
+        """Return the launches of all kinds of contact.
 
         All impulses of the last substep are applied before any impulse is corrected.
         """
@@ -221,7 +214,7 @@ class LatticeSolver(Kept):
         ]
 
     def _push(self, worker: int) -> list[Any]:
-        """Return a worker's kernel launches that apply forces to points.
+        """Return a worker's launches that apply forces to points.
 
         The first worker gets all launches if a launch cannot be divided between workers.
         """
@@ -259,11 +252,7 @@ class LatticeSolver(Kept):
     def advance(
         self, until: float, *, after: Callable[[], None] | None = None, each: bool = False
     ) -> None:
-        """Take substeps of stable length, as `Solver.advance` does, then move the points with the
-        nodes.
-
-        `after` is called after each substep.
-        """
+        """Take substeps as `Solver.advance` does, then move the points with the nodes."""
         self.rejection.begin(self.clock.time, until)
         self.clock.interval = min(self.clock.interval, self.limits.interval())
         if len(self.workers) > 1:
@@ -277,9 +266,7 @@ class LatticeSolver(Kept):
             self.follow()
 
     def pinch(self) -> tuple[float, int, int]:
-        """Return the result of `Walls.pinch`, the depth of points inside walls, for the walls'
-        current positions.
-        """
+        """Return the result of `Walls.pinch` for the walls' current positions."""
         self._place_walls()
         return self.walls.pinch()
 
@@ -345,7 +332,7 @@ class LatticeSolver(Kept):
         return drift
 
     def start_step(self, kick: float, drift: float) -> None:
-        """Do the first part of a substep: change the velocities of nodes by forces and contact."""
+        """Change the velocities of nodes by forces and contact: the first part of a substep."""
         self.limits.measure_if_due()
         self.clock.begin(kick, drift)
         self.clock.shocked += self.clock.in_shock

@@ -1,9 +1,6 @@
-"""Spectrum: measures the largest angular frequency of the bodies, which limits the substep.
+"""Spectrum: measures the largest angular frequency of the bodies by power iteration.
 
-At rest, the frequency is found by power iteration. In motion, one more iteration is made every few
-substeps. This iteration starts from the last mode shape plus the current accelerations. The
-accelerations are large in material that has just been squeezed or that begins to vibrate more
-strongly.
+The largest frequency limits the substep.
 """
 
 import math
@@ -24,25 +21,19 @@ from phy124.mpm.model import Model
 
 ROUNDS, DAMPED, SMALL = 60, 8, 1e-3
 """`ROUNDS`: number of power iterations for the largest frequency at rest. `DAMPED`: number of
-further iterations for the largest rate of damping. The iterations for damping start from the shape
-of the fastest vibration. If materials differ, additional iterations start from an arbitrary shape.
-`SMALL`: size of the trial displacements in these iterations [cells].
+further iterations for the largest rate of damping. `SMALL`: size of the trial displacements in
+these iterations [cells].
 """
 FOLLOWED, SQUEEZED, UNDAMPED = 5, 1.5, 0.1
 """A measurement of the largest frequency normally takes a single power iteration. The measurement
 takes `FOLLOWED` iterations if two conditions hold: the squared frequency exceeds its value at rest
-by the factor `SQUEEZED`, and the damping ratio of the fastest vibration is below `UNDAMPED`. In
-this case, the fastest vibration moves through the body too fast for single iterations, and would
-grow without viscosity.
+by the factor `SQUEEZED`, and the damping ratio of the fastest vibration is below `UNDAMPED`. The
+fastest vibration then moves through the body too fast for single iterations.
 """
 MIXED = 0.1
-"""Size of the accelerations that are added to the trial shape before an iteration, relative to the
-shape.
-"""
+"""Size of the accelerations that are added to the trial shape, relative to the shape."""
 STEADY = 0.05
-"""The largest frequency is steady if its square changes by at most this fraction between two
-measurements.
-"""
+"""Largest relative change of a steady frequency's square between two measurements."""
 MISSED = 1.1
 """Factor on squared frequencies, because power iterations underestimate the largest frequency."""
 
@@ -58,15 +49,7 @@ class Spectrum:
         lattice: RestLattice,
         complete: Callable[[int], None],
     ) -> None:
-        """Measure the largest frequency of the body at rest.
-
-        Args:
-            model: The constants of the run.
-            crew: The workers, which compute accelerations of nodes.
-            nodes: The nodes, at rest.
-            lattice: The lattice at rest.
-            complete: Function that runs a task on all workers.
-        """
+        """Measure the largest frequency of the body at rest."""
         self._model, self._complete = model, complete
         self._nodes = nodes
         self._size = SMALL * model.dx
@@ -102,11 +85,8 @@ class Spectrum:
         self.square = self._least
         """Square of the largest angular frequency, as last measured [1/s^2]."""
         self.steady = False
-        """Whether the last two measurements of the largest frequency agree, and the fastest
-        vibration is damped.
-        """
+        """Whether the last two measurements agree, and the fastest vibration is damped."""
         self._stiffened = 1.0
-        """Factor (at least 1) on the initial stiffness of all materials."""
 
     def stiffen(self, factor: float) -> float:
         """Set the factor on the initial stiffness of all materials, and return `stiffness`.
@@ -124,14 +104,11 @@ class Spectrum:
 
     @property
     def _damping_ratio(self) -> float:
-        """Damping ratio of the fastest vibration in the last measurement."""
         return math.sqrt(self.square) * self._delay
 
     @property
     def stiffness(self) -> float:
-        """dx^2 / dt^2 [m^2/s^2], where dt is the longest stable substep according to the last
-        measurement.
-        """
+        """dx^2 / dt^2 [m^2/s^2], where dt is the longest stable substep in the last measurement."""
         return self.square * (self._model.dx / 2 * _shorten(self._damping_ratio)) ** 2
 
     @property
@@ -154,14 +131,9 @@ class Spectrum:
     def _iterate(self, share: float, rounds: int, velocities: wp.array | None = None) -> float:
         """Return the square of the largest frequency [1/s^2] after some power iterations.
 
-        The norm gives large motions a large weight. The norm therefore measures the fastest
-        vibration, which moves few nodes. The shape also contains small motions of all nodes.
-
-        Args:
-            share: Factor with which the accelerations are added to the shape.
-            rounds: Number of iterations.
-            velocities: Velocities of the nodes, or None. If they are passed, they are changed
-                instead of displacements, and the result is the largest rate of damping [1/s].
+        The accelerations are added to the shape with the factor `share`. If the nodes' velocities
+        are passed, they are changed instead of displacements, and the result is the largest rate of
+        damping [1/s].
         """
         square, peak, trials = 0.0, self._peak(), self._trials
         for _ in range(rounds):
@@ -182,13 +154,10 @@ class Spectrum:
         return square
 
     def _peak(self) -> float:
-        """Return the largest component of the trial shape."""
         return float(np.abs(self._read_shape()).max())
 
     def snapshot(self) -> dict[str, Any]:
-        """Return a snapshot: the last trial shape, its squared frequency, and whether it is
-        steady.
-        """
+        """Return a snapshot of the last measurement."""
         shape, factor = self._trials.shape.numpy().copy(), self._stiffened
         known = {"square": self.square, "steady": self.steady, "stiffened": factor}
         return {"shape": shape, **known}
@@ -211,6 +180,6 @@ def _shorten(z: float) -> float:
 
 
 def _norm(values: NDArray[Any]) -> float:
-    """Return the 4-norm (fourth root of the sum of fourth powers) of values up to about 1."""
+    """Return the 4-norm of values up to about 1; this norm gives large values a large weight."""
     squares = values * values
     return float(np.vdot(squares, squares)) ** 0.25

@@ -3,11 +3,10 @@
 The weights of a surface point are computed for a position a quarter of a cell inside the body. Tied
 nodes get no weight. The weights are then corrected to reproduce every linear function at the point.
 With the exact weights at the surface, contact would act mostly on the lightest nodes, which would
-vibrate. In tips, the integration points touch walls as well (phy124/lattice/tips.py).
+vibrate.
 
-Points are divided into eight groups and sorted by group. Points of one group are at least about one
-cell apart. In this order, the error after a Gauss-Seidel sweep is a tenth of the error after a
-sweep from row to row.
+Points are sorted by eight groups. Points of one group are at least about one cell apart. In this
+order, the error after a Gauss-Seidel sweep is a tenth of the error after a sweep from row to row.
 """
 
 from __future__ import annotations
@@ -29,17 +28,11 @@ from phy124.particles.lattice import APART, PER_CELL
 INSIDE = 0.25
 """Depth below the surface at which a surface point's weights of nodes are computed [cells]."""
 SUPPORTED = 0.5
-"""Surface points are removed if the sum of their weights on nodes with mass is smaller than
-this.
-"""
+"""Surface points with a smaller sum of weights on nodes with mass are removed."""
 FLAT = 0.9
-"""A surface point counts as lying at an edge if the mean normal within a cell is shorter
-than this.
-"""
+"""A surface point lies at an edge if the mean normal within a cell is shorter than this."""
 REGULAR = 1e-5
-"""A matrix of second moments is inverted by cofactors if its det / trace^3 is at least this
-value.
-"""
+"""Smallest det / trace^3 of matrices of second moments that are inverted by cofactors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +46,8 @@ class Surface:
     body: NDArray[np.int64]
     """Body index of each point [S]."""
     side: NDArray[np.int64]
-    """For each surface point, the number of the separate piece of the body to which it belongs [S];
-    0 if the point's nodes have no copies. Surface points with different numbers above 0 belong to
-    different pieces of the body.
+    """Number of the separate piece of the body to which each point belongs [S]; 0 if the point's
+    nodes have no copies.
     """
     nodes: NDArray[np.int32]
     """Nodes of each point [S,27]: nine groups of three nodes that are consecutive in memory."""
@@ -86,8 +78,7 @@ class Surface:
     def deform(
         self, points: NDArray[np.int64], u: NDArray
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return deformation gradients F [K,3,3], their cofactors and the normals [K,3] at K
-        points.
+        """Return deformation gradients F [K,3,3], their cofactors, and normals [K,3] at K points.
 
         `u` [N,3], m, are the displacements of all nodes.
         """
@@ -104,15 +95,10 @@ class Lazy:
     def __init__(
         self, values: NDArray[Any], compute: Callable[[NDArray[np.int64]], NDArray]
     ) -> None:
-        """Store the function `compute`, which returns values for the points with some indices.
-
-        `values` is an array for the results; its first axis corresponds to the points.
-        """
         self._values, self._compute = values, compute
         self._known = np.zeros(len(values), bool)
 
     def __getitem__(self, points: NDArray[np.int64]) -> NDArray[Any]:
-        """Return the values at the surface points with these indices."""
         new = points[~self._known[points]]
         if len(new):
             self._values[new], self._known[new] = self._compute(new), True
@@ -134,7 +120,6 @@ def _slopes_at(
 def _flat_at(
     x: NDArray, normal: NDArray, body: NDArray, dx: float, tree: KDTree, points: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
-    """Return, for each of K surface points, whether it is on a flat part of the surface [K]."""
     near = KDTree(x[points]).sparse_distance_matrix(tree, dx, output_type="ndarray")
     a, b = near["i"], near["j"]
     # Points on the opposite side of a thin part are ignored.
@@ -149,9 +134,7 @@ def _flat_at(
 def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
     """Return the surface points with enough weight on the nodes of the lattice.
 
-    Args:
-        points: Surface points: position [m], outward normal and body index [S,7].
-        lattice: The lattices at rest.
+    The rows of `points` [S,7] are position [m], outward normal and body index.
     """
     tips = points_in_tips(points, lattice)
     inner = np.concatenate([np.full(len(points), -1), tips])
@@ -195,12 +178,8 @@ def make_surface(points: NDArray, lattice: RestLattice) -> Surface:
 def _nearest_pieces(
     at: NDArray[np.float64], body: NDArray[np.int64], lattice: RestLattice
 ) -> NDArray[np.int64]:
-    """Return, for each of K positions, the cell with the nearest integration point [K].
-
-    Args:
-        at: Positions [K,3], cells.
-        body: Indices of the bodies at these positions [K].
-        lattice: The lattices at rest.
+    """Return, for each position `at` [K,3], cells, the cell with the nearest integration
+    point [K].
     """
     nearest = np.zeros(len(at), np.int64)
     of_cells = lattice.body[lattice.rows[:, 0]]
@@ -212,11 +191,10 @@ def _nearest_pieces(
 
 
 def _within_rows(nodes: NDArray[np.int64], weights: NDArray) -> NDArray[np.float64]:
-    """Return weights [S,27] that are 0 except at three nodes per group that are consecutive in
-    memory.
+    """Keep, in each group, the weights of the three consecutive nodes with the largest sum [S,27].
 
-    In each group, the three consecutive `nodes` with the largest sum of weights keep their weights.
-    A copy of a node may be far away in memory from the other nodes of a group.
+    All other weights become 0. A copy of a node may be far away in memory from the other nodes of a
+    group.
     """
     nodes, weights = nodes.reshape(-1, 1, 3), weights.reshape(-1, 1, 3)
     start = np.swapaxes(nodes, 1, 2)
@@ -233,11 +211,6 @@ def _consecutive(
 
     The nodes of a lattice are sorted along z, so the existing nodes of a group are consecutive. A
     group of fewer than three nodes is completed by neighbours in memory with weight 0.
-
-    Args:
-        nodes: Nodes of the points [S,27].
-        weights: Weights of these nodes [S,27], 0 for nodes that do not exist.
-        count: Number of all nodes.
     """
     nodes, weights = nodes.reshape(-1, 3), weights.reshape(-1, 3)
     used = weights != 0
@@ -262,6 +235,5 @@ def _inverses(moments: NDArray) -> NDArray[np.float64]:
 
 
 def _cofactors(F: NDArray) -> NDArray[np.float64]:
-    """Return the cofactors of matrices [K,3,3]."""
     rows = [np.cross(F[:, (i + 1) % 3], F[:, (i + 2) % 3]) for i in range(3)]
     return np.stack(rows, axis=1)

@@ -29,21 +29,17 @@ GIVING = 0.2
 inside the body.
 """
 BENT, THIN = 3.0, 0.6
-"""In thin parts of a body, the weights of the donors are fitted so that they also reproduce
-products of two coordinates. `BENT` is the weight of these products in the fit of the donors'
-weights. A part of a body is thin if each donor has less than `THIN` of the mass of a node inside
-the body. Without products of two coordinates in the fit, the outer nodes of a bent plate would not
-follow its curvature. A plate with a thickness of 0.3 cells on the border of two layers of cells
-would then be 20 % too stiff.
+"""In thin parts of a body, the donors' weights are fitted to reproduce products of two coordinates
+as well. `BENT` is the weight of these products in the fit. A part of a body is thin if each donor
+has less than `THIN` of the mass of a node inside the body. Without the products, a plate with a
+thickness of 0.3 cells on the border of two layers of cells would be 20 % too stiff.
 """
 DONORS = 27
 """Largest number of nodes from which the motion of a tied node is extrapolated (its donors)."""
 NEAR = 3.0
 """Largest distance of a tied node from the nodes that determine its motion (donors) [cells]."""
 FAR = 6.0
-"""Largest distance of a donor from the tied node if the nodes within `NEAR` do not determine its
-motion [cells].
-"""
+"""Largest distance of donors if the nodes within `NEAR` do not determine the motion [cells]."""
 
 
 def tie_light(
@@ -130,11 +126,10 @@ def _tie(
     """Return the nodes lighter than `least` [kg], and the weights that extrapolate their motion.
 
     The weights reproduce every linear function that is determined by the nearby nodes with a mass
-    of at least `giving` [kg]. Nodes in a common cell with the light node are preferred. Other nodes
-    may belong to another part of the body, such as a leaf near a stem. The light node would then be
-    glued to this part. If the heavy nodes nearby do not determine the motion of a light node, the
-    node is not tied. If `far` is true, heavy nodes of neighbouring cells up to a distance of `FAR`
-    are then used instead. `whole` is the mass of a node inside the body [kg].
+    of at least `giving` [kg]. Nodes in a common cell with the light node are preferred, because
+    other nodes may belong to another part of the body, such as a leaf near a stem. If the heavy
+    nodes nearby do not determine the motion and `far` is true, heavy nodes up to a distance of
+    `FAR` are used. `whole` is the mass of a node inside the body [kg].
     """
     count, thin = len(index), mass < THIN * whole
     light, heavy = np.flatnonzero(mass < least), np.flatnonzero(mass >= giving)
@@ -187,19 +182,11 @@ def _nearest_in_cells(
     chained: bool = False,
     near: float = NEAR,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return, for each node in a list, the heavy nodes that share a cell with it, sorted by
-    distance.
+    """Return the heavy nodes that share a cell with each node in `some` [T], sorted by distance.
 
-    Args:
-        index: Indices of the nodes [N,3].
-        cells: The nodes of each cell [C,27].
-        some: The nodes whose neighbours are returned [T].
-        heavy: The nodes that may be returned [H].
-        chained: Whether to include neighbours of neighbours (by common cells).
-        near: Neighbours are closer than this [cells].
-
-    Returns:
-        The neighbours [T,`DONORS`] and their distances [cells]; infinite if there is no neighbour.
+    The results are the neighbours [T,`DONORS`] and their distances [cells]; a distance is infinite
+    if there is no neighbour. `chained` includes the neighbours of neighbours. `near` limits the
+    distance [cells].
     """
     of_cells = np.repeat(np.arange(len(cells)), cells.shape[1])
     entries = (np.ones(cells.size, np.float32), (cells.ravel(), of_cells))
@@ -226,17 +213,10 @@ def _extrapolate(
     distance: NDArray,
     thin: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the weights of each tied node's donors [T,K], and whether they determine its motion
-    [T].
+    """Return the weights of each tied node's donors [T,K], and a mask [T].
 
-    The mask is true where a linear function is known from its values at the donors.
-
-    Args:
-        index: Indices of the nodes [N,3].
-        light: The nodes that are extrapolated [T].
-        donors: The nodes from which each light node is extrapolated [T,K].
-        distance: Distances of the donors [T,K], cells; infinite if there is no donor.
-        thin: Whether each node has as little mass as a node in a thin part [N].
+    The mask is true where a linear function is known from its values at the donors. `distance`
+    [T,K], cells, is infinite where there is no donor.
     """
     arm = (index[donors] - index[light][:, None]).astype(np.float64)
     basis = np.concatenate([np.ones((*arm.shape[:2], 1)), arm], axis=2)

@@ -14,25 +14,17 @@ from phy124.lattice.rest import ROW, RestLattice
 from phy124.particles.lattice import PER_CELL
 
 SHARP = 0.6
-"""A part of a body is a tip, a hair or a sheet if the mean normal within a cell is shorter than
-this.
-"""
+"""A part of a body is sharp if the mean normal within a cell is shorter than this."""
 CLOSEST = 24
-"""Largest number of nearby normals whose mean determines whether a part is a tip, a hair or a
-sheet.
-"""
+"""Largest number of normals in this mean."""
 ABOVE = 0.3
-"""Integration points that are farther outside of the surface than this serve as surface points
-[cells].
-"""
+"""Integration points higher above the surface than this serve as surface points [cells]."""
 
 
 def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
     """Return the integration points that are in sharp parts of a body and use tied nodes [K].
 
-    Args:
-        points: Surface points: position [m], outward normal and body index [S,7].
-        lattice: The lattices at rest.
+    The rows of `points` [S,7] are position [m], outward normal and body index.
     """
     light = lattice.tied[lattice.source[lattice.tied] == lattice.tied]
     cells = np.flatnonzero(np.isin(lattice.nodes_of(), light).any(axis=1))
@@ -55,11 +47,8 @@ def points_in_tips(points: NDArray, lattice: RestLattice) -> NDArray[np.int64]:
 
 
 def rows_of(inner: NDArray[np.int64], lattice: RestLattice) -> NDArray[np.float64]:
-    """Return rows [K,7] for integration points: position [m], normal of length 0, and body index.
-
-    Args:
-        inner: Indices of the integration points [K].
-        lattice: The lattices at rest.
+    """Return rows [K,7] of integration points: position [m], a normal of length 0, and body
+    index.
     """
     cells = inner // PER_CELL
     x = lattice.points_of(cells)[np.arange(len(inner)), inner % PER_CELL] * lattice.dx

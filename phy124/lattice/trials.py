@@ -1,7 +1,4 @@
-"""Trials: displaces the nodes by a trial shape, and computes how their accelerations change.
-
-All workers take part: each of them processes its own cells and nodes.
-"""
+"""Trials: displaces the nodes by a trial shape, and computes how their accelerations change."""
 
 import warp as wp
 from numpy.typing import NDArray
@@ -25,21 +22,13 @@ class Trials:
     """Trial displacements of the nodes, and the resulting accelerations."""
 
     def __init__(self, model: Model, crew: Crew, shape: NDArray) -> None:
-        """Add the tasks of trial displacements to the workers.
-
-        Args:
-            model: The constants of the run.
-            crew: The workers.
-            shape: The first trial shape [N,3].
-        """
+        """Add the tasks of trials to the workers; `shape` [N,3] is the first trial shape."""
         self._model, self._crew = model, crew
         self.shape, self.mixed = (model.array(shape, types(model.real).vec3) for _ in range(2))
-        """The next trial shape, and the last trial shape with a share of the resulting
-        accelerations [N,3].
-        """
+        """The next trial shape, and the last shape plus a share of the accelerations [N,3]."""
         self.a, self.u, self.after = (wp.zeros_like(self.shape) for _ in range(3))
-        """Accelerations of the nodes before a trial, displacements of the nodes in the trial, and
-        accelerations due to these displacements.
+        """Accelerations of the nodes before a trial, displacements in the trial, and accelerations
+        due to these displacements.
         """
         self._pool = crew.new_pool()
         self._tries: list[wp.Launch] = []
@@ -53,8 +42,8 @@ class Trials:
             }
 
     def prepare(self, gain: float, share: float, size: float) -> None:
-        """Set the factors of the next trial displacement (phy124/kernels/lattice/nodes.py,
-        `make_try`).
+        """Set the factors of the next trial displacement (`make_try`,
+        phy124/kernels/lattice/nodes.py).
         """
         for launch in self._tries:
             for index, value in enumerate((gain, share, size), 1):

@@ -1,4 +1,4 @@
-"""Records the kernel launches of walls and clamps on a lattice, including sums of impulse and work.
+"""Records the launches of walls and clamps on a lattice, with sums of impulse and work.
 
 Walls act on surface points, and clamps act on nodes (phy124/lattice/clamps.py).
 """
@@ -44,21 +44,17 @@ from phy124.mpm.tracks import STILL, Tracks
 REACH = 0.6
 """Distance from a wall [cells] up to which the wall holds points that have touched it."""
 AHEAD, CLOSE, FAR = 2.0, 0.1, 3.0
-"""Contact with a wall is computed up to a distance that is at most `FAR` [cells]. The distance up
-to which contact is computed is `AHEAD` times the displacement in a substep, plus `CLOSE`.
+"""Contact with a wall is computed up to a distance of `AHEAD` times the displacement in a substep,
+plus `CLOSE`, but at most `FAR` [cells].
 """
 TOUCHING = 0.5
-"""A point inside one wall also counts as touching a second wall if it is at most this far away from
-it [cells].
-"""
+"""Distance [cells] up to which a point inside one wall also counts as touching a second wall."""
 DEEP, EXACT = 0.1, 1e-3
 """If a point is deeper than `DEEP` inside a wall, further sweeps over all points follow, until no
 correction displaces a point by more than `EXACT` [cells].
 """
 STEP = 0.5
-"""The distance from a wall up to which surface points are listed increases in steps of this length
-[cells].
-"""
+"""Step of the distance from a wall up to which surface points are listed [cells]."""
 RESTORE = {"separate": 0.65, "slip": 0.13, "sticky": 0.13}
 """Speed at which surface points inside a wall are moved out, divided by their depth. The unit of
 this ratio is (pi / 2 H)^2 / dt for a body with a height of H cells and for substeps dt at rest. The
@@ -108,7 +104,7 @@ class Nodes:
 
 
 class Walls:
-    """All walls of a run, with their launches, and with their impulses and work on the bodies."""
+    """All walls of a run, with their impulses and work on the bodies."""
 
     def __init__(
         self,
@@ -121,17 +117,7 @@ class Walls:
         substep: float,
         division: Division,
     ) -> None:
-        """Prepare the walls of a run.
-
-        Args:
-            boundaries: The boundaries of the scene.
-            model: The constants of the run.
-            lattice: The lattice at rest.
-            surface: Points that touch walls.
-            nodes: Arrays of the nodes.
-            tracks: The tracks of the run, to which displacements of walls are added.
-            substep: Length of a substep at rest [s].
-            division: Object that divides kernels among all workers.
+        """Prepare the walls of a run; `substep` is the length of a substep at rest [s].
 
         Raises:
             InputError: A clamp fixes only some directions, which is not possible on lattices.
@@ -142,22 +128,15 @@ class Walls:
         (kernels/lattice/contact.py).
         """
         self.impulses: Impulses | None = None
-        """Sums of impulses on each surface point and each node; None unless `keep_impulses` was
-        called.
-        """
+        """Sums of impulses on surface points and nodes; None before `keep_impulses`."""
         self.work: ContactWork | None = None
-        """Object that records kernel launches that sum the work of contact; None if the work is not
-        summed.
-        """
         self.holding = [number for number, (holds, _) in enumerate(simple) if holds]
         """Indices of the rows of `sums` that belong to clamps."""
         self._dx, self._listed = model.dx, 0
         self._around = model, surface.count, nodes, tracks
         slowest = (math.pi / 2 / lattice.across) ** 2 / substep
         self.recovery = RESTORE["separate"] * slowest
-        """Speed at which surface points inside a wall are moved out, divided by their depth
-        [1/s].
-        """
+        """Speed at which points inside a wall are moved out, divided by their depth [1/s]."""
         self._holder = wp.zeros(len(nodes.rest), dtype=int, device=model.device)
         # Clamps that no longer exist have released their nodes.
         wp.copy(nodes.movable, nodes.inverse)
@@ -175,7 +154,6 @@ class Walls:
             contact.clamped = bool(self._clamps)
 
     def __bool__(self) -> bool:
-        """Return whether the run has any wall or clamp."""
         return bool(self._clamps or self._contacts)
 
     def keep_impulses(self) -> None:
@@ -183,20 +161,16 @@ class Walls:
         self.impulses = Impulses(*self._around)
 
     def passed_on(self) -> PassedOn | None:
-        """Return the object that passes contact impulses on to clamps; None if there are no
-        clamps.
-        """
+        """Return the object that passes contact impulses on to clamps; None without clamps."""
         if not self._clamps:
             return None
         model, _, nodes, tracks = self._around
         return PassedOn(model, nodes, tracks.clock, self._holder, self.sums, self.impulses)
 
     def stages(self, passed: PassedOn | None) -> list[list[Named]]:
-        """Return the kernel launches of a substep that apply, correct and sum the impulses of
-        walls.
+        """Return the launches of a substep that apply, correct and sum the impulses of walls.
 
-        Clamps act before the impulses. `passed` records launches that transfer impulses on clamped
-        nodes to clamps, if there are any.
+        Clamps act before the impulses.
         """
         every = self._clamps
         records = [clamp.record(every[:i], every[i + 1 :]) for i, clamp in enumerate(every)]
@@ -238,17 +212,20 @@ class Walls:
                 contact.list_near(steps * width)
 
     def depth(self) -> tuple[float, int]:
-        """Return the largest depth [cells] of a point inside a wall in the last substep, and the
-        wall's index among the walls that are not clamps; the depth is at least 0.
+        """Return the largest depth [cells] of a point inside a wall in the last substep, at least
+        0, and the wall's index among the walls that are not clamps.
         """
         depths = [0.0, *(-contact.closest() / self._dx for contact in self._contacts)]
         deepest = int(np.argmax(depths))
         return depths[deepest], max(0, deepest - 1)
 
     def pinch(self) -> tuple[float, int, int]:
-        """Return the largest depth [cells] of a point that is inside one wall while another wall
-        touches it, and the indices of both walls among the walls that are not clamps. The depth is
-        at least 0. The positions of the walls are those at the last evaluation of the tracks.
+        """Return the largest depth [cells] of a point that is inside one wall and touches another
+        wall.
+
+        The result also contains the indices of both walls among the walls that are not clamps. The
+        depth is at least 0. The positions of the walls are those at the last evaluation of the
+        tracks.
         """
         if len(self._contacts) < 2:
             return 0.0, 0, 0
@@ -271,9 +248,7 @@ class Walls:
         return {str(i): wp.clone(contact.force) for i, contact in enumerate(self._contacts)}
 
     def put_forces(self, forces: dict[str, wp.array]) -> None:
-        """Set the contact forces of all walls in the last substep, unless they belong to other
-        walls.
-        """
+        """Set the walls' last contact forces, unless `forces` belong to other walls."""
         if len(forces) == len(self._contacts):
             for i, contact in enumerate(self._contacts):
                 contact.force.assign(forces[str(i)])
@@ -318,8 +293,8 @@ class _Contact:
         self.separates = part.response() == "separate"
         """Whether points may leave the wall."""
         self.clamped = False
-        """Whether the run has clamps. If there are clamps, the response of surface points to
-        impulses changes between substeps.
+        """Whether the run has clamps. Clamps change the response of points to impulses between
+        substeps.
         """
         self._count, device = (count := surface.count), model.device
         self._list = wp.zeros(count, dtype=int, device=device)
@@ -331,12 +306,11 @@ class _Contact:
         self._yields = wp.zeros(count, dtype=model.real, device=device)
 
     def look(self) -> None:
-        """Measure the distances of all points from the wall."""
         self._measure(self._count)
 
     def distances(self) -> NDArray[np.float64]:
-        """Return the distance of each surface point from the wall [S], m; infinite where the wall
-        cannot act.
+        """Return each surface point's distance from the wall [S], m; infinite where no contact is
+        possible.
         """
         self.look()
         movable = self._affected & (self._yields.numpy() > 0)
@@ -345,9 +319,6 @@ class _Contact:
 
     @cached_property
     def _measure(self) -> Callable[[int], None]:
-        """Function that measures the distances of surface points from the wall, up to a number of
-        points.
-        """
         nodes = self._nodes
         inputs = [self._shape, self._slot, *nodes.points, nodes.u, self._tracks.values]
         kernel = make_reach(self._part.outline(), self._model.real, nodes.rows)
@@ -363,9 +334,7 @@ class _Contact:
             self._pass_count()
 
     def closest(self) -> float:
-        """Return the smallest distance [m] of a listed point from the wall; infinite if no point is
-        listed.
-        """
+        """Return the smallest distance of a listed point [m]; infinite if no point is listed."""
         return float(self._gap.numpy()[self._near, 3].min(initial=np.inf))
 
     def limit(self, reach: float) -> None:
@@ -377,8 +346,8 @@ class _Contact:
     def record(
         self, impulses: Impulses | None, work: ContactWork | None, passed: PassedOn | None
     ) -> list[Callable[[], None]]:
-        """Return stages that find points touching the wall, correct impulses, and sum impulses and
-        work.
+        """Return the stages that find touching points, correct impulses, and sum impulses
+        and work.
         """
 
         def account() -> None:
@@ -411,7 +380,6 @@ class _Contact:
         return [touch, lambda: second.launch() if len(self._near) else None, account]
 
     def _pass_count(self) -> None:
-        """Pass the number of points near the wall to the kernel launches."""
         for launch in self._of_all:
             launch.set_param_at_index(1, len(self._near))
         for launch in self._of_each:
@@ -425,9 +393,6 @@ class _Contact:
         return cast("wp.Launch", self._model.launch(kernel, self._count, inputs, [self._yields]))
 
     def _touch(self) -> wp.Launch:
-        """Record the kernel launch that finds points touching the wall and applies their last
-        impulses.
-        """
         model, nodes, tracks = self._model, self._nodes, self._tracks
         inputs = [self._list, 0, self.reach, self._shape, self._slot, *nodes.points]
         inputs += [nodes.movable, self._yields, nodes.u, tracks.clock, tracks.values]
@@ -436,7 +401,6 @@ class _Contact:
         return cast("wp.Launch", model.launch(kernel, 1, inputs, outputs))
 
     def _resist(self) -> wp.Launch:
-        """Record the kernel launch that corrects the wall's impulses on points."""
         model, nodes, tracks, response = (
             self._model,
             self._nodes,
@@ -451,7 +415,6 @@ class _Contact:
         return cast("wp.Launch", model.launch(kernel, 1, inputs, [nodes.v, self.force]))
 
     def _account(self) -> wp.Launch:
-        """Record the kernel launch that sums the wall's impulse and work."""
         nodes = self._nodes
         inputs = [self._list, *nodes.points[:2], self._place, self.force]
         inputs += [self._tracks.clock, nodes.before, nodes.v]

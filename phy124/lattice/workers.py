@@ -1,8 +1,4 @@
-"""Workers: the points and nodes that each thread processes, and the launches of each thread.
-
-Most kernel launches belong to a phase of one worker. `Division` divides the threads of other
-kernels among all workers.
-"""
+"""Workers: the points and nodes that each thread processes, and the launches of each thread."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,9 +13,7 @@ from phy124.mpm.threads import Team
 from phy124.mpm.workers import Timings, run_launches
 
 MEASURE, PLACE = -1, -2
-"""Numbers of two tasks that are not phases of a substep: measuring the motion of the points, and
-placing the points.
-"""
+"""Tasks that are not phases of a substep: measure the points' motion, and place the points."""
 
 
 @dataclass
@@ -41,9 +35,7 @@ class Worker:
     phases: list[list[Named]] = field(default_factory=list)
     """Kernel launches of a substep, for each phase; threads wait for each other between phases."""
     tasks: dict[int, list[Named]] = field(default_factory=dict)
-    """Kernel launches of each task that is not a phase; the key is the task's negative number. The
-    time of the tasks that are not phases is measured where they are started.
-    """
+    """Kernel launches of each task that is not a phase; the keys are negative."""
     timings: Timings = field(default_factory=dict)
 
     def run(self, task: int) -> None:
@@ -59,7 +51,6 @@ class Division:
     """Prepares kernels whose threads are divided among all workers."""
 
     def __init__(self, model: Model, team: Team) -> None:
-        """Store the constants of the run, and the threads that launch the kernels."""
         self._model, self._team = model, team
 
     def record(
